@@ -1,4 +1,4 @@
-"""How fields and noise show in the sums: models, what can be seen of them, and the noise's covariance."""
+"""Geometry of the models (what is observable) and covariance of the noise, computed from the sums over cells."""
 
 from __future__ import annotations
 
@@ -26,19 +26,23 @@ from pcbench.deformation.sums import LENGTHS, TileSums, added, merged
 from pcbench.geometry.arrays import FloatArray
 
 TILE = 2  # cells along each edge of a tile
-# Information of a field against that of one seen along its direction everywhere: below it, where the noise of normals
-# lies, the field is not observable.
+# Information of a field relative to one that is observed along its direction everywhere. Below this, which is the level
+# of errors in the normals, a field counts as not observable.
 MIN_INFORMATION = 0.02
-_MIN_INFORMATION_AFFINE = 1e-4  # of an affine field and less
+_MIN_INFORMATION_AFFINE = 1e-4  # for affine fields and smaller models
 _RIDGE = 1e-12
-_CELLS_AT_ONCE = 32  # whose matrices are made: they are much larger than the moments they are made of
+_CELLS_AT_ONCE = 32  # cells per block of normal matrices, which are much larger than the moments
 PLACE_NOISE = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
-_LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # distances of cells, in cells, between which moments are taken
+_LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # bounds of the lag classes, in cells; negative to 0: within a cell
 
 
 class Noise(NamedTuple):
-    """Variances of the residuals where noise has its mean size: white, and of each kernel's component (lengths in the
-    clouds' unit).
+    """Variance components of the residuals at the mean scale of the noise: white, and one per kernel.
+
+    Attributes:
+        white: variance of the white noise.
+        components: (J,) variance of each correlated component.
+        lengths: (J,) length of each kernel, in the clouds' unit.
     """
 
     white: float
@@ -47,41 +51,42 @@ class Noise(NamedTuple):
 
     @property
     def correlated(self) -> float:
+        """Total variance of the correlated noise."""
         return float(self.components.sum())
 
     @property
     def correlation_length(self) -> float:
-        """The Gaussian kernel exp(-d^2 / 2 l^2) that covers the same area as the mixture: 2 pi l^2."""
+        """Length l of the Gaussian kernel exp(-d^2 / 2 l^2) with the same integral 2 pi l^2 as the mixture."""
         if self.correlated == 0:
             return 0.0
         return math.sqrt(float(self.components @ np.square(self.lengths)) / self.correlated)
 
 
 class ModelStep:
-    """What a model explains beyond a smaller one: orthonormal modes of the information that the smaller leaves."""
+    """Modes of a model beyond a smaller one, orthonormal with respect to the information the smaller one leaves."""
 
     def __init__(self, geometry: Geometry, smaller: str, larger: str) -> None:
         large, matrix = geometry.columns[larger], geometry.matrix
         self.smaller = geometry.half(smaller)
         taken = matrix @ self.smaller @ self.smaller.T
         values, vectors = geometry.observable(large.T @ (matrix - taken @ matrix) @ large, MIN_INFORMATION)
-        # Scores (60,) to modes (K,): variance sigma^2 each for white noise. Coefficients of a mode: the same columns.
+        # (60, K) from scores to modes, each of variance sigma^2 under white noise; also the coefficients of the modes.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
-        # (C, 3, K) what noise that is the same in a whole cell adds to the modes, and (K, K) what white noise does.
+        # (C, 3, K) response of the modes to noise that is constant in a cell, and (K, K) covariance under white noise.
         self.responses = np.einsum("ik,cij->cjk", self.modes, geometry.loads, optimize=True)
         self.white = self.modes.T @ geometry.white @ self.modes
 
 
 class Geometry:
-    """All that does not depend on the residuals: models, what can be seen, and how noise of each kernel would show."""
+    """The part of the model that does not depend on the residuals: design, observability and noise kernels."""
 
     def __init__(self, sums: TileSums) -> None:
         total = sums.moments.sum(axis=0)
         squares = gram(total)
         self.total = float(squares[0, 0])  # weight of all pairs
-        # Polynomials that are orthonormal over the pairs, but for those that the noise of the places could make up:
-        # their size is kept small, so that they count as not observable. A plane's third coordinate is its noise, and
-        # noise that is in places and residuals alike looks like a slope.
+        # Polynomials orthonormal over the pairs, except those that the noise of the positions could produce: they are
+        # scaled down, so that they count as not observable. The third coordinate of a plane is pure noise, and noise
+        # that positions and residuals share looks like a slope.
         squares = squares / self.total
         power, weight = sums.powers[0], sums.dyadic[0, 0]
         doubt = PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
@@ -105,7 +110,7 @@ class Geometry:
         self.surface = self.basis @ normal_matrix(sums.surface / gram(sums.surface)[0, 0]) @ self.basis.T
         mean, spread = mean_and_spread(sums.moments)
         self.means = mean * sums.radius + sums.center  # (C, 3)
-        # Across a surface patch in a cell: two directions, each spread like an interval of at most the cell's edge.
+        # A surface patch in a cell extends in two directions, each at most like a uniform interval of the cell's edge.
         within = np.minimum(spread * sums.radius**2 / 2, sums.side**2 / 12)
         self._apart = _squared_distances(self.means)
         self._within = within[:, None] + within[None]
@@ -123,9 +128,7 @@ class Geometry:
 
     @cached_property
     def kernels(self) -> list[FloatArray]:
-        """(C, C) correlation of each kernel between cells: averaged over the patches in two cells, and over the very
-        pairs within one.
-        """
+        """Correlation (C, C) of each kernel: averaged over the patches of two cells, or over the pairs in one cell."""
         found = []
         for length, near in zip(self.lengths, self._near.T, strict=True):
             squared = length**2 + self._within
@@ -135,7 +138,7 @@ class Geometry:
         return found
 
     def mixture(self, noise: Noise) -> FloatArray:
-        """(C, C) covariance of the correlated noise between the means of cells."""
+        """Covariance (C, C) of the correlated noise between the means of cells."""
         if self._mixed is None or self._mixed[0] is not noise:
             total: FloatArray = np.zeros(self._apart.shape)
             for variance, kernel in zip(noise.components, self.kernels, strict=True):
@@ -145,7 +148,7 @@ class Geometry:
         return self._mixed[1]
 
     def covariance(self, step: ModelStep, noise: Noise) -> FloatArray:
-        """(K, K) of a step's modes under a noise: responses of each two cells times the covariance between them."""
+        """Covariance (K, K) of a step's modes under a noise."""
         responses, size = step.responses, step.modes.shape[1]
         if size == 0:
             return np.zeros((0, 0))
@@ -155,21 +158,22 @@ class Geometry:
         return total
 
     def step(self, smaller: str, larger: str) -> ModelStep:
+        """Step from a smaller to a larger model, cached."""
         if (smaller, larger) not in self._steps:
             self._steps[smaller, larger] = ModelStep(self, smaller, larger)
         return self._steps[smaller, larger]
 
     def observable(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues and vectors of a part of the normal matrix, of those with more than a share of information."""
+        """Return eigenvalues and eigenvectors of a normal matrix with more than the share `least` of the information."""
         values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
         enough = values > least * self.total
         return values[enough], vectors[:, enough]
 
     def half(self, model: str) -> FloatArray:
-        """(60, K) observable fields of a model, with unit information each and none in common.
+        """Observable fields (60, K) of a model, orthonormal with respect to the information.
 
-        Of an affine field and less, all that is observable in the least: what is there and not modelled would look
-        bent.
+        For an affine field and smaller models the limit of observability is low: an unmodelled affine part would look
+        like a deformation.
         """
         if model not in self._halves:
             if PARAMETERS[model] > PARAMETERS["affine"]:
@@ -181,9 +185,7 @@ class Geometry:
         return self._halves[model]
 
     def over_surface(self, step: ModelStep) -> FloatArray:
-        """(K, K) the mean square along the normals, over the surface by its area, of what a step's modes show there
-        beyond an affine field.
-        """
+        """Quadratic form (K, K): mean square along the normals, over the surface by area, beyond an affine field."""
         affine = self.columns["affine"]
         crossed = self.surface @ affine
         taken = crossed @ np.linalg.pinv(affine.T @ crossed, rcond=_RIDGE, hermitian=True) @ crossed.T
@@ -191,26 +193,26 @@ class Geometry:
         return form
 
     def fit(self, model: str, scores: FloatArray) -> FloatArray:
-        """(60,) coefficients of a model, of what is observable, by least squares."""
+        """Fit the observable part of a model to scores (60,) by least squares; return coefficients (60,)."""
         half = self.half(model)
         coefficients: FloatArray = half @ (half.T @ scores)
         return coefficients
 
     def explained(self, scores: Scores, model: str) -> float:
-        """Sum of w (n . u)^2 of what a model fits."""
+        """Sum of squares w (n . u)^2 that a model explains."""
         return float(scores.total @ self.fit(model, scores.total))
 
     @cached_property
     def noise_design(self) -> tuple[FloatArray, list[NDArray[np.bool_]], FloatArray]:
-        """Expected moments of the largest model's residuals by white noise and by each kernel.
+        """Expected moments of the largest model's residuals under white noise and under each kernel.
 
-        A residual vector of a cell is h_c = sum w n r less what the fit explains. Noise that is g_c in each cell adds
-        L_c g_c, of which Z_c' A^+ sum_d Y_d g_d is explained (L: `load`, Y: `loads`, Z: `translations`). Expected
-        products over a class D of pairs of cells, sum_D h_c . h_d, are traces of products of these.
+        The residual vector of a cell is h_c = sum w n r minus the fit. Noise that is constant, g_c, in each cell adds
+        L_c g_c, of which the fit explains Z_c' A^+ sum_d Y_d g_d (L: `load`, Y: `loads`, Z: `translations`). The
+        expected products over a lag class D of pairs of cells, sum_D h_c . h_d, are traces of products of these.
 
         Returns:
-            (lags, 1 + J) expectations for unit variances, the (C, C) masks, and (J,) the share of each kernel's
-            power within cells that the fit leaves.
+            (lags, 1 + J) expectations for unit variances, the (C, C) masks of the lag classes, and (J,) the share of
+            each kernel's power within cells that the fit leaves.
         """
         count = len(self.information)
         inverse = self.half("cubic") @ self.half("cubic").T
@@ -242,7 +244,7 @@ class Geometry:
 
 
 class Scores:
-    """The residuals' part of the sums, in the geometry's coordinates."""
+    """Scores, i.e. the part of the sums that depends on the residuals, in the coordinates of the geometry."""
 
     def __init__(self, geometry: Geometry, scores: FloatArray, energy: FloatArray, powers: FloatArray) -> None:
         rows = np.einsum("ab,cbk->cak", geometry.to_orthonormal, scores)
@@ -254,7 +256,7 @@ class Scores:
 
 
 def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
-    """Variances of white noise and of the kernels, by least squares on moments of the largest model's residuals."""
+    """Estimate the variance components by non-negative least squares on moments of the cubic model's residuals."""
     expected, masks, kept = geometry.noise_design
     coefficients = geometry.fit("cubic", scores.total)
     left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
@@ -264,12 +266,12 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
     for row, mask in zip(expected, masks, strict=True):
         rows.append(row)
         values.append(float((mask * products).sum()))
-        # Products of independent vectors scatter by the product of their lengths.
+        # The variance of products of independent vectors is the product of their squared lengths (per component).
         sigmas.append(math.sqrt(2 * float(power @ mask @ power) / 3))
     for row, power_within in zip(geometry.dyadic, scores.powers, strict=True):
         rows.append(np.concatenate([row[:1], row[1:] * kept]))
         values.append(float(power_within))
-        sigmas.append(0.05 * float(power_within))  # of many sub-cells, but long noise is the same in many of them
+        sigmas.append(0.05 * float(power_within))  # many sub-cells, but long-range noise is common to many of them
     scale = 1 / np.maximum(sigmas, 1e-300)
     found = nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
     return Noise(float(found[0]), found[1:], geometry.lengths)

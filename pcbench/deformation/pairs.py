@@ -1,8 +1,8 @@
-"""From two aligned clouds to the pairs that a deformation is measured on.
+"""Find the pairs of points and tangent planes on which a deformation is measured.
 
-Weights are found under the largest model and only then frozen: a robust fit that grows from the rigid model takes a
-bend of many standard deviations for outliers and never sees it. Closest points are found twice, under that model and
-under none: where points fill a volume, whatever is assumed finds closest points that bear it out.
+Weights are found under the largest model and then frozen. A robust fit that starts from the rigid model would treat a
+deformation of many standard deviations as outliers and miss it. Closest points are found twice, under that model and
+without one: in a volume such as a forest, closest points seem to confirm any assumed deformation.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 
 _MAX_PAIRS = 20_000
-_MAX_COARSE_PAIRS = 5_000  # of all but the last rounds
+_MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_LAST_FITS, _HALF_FOLLOWED_LAST = 12, 1e-4  # far fewer fits but where a part that moved is let go
-_SETTLED = 0.01  # of the noise
-_TUKEY = 4.685  # standard deviations: 95 % efficient for normal residuals
-_MIN_SLOPE = 0.2  # of the mean influence of a residual: below it, nearly all are outliers
-CELLS_ALONG = 16  # of the scene's extent, at first
-_MIN_TILES = 60  # wanted of the middle size
-_MAX_CELLS = 480  # more only cost time
-_NEIGHBORS = 8  # that a place is the mean of
-_ROUGH = 4.0  # times the lower quartile of the surface variation: a pair that is so rough counts a quarter
-_MAX_ROUGH = 0.005  # surface variation; whatever the scene, a pair that is so rough counts a quarter: it is no plane
+_LAST_FITS, _HALF_FOLLOWED_LAST = 12, 1e-4  # usually far fewer fits, unless a part that moved is rejected
+_SETTLED = 0.01  # convergence tolerance, in standard deviations of the noise
+_TUKEY = 4.685  # standard deviations: 95 % efficiency for normal residuals
+_MIN_SLOPE = 0.2  # minimum mean slope of the influence function: below it, nearly all pairs are outliers
+CELLS_ALONG = 16  # initial number of cells along the scene's extent
+_MIN_TILES = 60  # tiles aimed for
+_MAX_CELLS = 480  # more cells cost time without adding information
+_NEIGHBORS = 8  # points averaged for a position
+_ROUGH = 4.0  # times the lower quartile of the surface variation: a pair this rough has a quarter of the weight
+_MAX_ROUGH = 0.005  # surface variation at which a pair has at most a quarter of the weight in any scene: not a plane
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
@@ -44,9 +44,9 @@ class Side:
     """One cloud of the pair, in the reference's coordinates minus the local origin.
 
     Attributes:
-        surface: its points and normals.
-        inside: (N,) which points may be asked for; all are searched.
-        cloud: as it was read: classes, coordinate system, unit.
+        surface: points and normals.
+        inside: (N,) points that may be queries; all points are searched.
+        cloud: the cloud as it was read: classes, coordinate system, unit.
     """
 
     surface: Surface
@@ -55,10 +55,11 @@ class Side:
 
     @property
     def is_metric(self) -> bool:
+        """Whether the scale is known, from a unit or a coordinate system."""
         return self.cloud.unit is not None or self.cloud.crs is not None
 
     def class_weights(self, rows: IntArray) -> FloatArray:
-        """(M,) of points by their LAS class; one where there is none."""
+        """Return (M,) weights of points by LAS class; 1 without classes."""
         classes = self.cloud.attributes.get("classification")
         if classes is None:
             return np.ones(len(rows))
@@ -73,22 +74,22 @@ class Pairs:
     """Frozen pairs, N of them.
 
     Outliers are limited by pseudo-values (Huber 1981, section 7.10): with these residuals and weights, least squares
-    gives the robust fit, and its residuals scatter as that fit does. Weights that depend on residuals do not: they
-    shrink the residuals' moments but not the fit's variance (by 1.46 for normal residuals).
+    gives the robust fit, and its residuals have the variance of that fit. Weights that depend on residuals do not: they
+    shrink the moments of the residuals but not the variance of the fit (by 1.46 for normal residuals).
 
     Attributes:
-        places: (N, 3).
+        places: (N, 3) positions.
         normals: (N, 3) unit normals of the planes.
         residuals: (N,) n . (p - q), outliers limited.
         weights: (N,) from 0 to 1.
-        scales: (N,) sizes of the noise, about 1.
-        left: (N,) residuals of the largest model, outliers limited.
-        apart: (N,) the same as measured.
-        quality: (N,) the part of the weights that does not depend on the residuals.
-        areas: (N,) of surface that a pair stands for, in any unit.
-        inliers: share of the pairs that lie within the robust fit's reach.
-        rough: share of the pairs in places that are no smooth surface.
-        spacing: of the points that the planes come from.
+        scales: (N,) relative scale of the noise, about 1.
+        left: (N,) residuals from the largest model, outliers limited.
+        apart: (N,) residuals from the largest model, as measured.
+        quality: (N,) factor of the weights that does not depend on the residuals.
+        areas: (N,) surface area that each pair represents, in any unit.
+        inliers: share of the pairs within the support of Tukey's biweight.
+        rough: share of the pairs that are not on a smooth surface.
+        spacing: spacing of the points that define the planes.
         distance: median distance of the closest points.
     """
 
@@ -108,11 +109,19 @@ class Pairs:
 
 
 def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pairs of evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
+    """Pair evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
 
-    The maximum correspondence distance shrinks while the largest model is fitted, then Tukey's biweight decides.
-    Closest points are those of the points that the model brings back (`follow`), or of the points as they are. None
-    where there are too few pairs.
+    The maximum correspondence distance shrinks while the largest model is fitted; then Tukey's biweight sets the
+    weights.
+
+    Args:
+        reference: the reference.
+        candidate: the aligned candidate.
+        follow: whether closest points are searched after the model's displacement is removed, or at the points as they
+            are.
+
+    Returns:
+        The pairs; None if there are too few.
     """
     swapped = len(candidate.surface) > len(reference.surface)
     queries, surface = (reference, candidate) if swapped else (candidate, reference)
@@ -129,7 +138,7 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
 
 
 class _PlanePairs(NamedTuple):
-    """Closest points within the maximum correspondence distance, N pairs, and how much each of them counts."""
+    """Closest points within the maximum correspondence distance, N pairs, with their weights."""
 
     queries: FloatArray  # (N, 3) points of the sparser cloud
     closest: IntArray  # (N,) rows of the denser cloud
@@ -144,17 +153,16 @@ class _PlanePairs(NamedTuple):
 
 
 def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
-    """Rows of evenly spread points that may have a counterpart, and the first maximum correspondence distance."""
+    """Select evenly spread points that may have a counterpart, and the initial maximum correspondence distance."""
     rows = np.flatnonzero(queries.inside)
     if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
         return None
     points = queries.surface.points[rows]
     if extent(points) == 0 or surface.surface.spacing == 0:
-        return None  # one place, however often
+        return None  # all points coincide
     rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
-    # The nearest tenth lies on the surface however little the clouds overlap, and bends are a few times as far. Voxel
-    # downsampling leaves strays, which fill space, more than their share: what is far off is dropped before it is
-    # counted.
+    # The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
+    # downsampling favours outliers, which fill space, so distant points are removed before the final selection.
     distances = surface.surface.index.query(queries.surface.points[rows]).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
     max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
@@ -165,7 +173,7 @@ def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | No
 def _graduated_fit(
     queries: Side, surface: Side, rows: IntArray, max_distance: float, *, sign: float, follow: bool
 ) -> tuple[_PlanePairs, Displacement] | None:
-    """Fit the largest model in rounds of closest points; the pairs of the last round and the model fitted to them."""
+    """Fit the largest model in rounds of closest points; return the pairs of the last round and the fitted model."""
     points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
@@ -195,16 +203,17 @@ def _closest_planes(
     follow: bool,
     final: bool,
 ) -> _PlanePairs | None:
-    """Pairs of query points with tangent planes within a distance, weighted; None where there are too few.
+    """Pair query points with tangent planes within a distance, with weights; None if there are too few.
 
     Args:
-        queries, surface: the sparser and the denser cloud.
-        rows: of the query points.
-        field: the model so far.
-        max_distance: the maximum correspondence distance.
-        sign: times query minus closest point is candidate minus reference.
-        follow: whether closest points are those of the points that the model brings back.
-        final: whether the weights follow the local noise; before, nearly all pairs within the distance count.
+        queries: the sparser cloud.
+        surface: the denser cloud.
+        rows: rows of the query points.
+        field: the current model.
+        max_distance: maximum correspondence distance.
+        sign: factor that turns query minus closest point into candidate minus reference.
+        follow: whether closest points are searched after the model's displacement is removed.
+        final: whether the weights use the local noise; before, nearly all pairs within the distance count.
     """
     points, index = queries.surface.points[rows], surface.surface.index
     bend = field(points)
@@ -236,18 +245,18 @@ def _closest_planes(
 
 
 def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
-    """Squares of residuals (N,) over the width of Tukey's biweight, at most 1: there the weight is zero."""
+    """Squared ratios (N,) of residuals to the width of Tukey's biweight, clamped to 1, where the weight is zero."""
     squared: FloatArray = np.square(np.clip(left / width, -1, 1))
     return squared
 
 
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
-    """The robust fit to pairs that no longer change, as pseudo-values for least squares."""
+    """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places = _local_means(surface.index, pairs.closest)
     quality = pairs.quality
     fitted, left = _last_fit(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
-    slopes = (1 - squared) * (1 - 5 * squared)  # of Tukey's influence function left * (1 - squared)^2
+    slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
     mean_slope = np.maximum(smoothed(pairs.queries, slopes, quality), _MIN_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
     power = smoothed(pairs.queries, np.square(limited), quality)
@@ -269,9 +278,9 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
 
 
 def _local_means(index: Index, rows: IntArray) -> FloatArray:
-    """Means (N, 3) of the nearest other points of rows (N,) of an index.
+    """Return means (N, 3) of the nearest neighbours of rows (N,) of an index.
 
-    A point's own noise is in its residual: places come from its neighbours, so that noise does not look like slope.
+    The noise of a point is in its residual. Positions come from its neighbours, so that noise does not look like slope.
     """
     around = index.query(index.points[rows], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
     means: FloatArray = index.points[around].mean(axis=1)
@@ -279,9 +288,9 @@ def _local_means(index: Index, rows: IntArray) -> FloatArray:
 
 
 def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The model along the normals (N,) and the residuals from it (N,), by iteratively reweighted least squares.
+    """Fit by iteratively reweighted least squares; return the model along the normals (N,) and the residuals (N,).
 
-    The model follows all that these pairs show, as no further closest points are looked for.
+    Damping is minimal, because no further closest points are searched.
     """
     weights = pairs.weights
     left = np.full(len(pairs.residuals), np.inf)
@@ -296,7 +305,7 @@ def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tu
 
 
 def tile_sums(pairs: Pairs) -> TileSums:
-    """Sums over cells that are as large as the scene allows: about 60 tiles of two cells' edge."""
+    """Sum pairs over cells as large as the scene allows: about 60 tiles of two cells' edge."""
     counted = pairs.places[pairs.weights > 0]
     lower, upper = np.percentile(counted, [1, 99], axis=0)
     span = float((upper - lower).max())
@@ -327,16 +336,14 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 
 def _smoothness(variation: FloatArray) -> FloatArray:
-    """Weights (M,) of points of a surface: edges and foliage are no planes, and what is rougher than the smooth quarter
-    of the scene counts less.
-    """
+    """Return weights (M,) of surface points: edges, foliage and points rougher than the smooth quarter count less."""
     limit = min(_MAX_ROUGH, _ROUGH * max(float(np.percentile(variation, 25)), 1e-6))
     weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
     return weights
 
 
 def _areas(points: FloatArray) -> FloatArray:
-    """(N,) of surface that each point stands for, relative: voxels of two spacings hold about as much of it each."""
+    """Return (N,) relative surface areas of points: voxels of two spacings contain about equal areas."""
     side = 2 * median_spacing(Index(points))
     if side == 0:
         return np.ones(len(points))
@@ -345,6 +352,6 @@ def _areas(points: FloatArray) -> FloatArray:
 
 
 def extent(points: FloatArray) -> float:
-    """Longest side of the box that holds the inner 98 % along each axis."""
+    """Return the longest side of the box that contains the inner 98 % of the points along each axis."""
     lower, upper = np.percentile(points, [1, 99], axis=0)
     return float((upper - lower).max())

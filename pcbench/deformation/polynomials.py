@@ -1,8 +1,8 @@
-"""Displacement fields that are polynomials of the place: monomials, products of them, and the rungs of a ladder.
+"""Polynomial displacement fields: monomials, their products, and the five nested models.
 
 A field is u(x) = sum_a c_a phi_a(x), with one coefficient vector (3,) for each of the 20 monomials phi of degree up to
-three. Coefficients are kept as (60,), the three components of a monomial side by side, monomials by degree: the
-first 12 are the affine fields, the first 30 the quadratic ones.
+three. Coefficients are stored as (60,), the three components of a monomial together, monomials by degree: the first
+12 span the affine fields, the first 30 the quadratic ones.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ DEGREE = 3
 
 
 def _exponents(degree: int) -> IntArray:
-    """Exponents (M, 3) of all monomials up to a degree, by degree: 1, z, y, x, zz, yz, ..."""
+    """Return the exponents (M, 3) of all monomials up to a degree, sorted by degree: 1, z, y, x, zz, yz, ..."""
     powers = [p for p in product(range(degree + 1), repeat=3) if sum(p) <= degree]
     return np.array(sorted(powers, key=lambda p: (sum(p), p)), dtype=np.int64)
 
 
 EXPONENTS = _exponents(DEGREE)  # (20, 3)
-_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all that products of two of them can be
+_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all products of two monomials
 _PLACE = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
-# Each monomial is an earlier one times a coordinate: (which, axis).
+# Each monomial is an earlier one times a coordinate: (index of the earlier one, axis).
 _STEPS = [
     (_PLACE[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
     for powers in _PRODUCTS[1:].tolist()
@@ -36,11 +36,11 @@ _STEPS = [
 ]
 _PRODUCT = np.array([[_PLACE[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
 _ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_ALL = np.zeros(1, dtype=np.int64)  # one group
+_ALL = np.zeros(1, dtype=np.int64)  # start of a single group
 
 
 def monomials(places: FloatArray) -> FloatArray:
-    """(20, N) values of the monomials at places (N, 3)."""
+    """Evaluate the monomials at positions (N, 3); return (20, N)."""
     values = np.empty((len(EXPONENTS), len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
@@ -52,13 +52,20 @@ def monomials(places: FloatArray) -> FloatArray:
 def normal_equations(
     places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ALL
 ) -> tuple[FloatArray, FloatArray]:
-    """All that the normal equations of a cubic field hold, for each group of pairs; `starts` (G,) are their first rows.
+    """Accumulate the normal equations of a cubic field for each group of pairs.
 
-    The residual's derivative by the coefficients is phi (x) n, so each entry of the (60, 60) normal matrix is the sum
-    of a monomial of degree up to six times an entry of n n': 504 numbers instead of 1830.
+    The gradient of the residual with respect to the coefficients is phi(x) n. Each entry of the (60, 60) normal matrix
+    is thus the sum of a monomial of degree up to six times an entry of n n': 504 values instead of 1830.
+
+    Args:
+        places: (N, 3) positions, scaled to about -1 to 1.
+        normals: (N, 3) unit normals.
+        weights: (N,) weights.
+        residuals: (N,) residuals along the normals.
+        starts: (G,) first row of each group.
 
     Returns:
-        Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, their right side.
+        Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, the right-hand side.
     """
     moments = np.empty((len(starts), len(_PRODUCTS), 6))
     scores = np.empty((len(starts), len(EXPONENTS), 3))
@@ -68,7 +75,7 @@ def normal_equations(
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:
-    """(..., 60, 60) from moments (..., 84, 6)."""
+    """Assemble the normal matrix (..., 60, 60) from moments (..., 84, 6)."""
     blocks = moments[..., _PRODUCT[:, :, None, None], _ENTRY[None, None]]  # (..., 20, 20, 3, 3)
     size = 3 * len(EXPONENTS)
     matrix: FloatArray = np.swapaxes(blocks, -3, -2).reshape(*moments.shape[:-2], size, size)
@@ -76,20 +83,20 @@ def normal_matrix(moments: FloatArray) -> FloatArray:
 
 
 def translation_columns(moments: FloatArray) -> FloatArray:
-    """(..., 60, 3): the columns of `normal_matrix` that belong to a common translation."""
+    """Return the columns (..., 60, 3) of `normal_matrix` for a common translation."""
     blocks = moments[..., _PRODUCT[:, 0, None, None], _ENTRY[None]]  # (..., 20, 3, 3)
     columns: FloatArray = blocks.reshape(*moments.shape[:-2], 3 * len(EXPONENTS), 3)
     return columns
 
 
 def gram(moments: FloatArray) -> FloatArray:
-    """(20, 20) sums of w phi_a phi_b: the traces of n n' are one."""
+    """Return the Gram matrix (20, 20) of the monomials, sums of w phi_a phi_b, using that n n' has trace one."""
     sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT]
     return sums
 
 
 def derivative_squares(squares: FloatArray) -> FloatArray:
-    """(20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
+    """Return (20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
     row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
     found = np.zeros(len(EXPONENTS))
     for number, powers in enumerate(EXPONENTS.tolist()):
@@ -101,9 +108,9 @@ def derivative_squares(squares: FloatArray) -> FloatArray:
 
 
 def model_columns(model: str) -> FloatArray:
-    """(60, P) coefficients of the fields that a model consists of.
+    """Return (60, P) coefficients of the fields that span a model.
 
-    Rotations are the linearised ones, e x x: a pair that is nearly registered needs no more.
+    Rotations are linearised (e x x), which suffices for a pair that is nearly registered.
     """
     size = 3 * len(EXPONENTS)
     if model not in ("rigid", "similarity"):
@@ -123,7 +130,7 @@ def model_columns(model: str) -> FloatArray:
 
 
 def mean_and_spread(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean place (..., 3) and mean squared distance from it (...,) of the pairs behind moments (..., 84, 6)."""
+    """Mean position (..., 3) and mean squared distance from it (...,) of the pairs in moments (..., 84, 6)."""
     sums = moments[..., :3].sum(axis=-1)
     weight = np.maximum(sums[..., 0], 1e-300)
     axes = np.eye(3, dtype=int)

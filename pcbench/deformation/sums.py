@@ -10,36 +10,36 @@ from numpy.typing import NDArray
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_DYADIC = 5  # finer levels of moments: halves of cells, quarters, ...
-LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
-_PARTNERS, _FEW_PARTNERS = 4, 1  # other pairs in its cell that a pair is compared with, and in a sub-cell
+_DYADIC = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
+LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
+_PARTNERS, _FEW_PARTNERS = 4, 1  # sampled partners of each pair, in cells and in sub-cells
 
 
 @dataclass(frozen=True, eq=False)
 class TileSums:
-    """Sums over the pairs in each cell (cubes of edge `side`); they add up over pairs.
+    """Sums over the pairs in each cell (cubes of edge `side`), additive over pairs.
 
-    A pair has a weight w by which it counts in fits, and a size s of its noise. Noise is s times a stationary part,
-    which is white or correlated as exp(-d^2 / 2 l^2) with each l of `LENGTHS` times the cells' edge.
+    A pair has a weight w in fits and a relative scale s of its noise. Noise is s times a stationary process, which is
+    white or correlated as exp(-d^2 / 2 l^2), with each l of `LENGTHS` times the cells' edge.
 
     Attributes:
-        center, radius: places are (x - center) / radius in all sums: about -1 to 1.
-        side: of the cells, in the clouds' unit.
+        center, radius: positions are scaled as (x - center) / radius in all sums, to about -1 to 1.
+        side: edge of the cells, in the clouds' unit.
         cells: (C, 3) integer coordinates of the cells.
         moments: (C, 84, 6), see `polynomials.normal_equations`.
-        white: the same of weights (w s)^2: what white noise adds to scores.
-        loads: the same of weights w s: what noise adds that is the same in the whole cell.
-        near: (C, J) sums over all two pairs in a cell of w s w' s' (n . n')^2 times each kernel of their distance.
+        white: moments with weights (w s)^2: the covariance of the scores under white noise.
+        loads: moments with weights w s: the response of the scores to noise that is constant in the cell.
+        near: (C, J) sums over all pairs of pairs in a cell of w s w' s' (n . n')^2 times each kernel of their distance.
         scores: (C, 20, 3) sums of w phi n r.
         energy: (C,) sums of w r^2.
-        counts: (C,) pairs.
-        dyadic: (levels, 1 + J), the same as `near` over sub-cells of each edge, for white noise and each kernel. The
-            first row is that of single pairs.
-        powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual of the largest model.
-        local: (C, 3) sums of v n r', r' clipped at three standard deviations: for whether something changed.
-        apart: (C, 3) the same clipped about each cell's own median: for how far it is.
+        counts: (C,) number of pairs.
+        dyadic: (levels, 1 + J), expectations as in `near`, over sub-cells of each size, for white noise and each
+            kernel. The first row is for single pairs.
+        powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual from the largest model.
+        local: (C, 3) sums of v n r', with r' clamped at three standard deviations: for tests of local change.
+        apart: (C, 3) the same, clamped about the median of each cell: for the size of local changes.
         spread: (C, 3, 3) sums of v n n'.
-        surface: (84, 6) moments of all pairs by area: of the surface, however rough.
+        surface: (84, 6) moments of all pairs weighted by area, including rough surface.
     """
 
     center: FloatArray
@@ -61,7 +61,7 @@ class TileSums:
     surface: FloatArray
 
     def without(self, cells: NDArray[np.bool_]) -> TileSums:
-        """The sums but those of some cells (C,). What is not kept by cells is that of all pairs together."""
+        """Return the sums without some cells (C,); values that are not per cell remain those of all pairs."""
         per_cell = (
             "cells",
             "moments",
@@ -95,18 +95,18 @@ class TileSums:
         center: FloatArray,
         radius: float,
     ) -> TileSums:
-        """The sums of pairs.
+        """Sum pairs over cells.
 
         Args:
-            places: (N, 3) where displacement is asked for.
+            places: (N, 3) positions.
             normals: (N, 3) unit normals.
-            residuals: (N,) n . (p - q), or what a robust fit makes of them.
+            residuals: (N,) n . (p - q), or pseudo-values of a robust fit.
             weights: (N,) from 0 to 1.
-            scales: (N,) sizes of the noise, about 1.
-            left: (N,) residuals of the largest model, of the same pairs.
-            apart: (N,) n . (p - q) less the largest model, as measured.
+            scales: (N,) relative scale of the noise, about 1.
+            left: (N,) residuals from the largest model, of the same pairs.
+            apart: (N,) residuals n . (p - q) from the largest model, as measured.
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
-            areas: (N,) of surface that the pairs stand for, in any unit.
+            areas: (N,) surface area that each pair represents, in any unit.
             lower: (3,) the corner that cells are counted from.
             side: of the cells.
             center, radius: of the scene; (3,) and about half its extent.
@@ -153,14 +153,16 @@ def kernel_sums(
     lengths: FloatArray,
     partners: int = _PARTNERS,
 ) -> FloatArray:
-    """(N, J) for each pair, the sum over all pairs in its group of load load' (n . n')^2 times each kernel of their
-    distance: exact for itself, and for the others from a few that stand for all.
+    """Sum load load' (n . n')^2 times each kernel of the distance, for each pair over all pairs in its group; (N, J).
+
+    The term of the pair itself is exact; the sum over the others is estimated from a few sampled partners.
 
     Args:
-        places, normals: (N, 3), in groups that begin at `starts` (G,).
-        loads: (N,) what the pairs count.
-        lengths: (J,) of the kernels.
-        partners: how many stand for all.
+        places, normals: (N, 3), in groups that start at `starts` (G,).
+        loads: (N,) factor of each pair.
+        starts: (G,) first row of each group.
+        lengths: (J,) kernel lengths.
+        partners: number of sampled partners.
     """
     counts = np.diff([*starts, len(places)])
     size, first = np.repeat(counts, counts), np.repeat(starts, counts)
@@ -169,7 +171,7 @@ def kernel_sums(
     others = np.maximum(size - 1, 1)
     partners = min(partners, int(counts.max()) - 1)
     for number in range(partners):
-        # Spread evenly over the group, whatever order it is in: multiples of the golden ratio.
+        # Multiples of the golden ratio spread the partners evenly over the group, in any order.
         step = 1 + ((number + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
         partner = first + (mine + step) % size
         counted = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
@@ -188,8 +190,9 @@ def dyadic_moments(
     lower: FloatArray,
     side: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Over sub-cells of each edge, what noise of unit size adds to the sum of |sum w n r|^2, (levels, 1 + J), and that
-    sum, (levels,); see `TileSums`.
+    """Moments over sub-cells of each size: expectations for unit noise (levels, 1 + J), and measured values (levels,).
+
+    The moment is the sum of |sum w n r|^2 over sub-cells; see `TileSums`.
     """
     lengths = side * np.array(LENGTHS)
     loads = weights * scales
@@ -205,7 +208,7 @@ def dyadic_moments(
 
 
 def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> FloatArray:
-    """(N,) values clipped about the median of their group, at three of its standard deviations, by its median too."""
+    """Clamp values (N,) about the median of their group, at three robust standard deviations of the group."""
     counts = np.diff([*starts, len(values)])
     group = np.repeat(np.arange(len(starts)), counts)
 
@@ -220,20 +223,20 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
 
 
 def groups(cells: IntArray) -> tuple[IntArray, IntArray]:
-    """An order (N,) that brings equal rows together, and where each of the groups starts."""
+    """Return an order (N,) that sorts equal rows together, and the start of each group."""
     order = np.lexsort(cells.T[::-1])
     changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
     return order, np.flatnonzero(np.concatenate([[True], changed]))
 
 
 def merged(cells: IntArray, factor: int) -> IntArray:
-    """(C,) the tile of `factor` cells along each axis that every cell lies in."""
+    """Return (C,) the index of the tile of `factor` cells along each axis that contains each cell."""
     _, tile = np.unique(cells // factor, axis=0, return_inverse=True)
     return np.asarray(tile, dtype=np.int64).ravel()
 
 
 def added(values: FloatArray, tile: IntArray) -> FloatArray:
-    """Sums of rows (C, ...) over tiles: (T, ...)."""
+    """Sum rows (C, ...) over tiles; return (T, ...)."""
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
     sums: FloatArray = np.add.reduceat(values[order], starts, axis=0)
