@@ -1,4 +1,4 @@
-"""From two aligned clouds to the answer."""
+"""From two aligned clouds to a `Deformation`."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
 
-_RESOLUTION = 5e-3  # spacings of the points that planes go through
-_MIN_GAIN = 0.1  # of the median distance: so much nearer the clouds are under the bend, or it is not what they show
-_MAX_MOVED = 0.1  # of the cells: more of them are no exception
-_SURELY_MOVED, _REMOVALS = 3.0, 3  # standard deviations of a pair's noise
-_MANY_ROUGH = 0.9  # of the pairs: most of a city that is seen at metres is corners and edges
-_MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # of pairs that belong together, and spacings that they lie apart
-_MIN_MAP_COORDINATE = 1e5  # beyond it, coordinates are a map's
+_RESOLUTION = 5e-3  # smallest deformation that counts, in spacings of the points that define the planes
+_MIN_GAIN = 0.1  # minimum relative decrease of the median distance under the model for a disagreement of the pairs
+_MAX_MOVED = 0.1  # maximum share of the cells to exclude as moved
+_SURELY_MOVED, _REMOVALS = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
+_MANY_ROUGH = 0.9  # share of rough pairs: at a spacing of metres, most of a city is corners and edges
+_MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # share of inliers, and median distance in spacings, of registered clouds
+_MIN_MAP_COORDINATE = 1e5  # larger coordinates are probably those of a map projection
 _EARTH_RADIUS = 6.37e6  # metres
 _DOUBTFUL = "doubtful-registration"
 
@@ -34,18 +34,19 @@ _DOUBTFUL = "doubtful-registration"
 def residual_deformation(
     reference: Side, candidate: Side, registration: Registration, origin: FloatArray, *, seed: int = 0
 ) -> Deformation:
-    """What is left between two registered clouds that a rigid, a similarity or an affine motion does not explain.
+    """Test what a rigid, a similarity or an affine motion leaves between two registered clouds.
 
     Args:
-        reference, candidate: in the reference's coordinates minus `origin`.
-        registration: that brought the candidate there; a scale that it solved for is no deformation.
-        origin: (3,).
-        seed: of the folds of the cross-validation.
+        reference: the reference, in its coordinates minus `origin`.
+        candidate: the aligned candidate, in the same coordinates.
+        registration: registration of the candidate; a scale that it solved for is not a deformation.
+        origin: (3,) local origin.
+        seed: random seed for the folds of the cross-validation.
     """
     pairs = find_pairs(reference, candidate)
     if pairs is None or np.count_nonzero(pairs.weights) < MIN_PAIRS or extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
-        text = f"{count} pairs of points: too few to tell a bend from noise"
+        text = f"only {count} pairs of points: too few to distinguish a deformation from noise"
         return Deformation.unanswered(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
@@ -54,7 +55,7 @@ def residual_deformation(
     views = [without_moved(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
-        # What is claimed has to show without having been assumed.
+        # A claim has to hold without the model being assumed.
         plain = find_pairs(reference, candidate, follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
@@ -62,16 +63,16 @@ def residual_deformation(
             views.append(without_moved(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
-                text = "a bend brings the clouds nearer to each other, but closest points as they are do not show it"
+                text = "a deformation brings the clouds closer together, but unmodified closest points do not show it"
                 finding = finding.undecided(Notice("pairs-disagree", text))
     if finding.verdict == "undecided" and pairs.rough > _MANY_ROUGH:
-        text = f"{pairs.rough:.0%} of the pairs lie in rough places, where no surface shows a displacement"
+        text = f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement"
         finding = finding.undecided(Notice("rough-places", text))
     broken = find_break(views[-1])
     if broken is not None:
         finding = finding.undecided(Notice("parts-displaced", broken.text(origin)))
     finding = _with_registration(finding, registration, pairs)
-    # A claim is described as the pairs show it that follow it; where these claimed too much, the others are right.
+    # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
     which = -1 if finding.verdict == "none" else 0
     described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
@@ -84,9 +85,9 @@ def residual_deformation(
 
 
 def without_moved(whole: PairEvidence, resolution: float) -> PairEvidence:
-    """The view of all cells but the few that surely moved by themselves: a smooth model would bend towards them."""
+    """Exclude the few cells that clearly moved by themselves: a smooth model would bend towards them."""
     view, most = whole, (1 - _MAX_MOVED) * len(whole.sums.counts)
-    for _ in range(_REMOVALS):  # without some of them, more stand out
+    for _ in range(_REMOVALS):  # once some are excluded, more may stand out
         changed, length, _ = local_changes(view.geometry, view.noise, view.sums, resolution)
         moved = changed & (length > _SURELY_MOVED * math.sqrt(view.noise.white + view.noise.correlated))
         if not moved.any():
@@ -98,21 +99,21 @@ def without_moved(whole: PairEvidence, resolution: float) -> PairEvidence:
 
 
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:
-    """A finding, withheld where the pose that it rests on is wrong or may be."""
+    """Return the finding as undecided if the pose behind it is wrong or may be."""
     if registration.doubtful:
-        text = "the registration is doubtful, and every verdict rests on it: see its warnings"
+        text = "the registration is doubtful, and the verdict depends on it: see its warnings"
         return finding.undecided(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIERS and pairs.distance > _MAX_DISTANCE * pairs.spacing:
         text = (
-            f"{1 - pairs.inliers:.0%} of the closest points do not belong together, and clouds of this spacing should"
-            " lie nearer: they are not registered (--register icp does that), or much has changed"
+            f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"
+            " closer: they are not registered (use --register icp), or much has changed"
         )
         return finding.undecided(Notice("not-registered", text))
     if UNOBSERVABLE in {notice.code for notice in registration.warnings}:
         if finding.verdict in ("similarity", "affine", "non-affine") and registration.converged is not None:
             text = (
-                "the geometry does not fix the pose that was found, and what looks deformed may be what slid: see the"
-                " registration's warnings; a pose that is known otherwise settles it (--register matrix:FILE)"
+                "the geometry does not fix the pose, and the apparent deformation may be a sliding registration: see"
+                " the registration's warnings; a pose from another source settles it (--register matrix:FILE)"
             )
             return finding.undecided(Notice(POSE_NOT_FIXED, text))
         notice = Notice(POSE_NOT_FIXED, "as far as the geometry fixes the pose")
@@ -123,9 +124,10 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
 def _without_map_projection(
     pairs: Pairs, reference: Side, candidate: Side, registration: Registration, origin: FloatArray
 ) -> tuple[Pairs, list[Notice]]:
-    """The pairs in a Euclidean frame where one cloud alone is on a map grid and the residuals agree with that.
+    """Transform the pairs to a Euclidean frame if one cloud alone is on a map grid and the residuals agree with that.
 
-    A map's heights follow the Earth and its scale varies: against a Euclidean cloud it is bent (2 cm at 500 m).
+    Heights on a map follow the Earth's curvature, and its scale varies: relative to a Euclidean cloud it is deformed (2
+    cm at 500 m).
     """
     ours, theirs = reference.cloud.crs, candidate.cloud.crs
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
@@ -133,8 +135,8 @@ def _without_map_projection(
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise and noise > rounding_of(reference.surface.points, origin):
             text = (
-                "coordinates look like a map's, but no file says which: against a Euclidean cloud the Earth's"
-                f" curvature alone bends it by {sagitta:.2g} (if the unit is the metre)"
+                "coordinates look like those of a map, but no file names its projection: relative to a Euclidean cloud"
+                f" the Earth's curvature alone deforms it by {sagitta:.2g} (if the unit is the metre)"
             )
             return pairs, [Notice("map-not-named", text)]
     name = ours if theirs is None else theirs
@@ -145,11 +147,11 @@ def _without_map_projection(
     offsets = euclidean_offsets(name, places if theirs is None else T.inverse().apply(places))
     if offsets is None:
         return pairs, []
-    # What is at q on the map is at q + offset in space: there a Euclidean candidate lies, and seems displaced by it.
+    # A point at q on the map is at q + offset in space, so a Euclidean candidate seems displaced by the offset.
     bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
     gauge = "similarity" if registration.solved_scale else "rigid"
     share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
-    text = f"one cloud is on a map grid: its bend of {size:.2g} RMS against Euclidean space was taken off first"
+    text = f"one cloud is on a map grid: its deformation of {size:.2g} RMS relative to Euclidean space was removed"
     return replace(pairs, residuals=pairs.residuals - bend), [Notice("map-bend-taken-off", text)]

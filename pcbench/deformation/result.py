@@ -1,6 +1,6 @@
-"""The answer as types: the names and the order of their fields are those of the JSON that a report holds.
+"""Result types; the names and the order of the fields are those of the JSON in a report.
 
-A number that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
+A value that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-POSE_NOT_FIXED = "pose-not-fixed"  # the geometry does not fix some motion: the verdict speaks of what it does fix
-_MOVED = 5.0  # standard deviations of a pair's noise, from which on a changed tile is worth a word
+POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
+_MOVED = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
 @dataclass(frozen=True)
 class Rung:
-    """How well one of the five nested models does.
+    """Score of one of the five nested models; `Deformation.rungs` and the JSON key `rungs` hold these.
 
     Attributes:
         model: rigid, similarity, affine, quadratic or cubic.
-        parameters: their number.
-        cv_score: mean square residual of tiles that were left out of the fit, in squared units.
+        parameters: number of parameters.
+        cv_score: cross-validated mean squared residual, of tiles left out of the fit, in squared units.
         cv_se: standard error of `cv_score`, in squared units.
         bic_eff: Bayesian information criterion with the effective number of pairs.
-        rms_explained: along the normals, beyond the rigid model, in the clouds' unit.
+        rms_explained: RMS displacement along the normals beyond the rigid model, in the clouds' unit.
     """
 
     model: str
@@ -46,12 +46,13 @@ class Rung:
 
 @dataclass(frozen=True)
 class Amplitude:
-    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, freed of noise.
+    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, corrected for noise.
 
     Attributes:
-        rms: over the pairs as they count in the fit: smooth places count more than rough ones.
-        p95, max: of the RMS in a cell.
-        ci: 95 % interval of `rms`.
+        rms: RMS over the pairs with their weights in the fit: smooth areas have more weight than rough ones.
+        p95, max: 95th percentile and maximum of the RMS per cell.
+        ci: 95 % confidence interval of `rms`.
+        rms_surface: RMS over the surface by area, including walls and rough areas.
         rms_surface: over the surface by its area, walls and rough places included.
         ci_surface: 95 % interval of `rms_surface`.
     """
@@ -69,10 +70,10 @@ class NoiseSize:
     """The residuals' noise, in the clouds' unit.
 
     Attributes:
-        sigma_white: standard deviation of what differs from pair to pair.
-        sigma_correlated: standard deviation of what neighbouring pairs share.
-        correlation_length: l of the kernel exp(-d^2 / 2 l^2) that covers the same area.
-        n_eff: independent pairs that would determine a bend as well.
+        sigma_white: standard deviation of the noise that is independent between pairs.
+        sigma_correlated: standard deviation of the noise that is correlated between neighbouring pairs.
+        correlation_length: l of the Gaussian kernel exp(-d^2 / 2 l^2) with the same integral as the mixture.
+        n_eff: effective number of pairs: independent ones that would determine a deformation as well.
     """
 
     sigma_white: float
@@ -83,11 +84,11 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles that the scene is cut into.
+    """Tiles of the scene.
 
     Attributes:
-        count: tiles that hold pairs.
-        side: their edge, in the clouds' unit.
+        count: number of tiles that contain pairs.
+        side: edge of a tile, in the clouds' unit.
     """
 
     count: int
@@ -96,8 +97,13 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Bin:
-    """One place of a profile, in the clouds' unit: where it is `at`, the `mean` vertical displacement there with its
-    95 % interval `ci`, and `null`, half the width of the band that noise alone would fill in 95 % of all cases.
+    """One bin of a profile, in the clouds' unit.
+
+    Attributes:
+        at: mean coordinate of the bin.
+        mean: mean vertical displacement.
+        ci: 95 % confidence interval of `mean`.
+        null: half width of the band that contains 95 % of the means under noise alone.
     """
 
     at: float
@@ -108,11 +114,11 @@ class Bin:
 
 @dataclass(frozen=True)
 class Trend:
-    """How the vertical displacement goes with a coordinate.
+    """Trend of the vertical displacement along a coordinate.
 
     Attributes:
         slope: displacement per length.
-        ci: its 95 % interval.
+        ci: 95 % confidence interval of the slope.
         profile: means in up to eight bins of equal weight, in ascending order.
     """
 
@@ -123,8 +129,9 @@ class Trend:
 
 @dataclass(frozen=True)
 class Growth:
-    """Trends of the vertical displacement with the horizontal distance from the centre and with the height; None where
-    too little of the surface shows it.
+    """Trends of the vertical displacement with the horizontal distance from the centre and with the height.
+
+    A trend is None if too little of the surface constrains it.
     """
 
     with_distance: Trend | None
@@ -133,7 +140,7 @@ class Growth:
 
 @dataclass(frozen=True)
 class Observable:
-    """Share of the tiles whose surfaces show a displacement along each axis."""
+    """Share of the tiles whose surfaces constrain a displacement along each axis."""
 
     x: float
     y: float
@@ -142,14 +149,14 @@ class Observable:
 
 @dataclass(frozen=True)
 class LocalChanges:
-    """Parts of the scene that changed by themselves.
+    """Parts of the scene that changed locally.
 
     Attributes:
-        tiles_tested: cells that hold enough to tell.
-        tiles_changed: those of them that changed.
-        fdr: the false discovery rate of these.
-        largest: the length of the largest change, in the clouds' unit; None where there is none.
-        at: its place.
+        tiles_tested: number of cells with enough smooth surface for a test.
+        tiles_changed: number of tested cells that changed.
+        fdr: false discovery rate of the tests.
+        largest: length of the largest change, in the clouds' unit; None if there is none.
+        at: position of the largest change.
     """
 
     tiles_tested: int
@@ -161,19 +168,18 @@ class LocalChanges:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The deformation on the cells, one row each (M,): what the table `NAME_deformation.csv` holds.
+    """The deformation per cell, one row each (M,), as in the table `NAME_deformation.csv`.
 
     Attributes:
-        places: (M, 3) mean places of the pairs.
-        displacements: (M, 3) of the candidate against the reference by the chosen model, beyond the rigid motion; only
-            along directions that the surface in the cell shows.
-        vertical: measured mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN where no
-            surface there shows it.
-        sigma: standard deviation of `vertical` under the noise.
-        local: length of what the largest model leaves of the cell's displacement; NaN where a cell holds too little for
-            its changes to be told.
-        changed: whether that is more than noise, at a false discovery rate of 5 %.
-        counts: pairs.
+        places: (M, 3) mean positions of the pairs.
+        displacements: (M, 3) displacement of the candidate by the selected model, beyond the rigid motion, in the
+            directions that the surface in the cell constrains.
+        vertical: mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN if the surface
+            does not constrain it.
+        sigma: standard error of `vertical`.
+        local: length of the cell's displacement from the largest model; NaN if the cell was not tested.
+        changed: whether the cell changed locally, at a false discovery rate of 5 %.
+        counts: number of pairs.
     """
 
     places: FloatArray
@@ -187,24 +193,27 @@ class Field:
 
 @dataclass(frozen=True)
 class Deformation:
-    """Is the candidate deformed against the reference, how much, and where?
+    """Verdict on the deformation of a candidate against the reference, with its size and location.
 
     Attributes:
         verdict: none, similarity, affine, non-affine or undecided.
-        model: the smallest that is needed: rigid, similarity, affine, quadratic or cubic.
-        parameters: of that model.
-        p_value: how often noise alone would look as bent: under the estimated noise, the largest over the pairs that
-            were found in different ways.
-        rungs: all five models, from the smallest.
-        amplitude: of the non-affine part.
-        remaining_rms: RMS residual of the chosen model, in the clouds' unit.
-        noise, tiles: see there.
-        pairs: of points, of which everything is computed.
-        growth, observable, local: see there.
-        minimum_detectable_rms: of a dome that would be found in 90 % of all cases.
-        warnings: codes and texts; of an undecided verdict the reasons.
-        field: the displacement on the cells, which a report holds as a table of its own; None where nothing could be
-            asked, and in what `from_json` reads.
+        model: smallest adequate model: rigid, similarity, affine, quadratic or cubic.
+        parameters: number of parameters of that model.
+        p_value: probability that noise alone explains as much non-affine deformation; the largest over the sets of
+            pairs.
+        rungs: scores of all five models, from the smallest; see `Rung`.
+        amplitude: size of the non-affine part.
+        remaining_rms: RMS residual of the selected model, in the clouds' unit.
+        noise: noise of the residuals.
+        tiles: tiles of the scene.
+        pairs: number of pairs of points.
+        growth: trends of the vertical displacement.
+        observable: observable directions.
+        local: local changes.
+        minimum_detectable_rms: RMS of the smallest dome that is detected with a power of 90 %.
+        warnings: codes and texts; for an undecided verdict, the reasons.
+        field: the displacement per cell, a separate table in a report; None if there was nothing to test, and after
+            `from_json`.
     """
 
     verdict: str
@@ -231,26 +240,30 @@ class Deformation:
 
     @classmethod
     def unanswered(cls, reason: Notice) -> Deformation:
-        """Undecided, for want of anything to decide on."""
+        """Return an undecided result, for data that allow no test."""
         return cls("undecided", "rigid", warnings=(reason,))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Deformation:
-        """What `deformation.json`, or a candidate's `deformation` in `comparison.json`, holds; without the field.
+        """Read the content of `deformation.json`, or a candidate's `deformation` in `comparison.json`, without the field.
 
         Raises:
-            KeyError, TypeError, ValueError: it holds something else.
+            KeyError, TypeError, ValueError: the content is not a deformation.
         """
         texts = values["warnings"]
-        codes = values.get("warning_codes") or [""] * len(texts)  # older reports hold none
+        codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
         found: Deformation = _structured(cls, {**values, "warnings": notices})
         return found
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
-        """The verdict on a candidate of that name in words; `unit` is the clouds'.
+        """Return the verdict as a sentence.
 
-        It begins with what limits it: the reasons of an undecided one, and a pose that the geometry does not fix.
+        It starts with its limitations: the reasons of an undecided verdict, or a pose that the geometry does not fix.
+
+        Args:
+            name: name of the candidate.
+            unit: unit of the clouds.
         """
         notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
         lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
@@ -258,7 +271,7 @@ class Deformation:
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
-        """Those that the sentence does not hold."""
+        """Warnings that the sentence does not contain."""
         if self.verdict == "undecided":
             return ()
         return tuple(notice for notice in self.warnings if notice.code != POSE_NOT_FIXED)
@@ -268,27 +281,27 @@ class Deformation:
         if self.verdict == "undecided":
             return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
         if self.remaining_rms == 0 and self.verdict == "none":
-            return f"{name} lies on the reference but for the rounding of coordinates: it is not deformed{parts}"
+            return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
         limit = self.minimum_detectable_rms
-        unseen = "" if limit is None else f" (a dome of {limit:.3g}{unit} RMS would show)"
+        unseen = "" if limit is None else f"; a deformation above {limit:.3g}{unit} RMS would have been detected"
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
             over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
-                f"{name} is bent against the reference: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals"
-                f" of smooth places{over} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
+                f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
+                f"{over} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched against the reference, but not bent{unseen}{parts}"
+            return f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}{parts}"
         if self.verdict == "similarity":
-            return f"{name} has another scale than the reference, but is not bent{unseen}{parts}"
+            return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
         whole = " as a whole" if parts else ""
-        return f"{name} is not deformed against the reference{whole}{unseen}{parts}"
+        return f"{name} is not deformed{whole}{unseen}{parts}"
 
     @property
     def part_moved(self) -> bool:
-        """Whether a part of the scene surely moved by itself."""
+        """Whether a part of the scene moved by itself, far beyond the noise."""
         return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:
@@ -299,12 +312,12 @@ class Deformation:
             return ""
         place = ", ".join(f"{x:.1f}" for x in local.at)
         return (
-            f"; but a part moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
+            f"; a part of the scene moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
             f" {local.tiles_tested} tiles changed"
         )
 
     def shifted(self, origin: FloatArray) -> Deformation:
-        """The same in coordinates that still carry `origin` (3,)."""
+        """Return the same result in coordinates that include `origin` (3,)."""
         local, field = self.local, self.field
         if local is not None and local.at is not None:
             x, y, z = (float(here + there) for here, there in zip(local.at, origin, strict=True))
@@ -312,9 +325,7 @@ class Deformation:
         return replace(self, local=local, field=field and replace(field, places=field.places + origin))
 
     def with_changes(self, whole: Deformation) -> Deformation:
-        """This answer, which left out cells that moved, with the changes and the cells that an answer on all of them
-        holds.
-        """
+        """Add the local changes and excluded cells of a result on all cells to this one, which excluded moved cells."""
         if self.field is None or whole.field is None:
             return self
         kept = {tuple(place) for place in self.field.places.tolist()}
@@ -326,7 +337,7 @@ class Deformation:
         return replace(self, local=whole.local, field=Field(**parts))
 
     def withheld(self) -> Deformation:
-        """Without the sizes, the places and the evidence, which mean nothing where the pose may be wrong."""
+        """Remove sizes, positions and p-value, which are meaningless if the pose may be wrong."""
         return replace(
             self,
             p_value=None,
@@ -337,7 +348,7 @@ class Deformation:
         )
 
     def without_rounding(self, rounding: float) -> Deformation:
-        """Where all that remains is the rounding of coordinates, sizes that come of it are zero."""
+        """Set sizes to zero if the remaining residual is no more than the rounding of the coordinates."""
         if self.remaining_rms is None or self.remaining_rms > rounding:
             return self
         return replace(
@@ -350,11 +361,12 @@ class Deformation:
         )
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
+        """Return the same result with further warnings."""
         return replace(self, warnings=(*self.warnings, *notes))
 
 
 def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
-    """The same times a factor."""
+    """Return the amplitude times a factor."""
 
     def times(value: Any) -> Any:
         return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
@@ -363,14 +375,14 @@ def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
 
 
 def _p(value: float | None) -> str:
-    """A p-value in words: beyond a billionth it says nothing more."""
+    """Return a p-value as text; below 1e-9 only the bound."""
     if value is None:
         return "p unknown"
     return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
 
 
 def rounded(value: Any) -> Any:
-    """Six digits: what a statistic is worth, and the same at any number of threads of the linear algebra."""
+    """Round to six significant digits: more carry no information and depend on the number of threads."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, tuple):
@@ -381,14 +393,14 @@ def rounded(value: Any) -> Any:
 
 
 def _structured(kind: Any, value: Any) -> Any:
-    """A value of JSON as the type (a dataclass, a tuple, a plain type, or one of them or None) that was written so."""
+    """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
     if value is None:
         return None
     kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        # Older reports hold fewer: what is missing takes its default, or is refused where it has none.
+        # Older reports lack some fields: they take their defaults, and missing required ones are errors.
         return kind(**{name: _structured(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
         return tuple(_structured(get_args(kind)[0], part) for part in value)

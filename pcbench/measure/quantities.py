@@ -1,7 +1,6 @@
-"""All numbers of a candidate, once.
+"""All quantities of a candidate, defined once.
 
-comparison.json, metrics.csv, the table, the summary and the sentences on differences are renderings of this walk: what
-is yielded here is shown by all of them.
+comparison.json, metrics.csv, the table, the summary and the sentences on differences all render this sequence.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # whose 
 
 
 def quantities(candidate: Candidate) -> Iterator[Quantity]:
-    """Every number of a candidate, in the order of the table."""
+    """Yield all quantities of a candidate, in the order of the table."""
     for part in _PARTS:
         yield from part(candidate)
 
@@ -49,7 +48,7 @@ def _means(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
-    """A mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
+    """Yield a mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
     name, text, unit = metric.name, metric.definition, _UNITS[metric.power]
     headline = floor_headline = None
     if metric.headline:
@@ -102,7 +101,7 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
 
 
 def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
-    """How the distances of one kind are distributed, both ways."""
+    """Yield the distribution of the distances of one kind, in both directions."""
     both = candidate.metrics.spreads[kind]
     for way in (FORTH, BACK):
         for key, definition in _SPREADS.items():
@@ -148,7 +147,7 @@ def _largest(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _maps(candidate: Candidate) -> Iterator[Quantity]:
-    """The deviation maps but for that to the nearest points. The table has the spread of some of them already."""
+    """Yield the deviation maps except the nearest-point distances; the table may already show their distribution."""
     deviation, spreads = candidate.deviation, candidate.metrics.spreads
     for name in deviation.maps:
         title = f"map {name.replace('_distance', '')}"
@@ -159,7 +158,7 @@ def _maps(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _map(spread: Spread, name: str, title: str, *, is_new: bool) -> Iterator[Quantity]:
-    """The spread of a map; the variant is the number's name in `Spread`."""
+    """Yield the statistics of a map; the variant is the statistic's name in `Spread`."""
     first = f"{title}: bias, rms"
     labels = {"bias": first, "rms": first}
     if is_new:
@@ -254,7 +253,7 @@ def _presets(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
-    """Units are left out: they are what the quoted tool makes of them."""
+    """Yield the values of a preset, without units: these are up to the quoted tool."""
     blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, section=f"preset {name}")
     for key, value in vars(preset).items():
         path, label = ("metrics", "presets", name, key), f"{name}: {key}"
@@ -274,7 +273,7 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
 
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
-    """comparison.json holds the deformation as a whole, by which it is read again."""
+    """Yield the summary of the deformation; comparison.json holds the complete object."""
     bend, label = candidate.deformation, "  bend RMS, detectable"
     verdict = f"verdict: {bend.verdict}"
     size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
@@ -290,7 +289,7 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:
-    """The root mean square errors at control and check points, where the candidate was registered by such points."""
+    """Yield the root mean square errors at control and check points, if the registration used such points."""
     residuals = candidate.registration.residuals
     for kind, points in (("control", residuals.control), ("check", residuals.check)):
         if (rmse := residuals.rmse(points)) is None:
@@ -310,7 +309,7 @@ def _survey(candidate: Candidate) -> Iterator[Quantity]:
 def _estimated(
     metric: str, way: str, definition: str, found: Estimate, unit: str, section: str = "distances", label: str = ""
 ) -> Quantity:
-    """A number with an interval, by which candidates are compared too."""
+    """Return a quantity with an interval, by which candidates are also compared."""
     return Quantity(
         metric,
         way,
