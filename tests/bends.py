@@ -13,7 +13,7 @@ from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, 
 from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.residual import residual_deformation
-from pcbench.deformation.sums import dyadic_moments, groups
+from pcbench.deformation.sums import dyadic_moments, group_rows
 from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
@@ -92,7 +92,7 @@ class Scene:
         )
         self.geometry = Geometry(self.sums)
         cells = np.floor((places - self.lower) / self.side).astype(np.int64)
-        self.order, self.starts = groups(cells)
+        self.order, self.starts = group_rows(cells)
         basis = monomials(places / (SIZE / 2))
         self.columns = np.einsum("an,nk->nak", basis, normals)  # (N, 20, 3)
         self.cubic = np.einsum("ab,nbk->nak", self.geometry.to_orthonormal, self.columns).reshape(points, -1)

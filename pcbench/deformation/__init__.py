@@ -6,12 +6,12 @@ rigid (6 parameters), similarity (7), affine (12), quadratic (30) and cubic (60)
 model explains more than noise would. The number of points is no measure of evidence: the noise of reconstructions is
 correlated over metres, so that a million points may hold a few hundred independent observations. Therefore:
 
-1. The covariance of the noise is estimated from the residuals of the largest model, so that deformation is not mistaken
-   for noise. It is a scale that varies smoothly over the scene times white noise plus a non-negative mixture of Gaussian
+1. The covariance of the noise is estimated from the residuals of the largest model, so that deformation is not taken
+   for noise. It is a scale that varies smoothly over the scene times white noise plus a positive mixture of Gaussian
    kernels of fixed lengths (a Gaussian mixture represents every isotropic covariance that is valid in all dimensions,
    Schoenberg 1938), fitted by the method of moments. The expected moments are exact: they account for the degrees of
-   freedom that the fit used, as in REML (Patterson & Thompson 1971). Outliers are limited by pseudo-values (Huber 1981),
-   whose variance is that of the robust fit.
+   freedom that the fit used, as in REML (Patterson & Thompson 1971). Outliers are limited by pseudo-values (Huber
+   1981), whose variance is that of the robust fit.
 2. The test statistic of a model is the sum of squares that it explains beyond a smaller one, in least squares. Its null
    distribution is a weighted sum of chi squares. The weights are the eigenvalues of the scores' covariance under that
    noise.
@@ -34,9 +34,9 @@ from pcbench.deformation.result import (
     Field,
     Growth,
     LocalChanges,
+    ModelScore,
     NoiseSize,
     Observable,
-    Rung,
     Tiles,
     Trend,
 )
@@ -51,7 +51,7 @@ __all__ = [
     "LocalChanges",
     "NoiseSize",
     "Observable",
-    "Rung",
+    "ModelScore",
     "Side",
     "TileSums",
     "Tiles",

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pcbench.deformation.field import CellDisplacements, local_changes
 from pcbench.deformation.model import TILE
 from pcbench.deformation.polynomials import PARAMETERS
-from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, rounded
+from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, round_to_six_digits
 from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
 from pcbench.deformation.sums import TileSums
-from pcbench.deformation.verdict import Finding, PairEvidence, climb, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
 
 
 def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
@@ -31,12 +31,12 @@ def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed:
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
     sums, geometry, scores, noise = view
-    rungs = climb(geometry, scores, noise, seed)
+    rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
     changed, length, local = local_changes(geometry, noise, sums, resolution)
     remaining = sums.energy.sum() - geometry.explained(scores, finding.model)
-    answer: Deformation = rounded(
+    answer: Deformation = round_to_six_digits(
         Deformation(
             verdict=finding.verdict,
             model=finding.model,

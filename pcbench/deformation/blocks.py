@@ -7,8 +7,11 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import Cells, cells
 
-_BLOCKS = 10  # along the scene: noise correlated over a 25th of it still has independent samples in each block
-_NEAR, _FAR = 1.0, 3.0  # kernel widths in blocks: wide enough that a part that moved does not set the scale
+_BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
+_NEAR_WIDTH_BLOCKS, _FAR_WIDTH_BLOCKS = (
+    1.0,
+    3.0,
+)  # wide enough that a part that moved does not set the scale
 
 
 def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
@@ -29,17 +32,17 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) 
     if not known.any() or overall == 0:
         return np.full(len(places), overall)
     logarithms = np.log(np.where(known, sizes, 1.0))
-    relative = np.exp(_spread(places, blocks, logarithms, np.where(known, total, 0.0), _FAR * side))
+    relative = np.exp(_kernel_means(places, blocks, logarithms, np.where(known, total, 0.0), _FAR_WIDTH_BLOCKS * side))
     found: FloatArray = overall * relative / np.exp(np.average(np.log(relative), weights=weights))
     return found
 
 
-def smoothed(places: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
+def smooth(places: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
     """Return kernel-weighted means of values (N,) around each position (N,)."""
     blocks, side = _blocks(places)
     total: FloatArray = np.bincount(blocks.of_point, weights, len(blocks.first)).astype(np.float64)
     means = np.bincount(blocks.of_point, weights * values, len(blocks.first)) / np.maximum(total, 1e-300)
-    return _spread(places, blocks, means, total, _NEAR * side)
+    return _kernel_means(places, blocks, means, total, _NEAR_WIDTH_BLOCKS * side)
 
 
 def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatArray:
@@ -55,11 +58,13 @@ def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatA
 
 def _blocks(places: FloatArray) -> tuple[Cells, float]:
     lower, upper = np.percentile(places, [1, 99], axis=0)
-    side = float((upper - lower).max()) / _BLOCKS
+    side = float((upper - lower).max()) / _BLOCKS_ALONG_SCENE
     return cells(places, side, lower), side
 
 
-def _spread(places: FloatArray, blocks: Cells, values: FloatArray, weights: FloatArray, reach: float) -> FloatArray:
+def _kernel_means(
+    places: FloatArray, blocks: Cells, values: FloatArray, weights: FloatArray, reach: float
+) -> FloatArray:
     """Return (N,) Gaussian-kernel means of block values (M,) with weights (M,), evaluated at each position's block."""
     means = np.stack([blocks.means(places[:, axis]) for axis in range(3)], axis=1)
     apart = np.square(means[:, None] - means[None]).sum(axis=2)

@@ -12,9 +12,11 @@ import numpy as np
 from pcbench.deformation.verdict import PairEvidence
 from pcbench.geometry.arrays import FloatArray
 
-_AZIMUTHS = 18
-_MIN_SHARE = 0.25  # of the energy that an affine field leaves; for noise correlated over a tenth of a scene it is less
-_MIN_PART = 0.1  # share of the weight on either side
+_AZIMUTH_COUNT = 18
+_MIN_ENERGY_SHARE = (
+    0.25  # of the energy that an affine field leaves; noise correlated over a tenth of a scene gives less
+)
+_MIN_WEIGHT_SHARE = 0.1  # share of the weight on either side
 
 
 class Break(NamedTuple):
@@ -52,12 +54,12 @@ def find_break(view: PairEvidence) -> Break | None:
         return None
     seen = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)
     best = None
-    for azimuth in np.arange(_AZIMUTHS) * 180.0 / _AZIMUTHS:
+    for azimuth in np.arange(_AZIMUTH_COUNT) * 180.0 / _AZIMUTH_COUNT:
         along = np.array([math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))])
         across = geometry.means[:, :2] @ np.array([-along[1], along[0]])
         order = np.argsort(across, kind="stable")
         part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
-        inner = np.flatnonzero((part >= _MIN_PART) & (part <= 1 - _MIN_PART))
+        inner = np.flatnonzero((part >= _MIN_WEIGHT_SHARE) & (part <= 1 - _MIN_WEIGHT_SHARE))
         # Sums over the cells below each cut; the cells above contribute the same with the opposite sign.
         h, g = np.cumsum(left[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
         z = np.cumsum(seen[order], axis=0)[inner]
@@ -70,6 +72,6 @@ def find_break(view: PairEvidence) -> Break | None:
         if len(power) and (best is None or power[cut] > best[0]):
             offset = vectors[cut] @ np.where(shown[cut], modes[cut] / np.where(shown[cut], values[cut], 1.0), 0.0)
             best = float(power[cut]), geometry.means[order[inner[cut]]], float(azimuth), -offset
-    if best is None or best[0] < max(_MIN_SHARE * energy, smooth):
+    if best is None or best[0] < max(_MIN_ENERGY_SHARE * energy, smooth):
         return None
     return Break(*best[1:])

@@ -3,10 +3,9 @@
 P(Q > x) is the integral of exp(K(t) - t x) / t over 2 pi i, where K(t) = -1/2 sum log(1 - 2 w_i t) is the cumulant
 generating function, along any path from below to above that crosses the real axis between 0 and 1 / (2 max w). A path
 through the saddle point of the integrand (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438) that follows the steepest
-descent has no oscillations. Thirty nodes of the trapezoidal rule suffice, and the error is relative to the tail, however
-small. Imhof's integral (1961) follows the imaginary axis, where a tail of 1e-8 is the difference of terms near one. A
-scaled chi square with the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
-"""
+descent has no oscillations. Thirty nodes of the trapezoidal rule suffice, and the error is relative to the
+tail, however small. Imhof's integral (1961) follows the imaginary axis, where a tail of 1e-8 is the difference of terms
+near one. A scaled chi square with the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
 
 from __future__ import annotations
 
@@ -16,10 +15,13 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_STEP, _REACH = 0.2, 6.0  # spacing and range of the nodes u; sinh(u) times the path's width covers weights of all sizes
+_NODE_SPACING, _NODE_RANGE = (
+    0.2,
+    6.0,
+)  # of the nodes u; sinh(u) covers weights of all sizes
 _MAX_NEWTON_STEPS = 100  # each step at least halves the bracket
-_NEAR_SADDLE = 1e-3  # relative tolerance: the path need not pass exactly through the saddle point
-_NEAR_POINT = 1e-9  # relative tolerance of the tail probability
+_SADDLE_TOLERANCE = 1e-3  # relative tolerance: the path need not pass exactly through the saddle point
+_TAIL_TOLERANCE = 1e-9  # relative tolerance of the tail probability
 _MIN_VALUE = 1e-33  # in units of the largest weight: a smaller value has a probability of less than 1e-16
 _MAX_EXPONENT = 750.0  # exp(-x) underflows to zero beyond
 
@@ -61,7 +63,7 @@ def chi_squares_point(tail: float, weights: FloatArray) -> float:
     while (beyond := excess(other)) * known > 0:
         value, known, other = other, beyond, other * factor
     # Illinois variant of false position: the logarithm of a tail is nearly linear.
-    while abs(known) > _NEAR_POINT and value != other:
+    while abs(known) > _TAIL_TOLERANCE and value != other:
         middle = (value * beyond - other * known) / (beyond - known)
         between = excess(middle)
         if between * known < 0:
@@ -94,13 +96,13 @@ def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
         last, t = t, t - slope / curvature
         if not low < t < high:
             t = 0.5 * (low + high)
-        if abs(t - last) <= _NEAR_SADDLE * min(abs(t), 0.5 - t):
+        if abs(t - last) <= _SADDLE_TOLERANCE * min(abs(t), 0.5 - t):
             break
     share = w / (1 - 2 * w * t)
     curvature = 2 * float(share @ share) + 1 / t**2
     third = 8 * float((share**3).sum()) - 2 / t**3
-    bow = max(0.0, third / (6 * curvature))  # curvature of the steepest descent, to the right, where exp(-t x) decreases
-    u = np.arange(0.0, _REACH, _STEP)
+    bow = max(0.0, third / (6 * curvature))  # of the steepest descent, to the right, where exp(-t x) decreases
+    u = np.arange(0.0, _NODE_RANGE, _NODE_SPACING)
     up, speed = np.sinh(u) / math.sqrt(curvature), np.cosh(u) / math.sqrt(curvature)
     path = t + 1j * up + bow * up**2
     direction = (1j + 2 * bow * up) * speed
@@ -108,4 +110,4 @@ def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
     growth = -0.5 * np.log1p(-2 * np.outer(path - t, share)).sum(axis=1) - (path - t) * x
     nodes = (np.exp(growth) / path * direction).imag
     height = -0.5 * float(np.log1p(-2 * t * w).sum()) - t * x
-    return abs(float(nodes.sum() - 0.5 * nodes[0])) * _STEP / math.pi * math.exp(height)
+    return abs(float(nodes.sum() - 0.5 * nodes[0])) * _NODE_SPACING / math.pi * math.exp(height)

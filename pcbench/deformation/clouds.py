@@ -26,7 +26,7 @@ def deform(
     crop: Region | str = "none",
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
-    """Register a candidate and test whether it is deformed beyond that, by how much (in the reference's unit) and where.
+    """Register a candidate and test whether it is deformed beyond that, by how much and where.
 
     Args:
         reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds. Without a unit or a coordinate

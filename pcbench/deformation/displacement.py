@@ -7,11 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.deformation.model import PLACE_NOISE
-from pcbench.deformation.polynomials import EXPONENTS, derivative_squares, monomials, normal_equations, normal_matrix
+from pcbench.deformation.model import POSITION_NOISE_FACTOR
+from pcbench.deformation.polynomials import (
+    EXPONENTS,
+    mean_squared_gradients,
+    monomials,
+    normal_equations,
+    normal_matrix,
+)
 from pcbench.geometry.arrays import FloatArray
 
-_HALF_FOLLOWED = 0.01  # information, at most 1, at which the fit is damped to half
+_HALF_DAMPED_INFORMATION = 0.01  # information, at most 1, at which the fit is damped to half
 _RIDGE = 1e-12
 
 
@@ -37,25 +43,25 @@ class Displacement(NamedTuple):
         residuals: FloatArray,
         weights: FloatArray,
         noise: float,
-        half_followed: float = _HALF_FOLLOWED,
+        half_damped_information: float = _HALF_DAMPED_INFORMATION,
     ) -> Displacement:
         """Fit the field to (N,) residuals along normals, by damped weighted least squares.
 
         Poorly determined parts are left out. Their information is relative to the field's size at all positions,
         whatever the weights: a field that is free where a forest has no weight would find pairs there that confirm it.
         A coordinate that varies hardly more than the `noise` of positions and residuals gives no slope. A part of
-        information `half_followed` is damped to half.
+        information `half_damped_information` is damped to half.
         """
         x = self._inside(places)
         moments, scores = (sums[0] for sums in normal_equations(x, normals, weights, residuals))
         values = monomials(x)
         squares = np.einsum("an,bn->ab", values, values, optimize=False) / len(x)
-        squares += np.diag(PLACE_NOISE * (noise / self.radius) ** 2 * derivative_squares(squares))
+        squares += np.diag(POSITION_NOISE_FACTOR * (noise / self.radius) ** 2 * mean_squared_gradients(squares))
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
         information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
         along = fields.T @ (basis @ scores.ravel()) / weights.sum()
-        found = fields @ (information / (np.square(information) + half_followed**2) * along)
+        found = fields @ (information / (np.square(information) + half_damped_information**2) * along)
         return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:
@@ -63,7 +69,7 @@ class Displacement(NamedTuple):
         return inside
 
 
-def share_of(
+def projected_share(
     places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, bend: FloatArray, gauge: str
 ) -> tuple[float, float]:
     """Return the share of a known deformation (N,) in the residuals along the normals, and its RMS.

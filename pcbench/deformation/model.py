@@ -15,14 +15,14 @@ from pcbench.deformation.polynomials import (
     EXPONENTS,
     MODELS,
     PARAMETERS,
-    derivative_squares,
-    gram,
+    gram_matrix,
     mean_and_spread,
+    mean_squared_gradients,
     model_columns,
     normal_matrix,
     translation_columns,
 )
-from pcbench.deformation.sums import LENGTHS, TileSums, added, merged
+from pcbench.deformation.sums import KERNEL_LENGTHS, TileSums, sum_over_tiles, tile_of_cells
 from pcbench.geometry.arrays import FloatArray
 
 TILE = 2  # cells along each edge of a tile
@@ -32,7 +32,7 @@ MIN_INFORMATION = 0.02
 _MIN_INFORMATION_AFFINE = 1e-4  # for affine fields and smaller models
 _RIDGE = 1e-12
 _CELLS_AT_ONCE = 32  # cells per block of normal matrices, which are much larger than the moments
-PLACE_NOISE = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
+POSITION_NOISE_FACTOR = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # bounds of the lag classes, in cells; negative to 0: within a cell
 
 
@@ -82,14 +82,14 @@ class Geometry:
 
     def __init__(self, sums: TileSums) -> None:
         total = sums.moments.sum(axis=0)
-        squares = gram(total)
+        squares = gram_matrix(total)
         self.total = float(squares[0, 0])  # weight of all pairs
         # Polynomials orthonormal over the pairs, except those that the noise of the positions could produce: they are
         # scaled down, so that they count as not observable. The third coordinate of a plane is pure noise, and noise
         # that positions and residuals share looks like a slope.
         squares = squares / self.total
         power, weight = sums.powers[0], sums.dyadic[0, 0]
-        doubt = PLACE_NOISE * power / max(weight, 1e-300) / sums.radius**2 * derivative_squares(squares)
+        doubt = POSITION_NOISE_FACTOR * power / max(weight, 1e-300) / sums.radius**2 * mean_squared_gradients(squares)
         factor = np.linalg.cholesky(squares + np.diag(doubt + _RIDGE))
         self.to_orthonormal = np.linalg.inv(factor)  # (20, 20)
         self.basis = np.kron(self.to_orthonormal, np.eye(3))
@@ -107,21 +107,21 @@ class Geometry:
         self.weights: FloatArray = np.trace(self.information, axis1=1, axis2=2)  # (C,) of the pairs in each
         self.side, self.radius, self.center = sums.side, sums.radius, sums.center
         self.dyadic = sums.dyadic
-        self.surface = self.basis @ normal_matrix(sums.surface / gram(sums.surface)[0, 0]) @ self.basis.T
+        self.surface = self.basis @ normal_matrix(sums.surface / gram_matrix(sums.surface)[0, 0]) @ self.basis.T
         mean, spread = mean_and_spread(sums.moments)
         self.means = mean * sums.radius + sums.center  # (C, 3)
         # A surface patch in a cell extends in two directions, each at most like a uniform interval of the cell's edge.
         within = np.minimum(spread * sums.radius**2 / 2, sums.side**2 / 12)
         self._apart = _squared_distances(self.means)
         self._within = within[:, None] + within[None]
-        self.lengths = sums.side * np.array(LENGTHS)
+        self.lengths = sums.side * np.array(KERNEL_LENGTHS)
         self._near = sums.near / np.maximum(np.square(self.load).sum(axis=(1, 2)), 1e-300)[:, None]
         self.cell_matrices = np.empty((len(sums.moments), *self.basis.shape))
         for start in range(0, len(sums.moments), _CELLS_AT_ONCE):
             few = slice(start, start + _CELLS_AT_ONCE)
             self.cell_matrices[few] = self.basis @ normal_matrix(sums.moments[few]) @ self.basis.T
-        self.tiles = merged(sums.cells, TILE)  # (C,)
-        self.tile_matrices = added(self.cell_matrices, self.tiles)
+        self.tiles = tile_of_cells(sums.cells, TILE)  # (C,)
+        self.tile_matrices = sum_over_tiles(self.cell_matrices, self.tiles)
         self._steps: dict[tuple[str, str], ModelStep] = {}
         self._halves: dict[str, FloatArray] = {}
         self._mixed: tuple[Noise, FloatArray] | None = None
@@ -164,7 +164,7 @@ class Geometry:
         return self._steps[smaller, larger]
 
     def observable(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues and eigenvectors of a normal matrix with more than the share `least` of the information."""
+        """Return eigenvalues and eigenvectors with more than the share `least` of the information."""
         values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
         enough = values > least * self.total
         return values[enough], vectors[:, enough]
@@ -184,7 +184,7 @@ class Geometry:
                 self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
-    def over_surface(self, step: ModelStep) -> FloatArray:
+    def surface_form(self, step: ModelStep) -> FloatArray:
         """Quadratic form (K, K): mean square along the normals, over the surface by area, beyond an affine field."""
         affine = self.columns["affine"]
         crossed = self.surface @ affine

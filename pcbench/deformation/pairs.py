@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.blocks import noise_sizes, smoothed
+from pcbench.deformation.blocks import noise_sizes, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -26,16 +26,19 @@ _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_LAST_FITS, _HALF_FOLLOWED_LAST = 12, 1e-4  # usually far fewer fits, unless a part that moved is rejected
-_SETTLED = 0.01  # convergence tolerance, in standard deviations of the noise
-_TUKEY = 4.685  # standard deviations: 95 % efficiency for normal residuals
-_MIN_SLOPE = 0.2  # minimum mean slope of the influence function: below it, nearly all pairs are outliers
+_MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = (
+    12,
+    1e-4,
+)  # usually far fewer fits
+_CONVERGENCE_TOLERANCE = 0.01  # convergence tolerance, in standard deviations of the noise
+_TUKEY_CONSTANT = 4.685  # standard deviations: 95 % efficiency for normal residuals
+_MIN_INFLUENCE_SLOPE = 0.2  # minimum mean slope of the influence function: below it, nearly all pairs are outliers
 CELLS_ALONG = 16  # initial number of cells along the scene's extent
 _MIN_TILES = 60  # tiles aimed for
 _MAX_CELLS = 480  # more cells cost time without adding information
-_NEIGHBORS = 8  # points averaged for a position
-_ROUGH = 4.0  # times the lower quartile of the surface variation: a pair this rough has a quarter of the weight
-_MAX_ROUGH = 0.005  # surface variation at which a pair has at most a quarter of the weight in any scene: not a plane
+_POSITION_NEIGHBORS = 8  # points averaged for a position
+_ROUGHNESS_RATIO = 4.0  # times the lower quartile of the variation: such a pair has a quarter of the weight
+_MAX_VARIATION = 0.005  # surface variation at which a pair has at most a quarter of the weight: not a plane
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
@@ -229,7 +232,7 @@ def _closest_planes(
     variation = surface.surface.variation(closest)
     quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
     sizes = noise_sizes(points, left, quality) if final else np.full(len(left), noise)
-    width = np.maximum(_TUKEY * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
+    width = np.maximum(_TUKEY_CONSTANT * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,
         closest,
@@ -254,12 +257,12 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places = _local_means(surface.index, pairs.closest)
     quality = pairs.quality
-    fitted, left = _last_fit(pairs, field, places)
+    fitted, left = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
-    mean_slope = np.maximum(smoothed(pairs.queries, slopes, quality), _MIN_SLOPE)
+    mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
-    power = smoothed(pairs.queries, np.square(limited), quality)
+    power = smooth(pairs.queries, np.square(limited), quality)
     return Pairs(
         places,
         pairs.normals,
@@ -271,7 +274,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         quality=quality,
         areas=_areas(pairs.queries),
         inliers=float(np.average(squared < 1, weights=quality)),
-        rough=float(np.mean(pairs.variation > _MAX_ROUGH)),
+        rough=float(np.mean(pairs.variation > _MAX_VARIATION)),
         spacing=surface.spacing,
         distance=float(np.median(pairs.distances)),
     )
@@ -282,23 +285,25 @@ def _local_means(index: Index, rows: IntArray) -> FloatArray:
 
     The noise of a point is in its residual. Positions come from its neighbours, so that noise does not look like slope.
     """
-    around = index.query(index.points[rows], min(_NEIGHBORS + 1, len(index))).indices[:, 1:]
+    around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index))).indices[:, 1:]
     means: FloatArray = index.points[around].mean(axis=1)
     return means
 
 
-def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit by iteratively reweighted least squares; return the model along the normals (N,) and the residuals (N,).
 
     Damping is minimal, because no further closest points are searched.
     """
     weights = pairs.weights
     left = np.full(len(pairs.residuals), np.inf)
-    for _ in range(_LAST_FITS):
-        field = field.fitted(places, pairs.normals, pairs.residuals, weights, pairs.noise, _HALF_FOLLOWED_LAST)
+    for _ in range(_MAX_FINAL_FITS):
+        field = field.fitted(
+            places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION
+        )
         fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
         before, left = left, pairs.residuals - fitted
-        if np.abs(left - before).max() <= _SETTLED * pairs.noise:
+        if np.abs(left - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
             break
         weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
     return fitted, left
@@ -337,7 +342,7 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 def _smoothness(variation: FloatArray) -> FloatArray:
     """Return weights (M,) of surface points: edges, foliage and points rougher than the smooth quarter count less."""
-    limit = min(_MAX_ROUGH, _ROUGH * max(float(np.percentile(variation, 25)), 1e-6))
+    limit = min(_MAX_VARIATION, _ROUGHNESS_RATIO * max(float(np.percentile(variation, 25)), 1e-6))
     weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
     return weights
 

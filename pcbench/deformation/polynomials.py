@@ -27,16 +27,19 @@ def _exponents(degree: int) -> IntArray:
 
 EXPONENTS = _exponents(DEGREE)  # (20, 3)
 _PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all products of two monomials
-_PLACE = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
+_MONOMIAL_INDEX = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
 # Each monomial is an earlier one times a coordinate: (index of the earlier one, axis).
-_STEPS = [
-    (_PLACE[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
+_RECURRENCE = [
+    (_MONOMIAL_INDEX[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
     for powers in _PRODUCTS[1:].tolist()
     for axis in [next(k for k in range(3) if powers[k])]
 ]
-_PRODUCT = np.array([[_PLACE[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
-_ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_ALL = np.zeros(1, dtype=np.int64)  # start of a single group
+# (20, 20) -> 84
+_PRODUCT_INDEX = np.array(
+    [[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS]
+)  # (20, 20) -> 84
+_SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
+_ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
 
 def monomials(places: FloatArray) -> FloatArray:
@@ -44,13 +47,13 @@ def monomials(places: FloatArray) -> FloatArray:
     values = np.empty((len(EXPONENTS), len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
-    for row, (earlier, axis) in enumerate(_STEPS[: len(EXPONENTS) - 1], 1):
+    for row, (earlier, axis) in enumerate(_RECURRENCE[: len(EXPONENTS) - 1], 1):
         np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
 
 def normal_equations(
-    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ALL
+    places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ONE_GROUP
 ) -> tuple[FloatArray, FloatArray]:
     """Accumulate the normal equations of a cubic field for each group of pairs.
 
@@ -70,13 +73,13 @@ def normal_equations(
     moments = np.empty((len(starts), len(_PRODUCTS), 6))
     scores = np.empty((len(starts), len(EXPONENTS), 3))
     places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
-    _core.normal_equations(places, normals, weights, residuals, starts, np.array(_STEPS), moments, scores)
+    _core.normal_equations(places, normals, weights, residuals, starts, np.array(_RECURRENCE), moments, scores)
     return moments, scores
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:
     """Assemble the normal matrix (..., 60, 60) from moments (..., 84, 6)."""
-    blocks = moments[..., _PRODUCT[:, :, None, None], _ENTRY[None, None]]  # (..., 20, 20, 3, 3)
+    blocks = moments[..., _PRODUCT_INDEX[:, :, None, None], _SYMMETRIC_INDEX[None, None]]  # (..., 20, 20, 3, 3)
     size = 3 * len(EXPONENTS)
     matrix: FloatArray = np.swapaxes(blocks, -3, -2).reshape(*moments.shape[:-2], size, size)
     return matrix
@@ -84,18 +87,18 @@ def normal_matrix(moments: FloatArray) -> FloatArray:
 
 def translation_columns(moments: FloatArray) -> FloatArray:
     """Return the columns (..., 60, 3) of `normal_matrix` for a common translation."""
-    blocks = moments[..., _PRODUCT[:, 0, None, None], _ENTRY[None]]  # (..., 20, 3, 3)
+    blocks = moments[..., _PRODUCT_INDEX[:, 0, None, None], _SYMMETRIC_INDEX[None]]  # (..., 20, 3, 3)
     columns: FloatArray = blocks.reshape(*moments.shape[:-2], 3 * len(EXPONENTS), 3)
     return columns
 
 
-def gram(moments: FloatArray) -> FloatArray:
+def gram_matrix(moments: FloatArray) -> FloatArray:
     """Return the Gram matrix (20, 20) of the monomials, sums of w phi_a phi_b, using that n n' has trace one."""
-    sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT]
+    sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT_INDEX]
     return sums
 
 
-def derivative_squares(squares: FloatArray) -> FloatArray:
+def mean_squared_gradients(squares: FloatArray) -> FloatArray:
     """Return (20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
     row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
     found = np.zeros(len(EXPONENTS))
@@ -134,6 +137,6 @@ def mean_and_spread(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
     sums = moments[..., :3].sum(axis=-1)
     weight = np.maximum(sums[..., 0], 1e-300)
     axes = np.eye(3, dtype=int)
-    mean = np.stack([sums[..., _PLACE[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
-    squares = sum(sums[..., _PLACE[tuple((2 * axis).tolist())]] for axis in axes) / weight
+    mean = np.stack([sums[..., _MONOMIAL_INDEX[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
+    squares = sum(sums[..., _MONOMIAL_INDEX[tuple((2 * axis).tolist())]] for axis in axes) / weight
     return mean, np.maximum(squares - np.square(mean).sum(axis=-1), 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcbench.deformation.answer import describe
 from pcbench.deformation.breaks import find_break
-from pcbench.deformation.displacement import share_of
+from pcbench.deformation.displacement import projected_share
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
 from pcbench.deformation.result import POSE_NOT_FIXED, Deformation
@@ -20,12 +20,15 @@ from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
 
-_RESOLUTION = 5e-3  # smallest deformation that counts, in spacings of the points that define the planes
-_MIN_GAIN = 0.1  # minimum relative decrease of the median distance under the model for a disagreement of the pairs
-_MAX_MOVED = 0.1  # maximum share of the cells to exclude as moved
-_SURELY_MOVED, _REMOVALS = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
-_MANY_ROUGH = 0.9  # share of rough pairs: at a spacing of metres, most of a city is corners and edges
-_MIN_INLIERS, _MAX_DISTANCE = 0.85, 1.25  # share of inliers, and median distance in spacings, of registered clouds
+_RESOLUTION_SPACINGS = 5e-3  # smallest deformation that counts, in spacings of the points that define the planes
+_MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which the pairs disagree
+_MAX_MOVED_SHARE = 0.1  # maximum share of the cells to exclude as moved
+_MOVED_SIGMAS, _MAX_EXCLUSION_PASSES = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
+_MAX_ROUGH_SHARE = 0.9  # share of rough pairs: at a spacing of metres, most of a city is corners and edges
+_MIN_INLIER_SHARE, _MAX_DISTANCE_SPACINGS = (
+    0.85,
+    1.25,
+)  # of the pairs of registered clouds
 _MIN_MAP_COORDINATE = 1e5  # larger coordinates are probably those of a map projection
 _EARTH_RADIUS = 6.37e6  # metres
 _DOUBTFUL = "doubtful-registration"
@@ -50,9 +53,9 @@ def residual_deformation(
         return Deformation.unanswered(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
-    resolution = _RESOLUTION * pairs.spacing
+    resolution = _RESOLUTION_SPACINGS * pairs.spacing
     wholes = [PairEvidence.of(tile_sums(pairs))]
-    views = [without_moved(wholes[0], resolution)]
+    views = [exclude_moved_cells(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
         # A claim has to hold without the model being assumed.
@@ -60,12 +63,12 @@ def residual_deformation(
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
             wholes.append(PairEvidence.of(tile_sums(plain)))
-            views.append(without_moved(wholes[1], resolution))
+            views.append(exclude_moved_cells(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
-            if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN) * plain.distance:
+            if finding.verdict == "none" and pairs.distance < (1 - _MIN_DISTANCE_GAIN) * plain.distance:
                 text = "a deformation brings the clouds closer together, but unmodified closest points do not show it"
                 finding = finding.undecided(Notice("pairs-disagree", text))
-    if finding.verdict == "undecided" and pairs.rough > _MANY_ROUGH:
+    if finding.verdict == "undecided" and pairs.rough > _MAX_ROUGH_SHARE:
         text = f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement"
         finding = finding.undecided(Notice("rough-places", text))
     broken = find_break(views[-1])
@@ -84,12 +87,12 @@ def residual_deformation(
     return answer.shifted(origin).with_warnings(notes)
 
 
-def without_moved(whole: PairEvidence, resolution: float) -> PairEvidence:
+def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
     """Exclude the few cells that clearly moved by themselves: a smooth model would bend towards them."""
-    view, most = whole, (1 - _MAX_MOVED) * len(whole.sums.counts)
-    for _ in range(_REMOVALS):  # once some are excluded, more may stand out
+    view, most = whole, (1 - _MAX_MOVED_SHARE) * len(whole.sums.counts)
+    for _ in range(_MAX_EXCLUSION_PASSES):  # once some are excluded, more may stand out
         changed, length, _ = local_changes(view.geometry, view.noise, view.sums, resolution)
-        moved = changed & (length > _SURELY_MOVED * math.sqrt(view.noise.white + view.noise.correlated))
+        moved = changed & (length > _MOVED_SIGMAS * math.sqrt(view.noise.white + view.noise.correlated))
         if not moved.any():
             break
         if len(moved) - np.count_nonzero(moved) < most:
@@ -103,7 +106,7 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
     if registration.doubtful:
         text = "the registration is doubtful, and the verdict depends on it: see its warnings"
         return finding.undecided(Notice(_DOUBTFUL, text))
-    if pairs.inliers < _MIN_INLIERS and pairs.distance > _MAX_DISTANCE * pairs.spacing:
+    if pairs.inliers < _MIN_INLIER_SHARE and pairs.distance > _MAX_DISTANCE_SPACINGS * pairs.spacing:
         text = (
             f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"
             " closer: they are not registered (use --register icp), or much has changed"
@@ -150,7 +153,7 @@ def _without_map_projection(
     # A point at q on the map is at q + offset in space, so a Euclidean candidate seems displaced by the offset.
     bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
     gauge = "similarity" if registration.solved_scale else "rigid"
-    share, size = share_of(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
+    share, size = projected_share(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
     text = f"one cloud is on a map grid: its deformation of {size:.2g} RMS relative to Euclidean space was removed"

@@ -19,12 +19,12 @@ from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
-_MOVED = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
+_MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
 @dataclass(frozen=True)
-class Rung:
+class ModelScore:
     """Score of one of the five nested models; `Deformation.rungs` and the JSON key `rungs` hold these.
 
     Attributes:
@@ -201,7 +201,7 @@ class Deformation:
         parameters: number of parameters of that model.
         p_value: probability that noise alone explains as much non-affine deformation; the largest over the sets of
             pairs.
-        rungs: scores of all five models, from the smallest; see `Rung`.
+        rungs: scores of all five models, from the smallest; see `ModelScore`.
         amplitude: size of the non-affine part.
         remaining_rms: RMS residual of the selected model, in the clouds' unit.
         noise: noise of the residuals.
@@ -220,7 +220,7 @@ class Deformation:
     model: str
     parameters: int | None = None
     p_value: float | None = None
-    rungs: tuple[Rung, ...] = ()
+    rungs: tuple[ModelScore, ...] = ()
     amplitude: Amplitude | None = None
     remaining_rms: float | None = None
     noise: NoiseSize | None = None
@@ -235,7 +235,7 @@ class Deformation:
 
     def __repr__(self) -> str:
         size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
-        p = "" if self.p_value is None else f", {_p(self.p_value)}"
+        p = "" if self.p_value is None else f", {_p_value_text(self.p_value)}"
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
 
     @classmethod
@@ -245,7 +245,7 @@ class Deformation:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Deformation:
-        """Read the content of `deformation.json`, or a candidate's `deformation` in `comparison.json`, without the field.
+        """Read `deformation.json`, or a candidate's `deformation` in `comparison.json`, without the field.
 
         Raises:
             KeyError, TypeError, ValueError: the content is not a deformation.
@@ -253,7 +253,7 @@ class Deformation:
         texts = values["warnings"]
         codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        found: Deformation = _structured(cls, {**values, "warnings": notices})
+        found: Deformation = _from_json_value(cls, {**values, "warnings": notices})
         return found
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
@@ -290,10 +290,12 @@ class Deformation:
             over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
                 f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
-                f"{over} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
+                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)}){parts}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}{parts}"
+            return (
+                f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}{parts}"
+            )
         if self.verdict == "similarity":
             return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
         whole = " as a whole" if parts else ""
@@ -308,7 +310,7 @@ class Deformation:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:
             return ""
-        if local.largest < _MOVED * math.hypot(noise.sigma_white, noise.sigma_correlated):
+        if local.largest < _MOVED_SIGMAS * math.hypot(noise.sigma_white, noise.sigma_correlated):
             return ""
         place = ", ".join(f"{x:.1f}" for x in local.at)
         return (
@@ -355,7 +357,7 @@ class Deformation:
             self,
             remaining_rms=0.0,
             rungs=tuple(replace(rung, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for rung in self.rungs),
-            amplitude=self.amplitude and _scaled(self.amplitude, 0.0),
+            amplitude=self.amplitude and _scale_amplitude(self.amplitude, 0.0),
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
         )
@@ -365,7 +367,7 @@ class Deformation:
         return replace(self, warnings=(*self.warnings, *notes))
 
 
-def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
+def _scale_amplitude(amplitude: Amplitude, factor: float) -> Amplitude:
     """Return the amplitude times a factor."""
 
     def times(value: Any) -> Any:
@@ -374,25 +376,27 @@ def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
     return Amplitude(*(times(getattr(amplitude, item.name)) for item in dataclasses.fields(amplitude)))
 
 
-def _p(value: float | None) -> str:
+def _p_value_text(value: float | None) -> str:
     """Return a p-value as text; below 1e-9 only the bound."""
     if value is None:
         return "p unknown"
     return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
 
 
-def rounded(value: Any) -> Any:
+def round_to_six_digits(value: Any) -> Any:
     """Round to six significant digits: more carry no information and depend on the number of threads."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, tuple):
-        return tuple(map(rounded, value))
+        return tuple(map(round_to_six_digits, value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{item.name: rounded(getattr(value, item.name)) for item in dataclasses.fields(value)})
+        return replace(
+            value, **{item.name: round_to_six_digits(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        )
     return value
 
 
-def _structured(kind: Any, value: Any) -> Any:
+def _from_json_value(kind: Any, value: Any) -> Any:
     """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
     if value is None:
         return None
@@ -401,7 +405,7 @@ def _structured(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
         # Older reports lack some fields: they take their defaults, and missing required ones are errors.
-        return kind(**{name: _structured(hints[name], value[name]) for name in names if name in value})
+        return kind(**{name: _from_json_value(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(_structured(get_args(kind)[0], part) for part in value)
+        return tuple(_from_json_value(get_args(kind)[0], part) for part in value)
     return value

@@ -9,7 +9,7 @@ import numpy as np
 from pcbench.deformation.chi_squares import chi_squares_point
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
 from pcbench.deformation.result import Amplitude, Interval, Observable
-from pcbench.deformation.sums import TileSums, added
+from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 # The covariance is itself an estimate: if it is a third too small, a nominal p of 1e-5 is in fact 1e-3.
@@ -25,7 +25,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
     power, bias = float(modes @ modes), float(np.trace(covariance))
     size = max(0.0, power - bias)
     rms, ci = _root_mean_square(modes, covariance, np.eye(len(modes)) / geometry.total)
-    over_surface, surface_ci = _root_mean_square(modes, covariance, geometry.over_surface(step))
+    surface_form, surface_ci = _root_mean_square(modes, covariance, geometry.surface_form(step))
     coefficients = step.modes @ modes
     per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
@@ -39,7 +39,7 @@ def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep)
         p95=float(cells[order][np.searchsorted(below, 0.95)]),
         max=float(cells.max()),
         ci=ci,
-        rms_surface=over_surface,
+        rms_surface=surface_form,
         ci_surface=surface_ci,
     )
 
@@ -93,7 +93,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
 
 def observable(sums: TileSums, tile: IntArray) -> Observable:
     """Share of the tiles that constrain a displacement along each axis, for any displacement along the others."""
-    spread = added(sums.spread, tile)
+    spread = sum_over_tiles(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
     constrained = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= MIN_INFORMATION
     return Observable(*(float(share) for share in constrained.mean(axis=0)))

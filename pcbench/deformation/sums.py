@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_DYADIC = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
-LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
-_PARTNERS, _FEW_PARTNERS = 4, 1  # sampled partners of each pair, in cells and in sub-cells
+_DYADIC_LEVELS = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
+KERNEL_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
+_CELL_PARTNERS, _SUBCELL_PARTNERS = 4, 1  # sampled partners of each pair, in cells and in sub-cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class TileSums:
     """Sums over the pairs in each cell (cubes of edge `side`), additive over pairs.
 
     A pair has a weight w in fits and a relative scale s of its noise. Noise is s times a stationary process, which is
-    white or correlated as exp(-d^2 / 2 l^2), with each l of `LENGTHS` times the cells' edge.
+    white or correlated as exp(-d^2 / 2 l^2), with each l of `KERNEL_LENGTHS` times the cells' edge.
 
     Attributes:
         center, radius: positions are scaled as (x - center) / radius in all sums, to about -1 to 1.
@@ -112,13 +112,13 @@ class TileSums:
             center, radius: of the scene; (3,) and about half its extent.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
-        order, starts = groups(cells)
+        order, starts = group_rows(cells)
         x, n, r, w, s = (v[order] for v in ((places - center) / radius, normals, residuals, weights, scales))
         moments, scores = normal_equations(x, n, w, r, starts)
         white, _ = normal_equations(x, n, np.square(w * s), r, starts)
         loads, _ = normal_equations(x, n, w * s, r, starts)
         surface, _ = normal_equations(x, n, areas[order], r)
-        lengths = side * np.array(LENGTHS)
+        lengths = side * np.array(KERNEL_LENGTHS)
         v, measured = quality[order], apart[order]
         sigma = 1.4826 * float(np.median(np.abs(measured[v >= np.median(v)])))
         changed = (v * np.clip(measured, -3 * sigma, 3 * sigma))[:, None] * n
@@ -151,7 +151,7 @@ def kernel_sums(
     loads: FloatArray,
     starts: IntArray,
     lengths: FloatArray,
-    partners: int = _PARTNERS,
+    partners: int = _CELL_PARTNERS,
 ) -> FloatArray:
     """Sum load load' (n . n')^2 times each kernel of the distance, for each pair over all pairs in its group; (N, J).
 
@@ -194,15 +194,15 @@ def dyadic_moments(
 
     The moment is the sum of |sum w n r|^2 over sub-cells; see `TileSums`.
     """
-    lengths = side * np.array(LENGTHS)
+    lengths = side * np.array(KERNEL_LENGTHS)
     loads = weights * scales
     single = float(np.square(loads).sum())
     expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * left).sum())]
-    for level in range(_DYADIC, 0, -1):
-        order, starts = groups(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
+    for level in range(_DYADIC_LEVELS, 0, -1):
+        order, starts = group_rows(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
         vectors = np.add.reduceat((weights * left)[order, None] * normals[order], starts)
         powers.append(float(np.square(vectors).sum()))
-        sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _FEW_PARTNERS).sum(axis=0)
+        sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _SUBCELL_PARTNERS).sum(axis=0)
         expected.append(np.concatenate([[single], sums]))
     return np.array(expected), np.array(powers)
 
@@ -222,20 +222,20 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
     return np.clip(values, middle - reach, middle + reach)
 
 
-def groups(cells: IntArray) -> tuple[IntArray, IntArray]:
+def group_rows(cells: IntArray) -> tuple[IntArray, IntArray]:
     """Return an order (N,) that sorts equal rows together, and the start of each group."""
     order = np.lexsort(cells.T[::-1])
     changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
     return order, np.flatnonzero(np.concatenate([[True], changed]))
 
 
-def merged(cells: IntArray, factor: int) -> IntArray:
+def tile_of_cells(cells: IntArray, factor: int) -> IntArray:
     """Return (C,) the index of the tile of `factor` cells along each axis that contains each cell."""
     _, tile = np.unique(cells // factor, axis=0, return_inverse=True)
     return np.asarray(tile, dtype=np.int64).ravel()
 
 
-def added(values: FloatArray, tile: IntArray) -> FloatArray:
+def sum_over_tiles(values: FloatArray, tile: IntArray) -> FloatArray:
     """Sum rows (C, ...) over tiles; return (T, ...)."""
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.diff(tile[order], prepend=-1))

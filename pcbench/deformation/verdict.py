@@ -11,14 +11,14 @@ import numpy as np
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import TILE, Geometry, Noise, Scores, estimate_noise
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
-from pcbench.deformation.result import Rung
+from pcbench.deformation.result import ModelScore
 from pcbench.deformation.size import MAX_P_SURE, amplitude, effective_count
-from pcbench.deformation.sums import TileSums, added
+from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
 
 MIN_TILES = 40
 _FOLDS = 10
-_MAX_P_DOUBT = 1e-3
+_MAX_P_DOUBTFUL = 1e-3
 _MIN_BEND = 0.1  # in standard deviations of the noise: a deformation bounded below this is negligible
 
 
@@ -44,12 +44,12 @@ class Evidence(NamedTuple):
     p: float
 
     @property
-    def sure(self) -> bool:
+    def significant(self) -> bool:
         return self.p <= MAX_P_SURE
 
     @property
     def doubtful(self) -> bool:
-        return MAX_P_SURE < self.p <= _MAX_P_DOUBT
+        return MAX_P_SURE < self.p <= _MAX_P_DOUBTFUL
 
 
 class Finding(NamedTuple):
@@ -69,20 +69,20 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     """Return the smallest adequate model, tested from the largest down; see `judge`."""
     geometry, scores, noise = views[0].geometry, views[0].scores, views[0].noise
 
-    def weigh(smaller: str, larger: str) -> Evidence:
-        return weakest([weigh_evidence(view, smaller, larger) for view in views])
+    def compare(smaller: str, larger: str) -> Evidence:
+        return least_significant([compare_models(view, smaller, larger) for view in views])
 
     def largest(smaller: str, larger: str) -> float:
         step = geometry.step(smaller, larger)
         return float(amplitude(geometry, scores, noise, step).ci[1]) if step.modes.shape[1] else 0.0
 
     def is_needed(smaller: str, larger: str) -> bool:
-        return weigh(smaller, larger).sure and largest(smaller, larger) > resolution
+        return compare(smaller, larger).significant and largest(smaller, larger) > resolution
 
-    bent = weigh("affine", "cubic")
+    non_affine = compare("affine", "cubic")
     tiles = len(geometry.tile_matrices)
     warnings = []
-    if bent.modes == 0:
+    if non_affine.modes == 0:
         text = "a deformation is not observable here: the surfaces do not constrain any direction well enough"
         warnings.append(Notice("nothing-observable", text))
     if tiles < MIN_TILES:
@@ -93,10 +93,10 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         warnings.append(Notice("few-tiles", text))
     bend = largest("affine", "cubic")
     shown = bend > resolution
-    if bent.sure and shown and not warnings:
+    if non_affine.significant and shown and not warnings:
         # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
-        model = "cubic" if weigh("quadratic", "cubic").p <= _MAX_P_DOUBT else "quadratic"
-        return Finding("non-affine", model, bent, ())
+        model = "cubic" if compare("quadratic", "cubic").p <= _MAX_P_DOUBTFUL else "quadratic"
+        return Finding("non-affine", model, non_affine, ())
     if is_needed("similarity", "affine"):
         verdict, model = "affine", "affine"
     elif is_needed("rigid", "similarity"):
@@ -107,7 +107,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     else:
         verdict, model = "none", "rigid"
     matters = shown and bend > _MIN_BEND * math.sqrt(noise.white + noise.correlated)
-    if bent.doubtful and matters:
+    if non_affine.doubtful and matters:
         side = geometry.side * TILE
         remedy = (
             f"it is correlated over {noise.correlation_length:.3g}, and the tiles are {side:.3g} wide; use a scene of"
@@ -117,17 +117,17 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         )
         text = f"the residuals suggest a deformation, but noise may explain them: {remedy}"
         warnings.append(Notice("noise-or-bend", text))
-    if (bent.doubtful and matters) or bent.modes == 0 or tiles < MIN_TILES:
+    if (non_affine.doubtful and matters) or non_affine.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
-    return Finding(verdict, model, bent, tuple(warnings))
+    return Finding(verdict, model, non_affine, tuple(warnings))
 
 
-def weakest(evidence: Sequence[Evidence]) -> Evidence:
+def least_significant(evidence: Sequence[Evidence]) -> Evidence:
     """Return the evidence with the largest p-value among several sets of pairs of the same clouds."""
     return max(evidence, key=lambda each: each.p)
 
 
-def weigh_evidence(view: PairEvidence, smaller: str, larger: str) -> Evidence:
+def compare_models(view: PairEvidence, smaller: str, larger: str) -> Evidence:
     """Test a smaller model against a larger one (the null hypothesis is that the smaller one suffices)."""
     step = view.geometry.step(smaller, larger)
     modes = step.modes.T @ view.scores.total
@@ -137,11 +137,11 @@ def weigh_evidence(view: PairEvidence, smaller: str, larger: str) -> Evidence:
     return Evidence(len(modes), chi_squares_tail(float(modes @ modes), weights))
 
 
-def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[Rung]:
+def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[ModelScore]:
     """Score each model by leaving out tiles (10 folds) and by the BIC with the effective number of pairs."""
     tile, matrices = geometry.tiles, geometry.tile_matrices
-    rows = added(scores.cells, tile)
-    energy, weight = added(scores.energy, tile), np.maximum(added(geometry.weights, tile), 1e-300)
+    rows = sum_over_tiles(scores.cells, tile)
+    energy, weight = sum_over_tiles(scores.energy, tile), np.maximum(sum_over_tiles(geometry.weights, tile), 1e-300)
     fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
     effective = effective_count(geometry, noise)
     found = []
@@ -158,7 +158,7 @@ def climb(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[R
         explained = geometry.explained(scores, model)
         left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
         found.append(
-            Rung(
+            ModelScore(
                 model=model,
                 parameters=PARAMETERS[model],
                 cv_score=score,

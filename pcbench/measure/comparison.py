@@ -75,7 +75,7 @@ def compare(
 
     step("indexing the reference")
     shared: dict[str, float] = {}
-    with _timed(shared, "reference"):
+    with _record_time(shared, "reference"):
         prepared = Reference.prepare(given, settings)
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
@@ -131,25 +131,25 @@ def _compare_one(
 ) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
     step(f"{name}: registering")
-    with _timed(timings, "registration"):
+    with _record_time(timings, "registration"):
         aligned = _align(reference, name, cloud, settings)
     step(f"{name}: matching both ways")
-    with _timed(timings, "matching"):
+    with _record_time(timings, "matching"):
         matched = _match(reference, aligned)
     step(f"{name}: measuring")
-    with _timed(timings, "floors"):
+    with _record_time(timings, "floors"):
         forth, back = _directions(reference, aligned, matched, settings.seed)
-    with _timed(timings, "metrics"):
-        thresholds = settings.thresholds or _usual_thresholds(reference.spacing)
+    with _record_time(timings, "metrics"):
+        thresholds = settings.thresholds or _default_thresholds(reference.spacing)
         measurement = _measurement(reference, forth, back, thresholds)
-    with _timed(timings, "maps"):
+    with _record_time(timings, "maps"):
         deviation = _deviation_map(reference, aligned, forth, settings)
         completeness = DeviationMap(*reference.measured, {"distance": back.distances.to_points})
-    with _timed(timings, "presets"):
+    with _record_time(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
         quoted = {key: presets.measure_preset(key, matched.pair, thresholds, to_poisson) for key in settings.presets}
     step(f"{name}: testing for deformation")
-    with _timed(timings, "deformation"):
+    with _record_time(timings, "deformation"):
         deformation = _deformation(reference, aligned, settings.seed)
     return Candidate(
         name=name,
@@ -180,7 +180,7 @@ def _align(reference: Reference, name: str, cloud: Cloud, settings: Settings) ->
 
 def _match(reference: Reference, aligned: _Aligned) -> _Matched:
     """Match in both directions; the region selects the queries, but the complete clouds are searched."""
-    pair = _hard_pair(reference, aligned.index, aligned.inside)
+    pair = _cropped_pair(reference, aligned.index, aligned.inside)
     if reference.region is None:
         return _Matched(pair.to_reference, pair.to_candidate, pair)
     forth = reference.index.query(aligned.index.points[aligned.inside])
@@ -197,7 +197,7 @@ def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed
     return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
 
 
-def _usual_thresholds(spacing: float) -> tuple[float, ...]:
+def _default_thresholds(spacing: float) -> tuple[float, ...]:
     return tuple(factor * spacing for factor in (1.0, 2.0, 5.0) if spacing > 0)
 
 
@@ -246,7 +246,7 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
     return DeviationMap(forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals)
 
 
-def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
+def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
     """Crop both clouds to the region and match them; without a region they are matched as they are."""
     rows, given = reference.rows, reference.cloud.normals
     normals = reference.surface.with_normals_at(rows) if reference.has_normals else None
@@ -264,7 +264,7 @@ def _differences(
     """Yield the paired difference a - b of each score, cell by cell: errors common to both candidates cancel."""
     for (a, of_a), (b, of_b) in combinations(zip(results, measured, strict=True), 2):
         apart = {
-            name: intervals.Sampled(one.value - other.value, one.influence - other.influence)
+            name: intervals.LinearizedScore(one.value - other.value, one.influence - other.influence)
             for name, one in of_a.sampled.items()
             if (other := of_b.sampled.get(name)) is not None
         }
@@ -284,7 +284,7 @@ def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[Notice]:
 
 
 @contextmanager
-def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
+def _record_time(timings: dict[str, float], name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - start

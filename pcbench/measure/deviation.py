@@ -14,9 +14,9 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.metrics import nmad, percentiles
 
-CONFIDENCE = 1.96  # normal quantile of a two-sided 95 % level of detection
-_MAX_CORES_AT_ONCE = 512
-_MIN_POINTS = 5  # points needed to estimate a standard deviation, as in CloudCompare
+LOD_Z = 1.96  # normal quantile of a two-sided 95 % level of detection
+_CORES_PER_BLOCK = 512
+_MIN_LOD_POINTS = 5  # points needed to estimate a standard deviation, as in CloudCompare
 
 
 @dataclass(frozen=True)
@@ -157,12 +157,12 @@ def m3c2(
             f"expected positive lengths for M3C2, got radius {radius}, half length {half_length},"
             f" registration error {registration_error}"
         )
-    mean_r, std_r, count_r = _along(reference, cores, normals, radius, half_length)
-    mean_c, std_c, count_c = _along(candidate, cores, normals, radius, half_length)
+    mean_r, std_r, count_r = _positions_along(reference, cores, normals, radius, half_length)
+    mean_c, std_c, count_c = _positions_along(candidate, cores, normals, radius, half_length)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = std_r**2 / count_r + std_c**2 / count_c
-    enough = np.minimum(count_r, count_c) >= _MIN_POINTS
-    lod = np.where(enough, CONFIDENCE * (np.sqrt(variance) + registration_error), np.nan)
+    enough = np.minimum(count_r, count_c) >= _MIN_LOD_POINTS
+    lod = np.where(enough, LOD_Z * (np.sqrt(variance) + registration_error), np.nan)
     return M3C2(
         cores,
         normals,
@@ -178,21 +178,23 @@ def m3c2(
     )
 
 
-def _along(
+def _positions_along(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return mean, standard deviation and count of the positions along each normal; NaN if there are none."""
     # Blocks of cores limit the memory: wide cylinders hold thousands of points each.
-    starts = range(0, max(len(cores), 1), _MAX_CORES_AT_ONCE)
+    starts = range(0, max(len(cores), 1), _CORES_PER_BLOCK)
     parts = [
-        _along_some(index, cores[s : s + _MAX_CORES_AT_ONCE], normals[s : s + _MAX_CORES_AT_ONCE], radius, half_length)
+        _positions_along_block(
+            index, cores[s : s + _CORES_PER_BLOCK], normals[s : s + _CORES_PER_BLOCK], radius, half_length
+        )
         for s in starts
     ]
     mean, std, count = (np.concatenate(column) for column in zip(*parts, strict=True))
     return mean, std, count
 
 
-def _along_some(
+def _positions_along_block(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     found = index.query_cylinder(cores, normals, radius, half_length)

@@ -37,7 +37,7 @@ class MeanMetric(NamedTuple):
     label: str
     definition: str
     power: int
-    of_each: Callable[[Distances], FloatArray | None]
+    values_of: Callable[[Distances], FloatArray | None]
     root_name: str | None = None
     root_label: str | None = None
     has_symmetric_max: bool = False
@@ -135,7 +135,7 @@ def from_reference(
     cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
     error = 0.0
     if forth.distances.to_planes is not None:
-        error = _excess(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
+        error = _error_share(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
     floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
     return Direction(queries, Distances(back.distances, planes), floor, cells)
 
@@ -144,11 +144,11 @@ def _means(distances: Distances | None) -> dict[str, float | None]:
     """Return the mean of each mean metric by name."""
     means: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
-        values = None if distances is None else metric.of_each(distances)
+        values = None if distances is None else metric.values_of(distances)
         means[metric.name] = None if values is None else float(np.mean(values))
     return means
 
 
-def _excess(score: float, floor: float | None) -> float:
+def _error_share(score: float, floor: float | None) -> float:
     """Return the share of a score that sampling does not explain."""
     return 0.0 if floor is None or score <= floor else 1 - floor / score

@@ -21,25 +21,27 @@ from pcbench.measure.metrics import Distances, plane_distances
 from pcbench.measure.reference import Reference
 
 _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean squared distance is then 2 %
-_STANDS = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
-_OTHERS = 8  # neighbours considered: duplicates do not count, and noise changes the order
-_THINNED = 3  # reference points per point of a sparse candidate: some neighbour is then at a similar distance
+_PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
+_MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise changes the order
+_THINNED_DENSITY_RATIO = (
+    3  # reference points per point of a sparse candidate: some neighbour is then at a similar distance
+)
 
 
 def to_reference(reference: Reference, queries: FloatArray) -> Distances | None:
     """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point."""
     if len(reference.points) < 2:
         return None
-    rows = _stands_for(reference.index, queries[_even(len(queries))])
-    others = _others(reference.index, rows)
-    apart = np.linalg.norm(reference.points[others] - reference.points[rows, None], axis=2)
-    nearest = _nearest_elsewhere(apart)
+    rows = _proxies(reference.index, queries[_even_sample(len(queries))])
+    others = _neighbors(reference.index, rows)
+    separations = np.linalg.norm(reference.points[others] - reference.points[rows, None], axis=2)
+    nearest = _nearest_distinct(separations)
     planes = None
     if reference.has_normals:
-        closest = _picked(others, nearest)
-        normals = _normals_without(reference, closest, _around(reference, closest), rows)
+        closest = _take_per_row(others, nearest)
+        normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
         planes = plane_distances(reference.points, reference.points, normals, query_rows=rows, closest_rows=closest)
-    return Distances(_picked(apart, nearest), planes)
+    return Distances(_take_per_row(separations, nearest), planes)
 
 
 def to_candidate(
@@ -57,76 +59,80 @@ def to_candidate(
     """
     if len(candidate) < 2:
         return None
-    few = _even(len(reference.measured_points))
+    few = _even_sample(len(reference.measured_points))
     rows = few if reference.rows is None else reference.rows[few]
-    stands = _stands_for(candidate, reference.points[rows])
-    others = _others(candidate, stands)
-    places = _on_surface(reference, candidate, others, matches, error)
-    apart = np.linalg.norm(places - _on_surface(reference, candidate, stands[:, None], matches, error), axis=2)
-    distances = _picked(apart, _nearest_elsewhere(apart))
+    proxies = _proxies(candidate, reference.points[rows])
+    others = _neighbors(candidate, proxies)
+    positions = _shrink_to_surface(reference, candidate, others, matches, error)
+    separations = np.linalg.norm(
+        positions - _shrink_to_surface(reference, candidate, proxies[:, None], matches, error), axis=2
+    )
+    distances = _take_per_row(separations, _nearest_distinct(separations))
     if not reference.has_normals:
         return Distances(distances, None)
-    return Distances(distances, _off_planes(reference, rows, distances, seed))
+    return Distances(distances, _plane_offsets(reference, rows, distances, seed))
 
 
-def _even(count: int) -> IntArray:
+def _even_sample(count: int) -> IntArray:
     return np.linspace(0, count - 1, min(count, _MAX_QUERIES)).astype(np.int64)
 
 
-def _stands_for(index: Index, queries: FloatArray) -> IntArray:
-    nearest = index.query(queries, k=min(_STANDS, len(index))).indices.reshape(len(queries), -1)
+def _proxies(index: Index, queries: FloatArray) -> IntArray:
+    nearest = index.query(queries, k=min(_PROXY_RANK, len(index))).indices.reshape(len(queries), -1)
     return nearest[:, -1].copy()
 
 
-def _others(index: Index, rows: IntArray) -> IntArray:
+def _neighbors(index: Index, rows: IntArray) -> IntArray:
     """Return (M, K) nearest indexed points of the given rows, including the points themselves."""
-    return index.query(index.points[rows], k=min(1 + _OTHERS, len(index))).indices
+    return index.query(index.points[rows], k=min(1 + _MAX_NEIGHBORS, len(index))).indices
 
 
-def _nearest_elsewhere(apart: FloatArray) -> IntArray:
+def _nearest_distinct(separations: FloatArray) -> IntArray:
     """Return (M,) the column of the smallest non-zero distance in each row of (M, K)."""
-    which: IntArray = np.where(apart > 0, apart, np.inf).argmin(axis=1)
+    which: IntArray = np.where(separations > 0, separations, np.inf).argmin(axis=1)
     return which
 
 
-def _picked(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
+def _take_per_row(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
     picked: NDArray[Any] = np.take_along_axis(values, which[:, None], axis=1)[:, 0]
     return picked
 
 
-def _on_surface(reference: Reference, candidate: Index, rows: IntArray, matches: IntArray, error: float) -> FloatArray:
+def _shrink_to_surface(
+    reference: Reference, candidate: Index, rows: IntArray, matches: IntArray, error: float
+) -> FloatArray:
     """Move candidate points (..., 3) along the normals by a share of their distance to the reference's planes."""
-    places = candidate.points[rows]
+    positions = candidate.points[rows]
     if not (reference.has_normals and error > 0):
-        return places
+        return positions
     closest = matches[rows]
     known = closest >= 0
     at = closest[known]
     n = reference.surface.with_normals_at(at)[at]
-    places[known] -= error * np.einsum("ni,ni->n", places[known] - reference.points[at], n)[:, None] * n
-    return places
+    positions[known] -= error * np.einsum("ni,ni->n", positions[known] - reference.points[at], n)[:, None] * n
+    return positions
 
 
-def _off_planes(reference: Reference, rows: IntArray, distances: FloatArray, seed: int) -> FloatArray:
+def _plane_offsets(reference: Reference, rows: IntArray, distances: FloatArray, seed: int) -> FloatArray:
     """Estimate how far the surface leaves the tangent planes at `rows` (M,), at the given distances (M,).
 
     The estimate uses the neighbour of each point whose distance fits best, in a thinned sample if the reference is much
     denser than the candidate. The remaining ratio of distances is corrected by a model fitted to all points.
     """
     index, points = reference.index, reference.points
-    near = around = _around(reference, rows)
+    near = around = _normal_neighborhoods(reference, rows)
     typical = float(np.median(distances))
-    share = _THINNED * (reference.spacing / typical) ** 2 if typical > 0 else 1.0
+    share = _THINNED_DENSITY_RATIO * (reference.spacing / typical) ** 2 if typical > 0 else 1.0
     if 0 < share < 1:
         some = np.random.default_rng(seed).choice(len(points), max(2, int(share * len(points))), replace=False)
         index = Index(points[some])
         near = index.query(points[rows], k=min(around.shape[1], len(index))).indices
-    apart = np.linalg.norm(index.points[near] - points[rows, None], axis=2)
-    least = 1e-12 * float(apart.max()) or 1.0
-    ratio = np.maximum(apart, least) / np.maximum(distances, least)[:, None]
+    separations = np.linalg.norm(index.points[near] - points[rows, None], axis=2)
+    least = 1e-12 * float(separations.max()) or 1.0
+    ratio = np.maximum(separations, least) / np.maximum(distances, least)[:, None]
     which = np.abs(np.log(ratio)).argmin(axis=1)
-    closest, found = _picked(near, which), _picked(apart, which)
-    normals = _normals_without(reference, rows, around, closest if index is reference.index else None)
+    closest, found = _take_per_row(near, which), _take_per_row(separations, which)
+    normals = _leave_one_out_normals(reference, rows, around, closest if index is reference.index else None)
     off = plane_distances(points, index.points, normals, query_rows=rows, closest_rows=closest)
     found = np.maximum(found, least)
     slope, curvature = _slope_and_curvature(np.square(off), np.square(found))
@@ -148,13 +154,15 @@ def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[floa
     return (slope, curvature) if slope > 0 else (0.0, 1.0)
 
 
-def _around(reference: Reference, rows: IntArray) -> IntArray:
+def _normal_neighborhoods(reference: Reference, rows: IntArray) -> IntArray:
     """Return (M, k + 1) neighbours for normal estimation, including the points themselves, and one spare."""
     index = reference.index
     return index.query(reference.points[rows], k=min(1 + reference.surface.k, len(index))).indices
 
 
-def _normals_without(reference: Reference, rows: IntArray, around: IntArray, others: IntArray | None) -> FloatArray:
+def _leave_one_out_normals(
+    reference: Reference, rows: IntArray, around: IntArray, others: IntArray | None
+) -> FloatArray:
     """Estimate normals (M, 3) at `rows` (M,) without the points `others` (M,), which would tilt the planes.
 
     On a sphere, their mean squared distance to the planes would otherwise be 1.3 times too large.

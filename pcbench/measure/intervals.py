@@ -19,11 +19,11 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import robust_bounds
 
-_CELLS_ALONG = 28  # cells along the diagonal of the scene
-_REACHES = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
-_SEEN = 1.3  # standard errors by which the products of cells must exceed zero to count as correlated
-_LEAST_LEFT = 0.2  # minimum share of the variance left after subtracting the mean
-_LEAST_DEGREES = 2.0  # minimum degrees of freedom
+_CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
+_CORRELATION_RADII = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
+_CORRELATION_Z = 1.3  # standard errors by which the products of cells must exceed zero to count as correlated
+_MIN_VARIANCE_SHARE = 0.2  # minimum share of the variance left after subtracting the mean
+_MIN_DEGREES_OF_FREEDOM = 2.0  # minimum degrees of freedom
 
 
 class Interval(NamedTuple):
@@ -46,7 +46,7 @@ class CorrelationCells(NamedTuple):
         return math.prod(self.shape)
 
 
-class Sampled(NamedTuple):
+class LinearizedScore(NamedTuple):
     """A score and the first-order contribution of each cell to its deviation from the expectation; they sum to 0."""
 
     value: float
@@ -66,15 +66,15 @@ class ScoreUncertainty(NamedTuple):
     """
 
     sigma: float
-    degrees: float
-    pieces: float
+    degrees_of_freedom: float
+    independent_regions: float
     reach: float
 
 
 def partition(points: FloatArray) -> CorrelationCells:
     """Cut the robust bounds of points (N, 3) into cubes."""
     lower, upper = robust_bounds(points)
-    side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG
+    side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG_DIAGONAL
     if not side > 0:  # all points coincide
         return CorrelationCells(np.zeros(len(points), np.int64), (1, 1, 1), 0.0)
     shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
@@ -85,7 +85,9 @@ def partition(points: FloatArray) -> CorrelationCells:
     return CorrelationCells(number, tuple(int(size) for size in shape), side)
 
 
-def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: FloatArray) -> dict[str, ScoreUncertainty]:
+def spreads(
+    sampled: Mapping[str, LinearizedScore], cells: CorrelationCells, shares: FloatArray
+) -> dict[str, ScoreUncertainty]:
     """Estimate the uncertainty of scores by name.
 
     Args:
@@ -98,12 +100,12 @@ def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: Flo
     u = np.stack([score.influence for score in sampled.values()]).reshape(-1, *cells.shape)
     w = shares.reshape(1, *cells.shape)
     p = np.square(u)
-    around = [_around(u, reach) for reach in _REACHES]
+    around = [_box_sums(u, reach) for reach in _CORRELATION_RADII]
     # Per radius: the sum of products, its variance if the cells were independent, and the share of pairs within.
-    within = np.stack([_total(u * found) for found in around])
-    chance = np.stack([2 * _total(p * _around(p, reach)) for reach in _REACHES])
-    pairs = np.stack([_total(w * _around(w, reach)) for reach in _REACHES])
-    seen = np.diff(within, axis=0) > _SEEN * np.sqrt(np.maximum(np.diff(chance, axis=0), 0))
+    within = np.stack([_grid_totals(u * found) for found in around])
+    chance = np.stack([2 * _grid_totals(p * _box_sums(p, reach)) for reach in _CORRELATION_RADII])
+    pairs = np.stack([_grid_totals(w * _box_sums(w, reach)) for reach in _CORRELATION_RADII])
+    seen = np.diff(within, axis=0) > _CORRELATION_Z * np.sqrt(np.maximum(np.diff(chance, axis=0), 0))
     steps = np.cumprod(seen, axis=0, dtype=np.int64).sum(axis=0)
     found = {}
     for row, name in enumerate(sampled):
@@ -113,22 +115,26 @@ def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: Flo
             found[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
             continue
         # Subtracting the mean removed a share of the products of pairs within the radius.
-        variance = total / max(1 - float(pairs[step, 0]), _LEAST_LEFT)
+        variance = total / max(1 - float(pairs[step, 0]), _MIN_VARIANCE_SHARE)
         parts = u[row] * around[step][row] - total * w[0]
-        doubt = max(float(np.sum(parts * _around(parts[None], _REACHES[step])[0])), float(np.sum(np.square(parts))))
+        doubt = max(
+            float(np.sum(parts * _box_sums(parts[None], _CORRELATION_RADII[step])[0])), float(np.sum(np.square(parts)))
+        )
         # 2 V^2 / Var V, halved: with few regions the observed tails are too short, which overestimates it.
-        degrees = max(total**2 / doubt, _LEAST_DEGREES) if doubt > 0 else math.inf
-        pieces = alone / (total * float(pairs[0, 0]))
-        found[name] = ScoreUncertainty(math.sqrt(variance), degrees, pieces, _REACHES[step] * cells.side)
+        degrees_of_freedom = max(total**2 / doubt, _MIN_DEGREES_OF_FREEDOM) if doubt > 0 else math.inf
+        independent_regions = alone / (total * float(pairs[0, 0]))
+        found[name] = ScoreUncertainty(
+            math.sqrt(variance), degrees_of_freedom, independent_regions, _CORRELATION_RADII[step] * cells.side
+        )
     return found
 
 
-def interval(score: Sampled, spread: ScoreUncertainty) -> Interval:
+def interval(score: LinearizedScore, spread: ScoreUncertainty) -> Interval:
     """Return the confidence interval of a score, computed on a log scale, or on a log-odds scale for a share."""
     value, largest = score.value, score.largest
     if spread.sigma == 0 or not 0 < value < largest:
         return Interval(value, value)
-    reach = quantile(spread.degrees) * spread.sigma * (1 / value + 1 / (largest - value))
+    reach = student_t_quantile(spread.degrees_of_freedom) * spread.sigma * (1 / value + 1 / (largest - value))
     low, high = (value * math.exp(min(sign * reach, 700.0)) for sign in (-1, 1))
     if largest < math.inf:
         low, high = (largest * end / (largest - value + end) for end in (low, high))
@@ -137,16 +143,16 @@ def interval(score: Sampled, spread: ScoreUncertainty) -> Interval:
 
 def difference(value: float, spread: ScoreUncertainty) -> Interval:
     """Return the confidence interval of a difference of two scores, which may be negative."""
-    reach = quantile(spread.degrees) * spread.sigma if spread.sigma > 0 else 0.0
+    reach = student_t_quantile(spread.degrees_of_freedom) * spread.sigma if spread.sigma > 0 else 0.0
     return Interval(value - reach, value + reach)
 
 
-def quantile(degrees: float) -> float:
+def student_t_quantile(degrees_of_freedom: float) -> float:
     """Return the 97.5 % quantile of Student's t, for at least 2 degrees of freedom (relative error at most 0.8 %).
 
     Abramowitz & Stegun 1964, 26.7.5. Importing scipy for it would take longer than many comparisons.
     """
-    z, n = 1.959963984540054, degrees
+    z, n = 1.959963984540054, degrees_of_freedom
     return (
         z
         + (z**3 + z) / (4 * n)
@@ -156,12 +162,12 @@ def quantile(degrees: float) -> float:
     )
 
 
-def _total(values: FloatArray) -> FloatArray:
+def _grid_totals(values: FloatArray) -> FloatArray:
     totals: FloatArray = values.sum(axis=(1, 2, 3))
     return totals
 
 
-def _around(values: FloatArray, reach: int) -> FloatArray:
+def _box_sums(values: FloatArray, reach: int) -> FloatArray:
     """Return (Q, X, Y, Z) sums over the cells up to `reach` cells away along each axis."""
     for axis in (1, 2, 3):
         size = values.shape[axis]

@@ -26,7 +26,7 @@ from pcbench.native import _core
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
-_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+_PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 
 class Distances(NamedTuple):
@@ -117,7 +117,7 @@ def harmonic_mean(precision: float, recall: float) -> float:
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
-def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
+def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _PERCENTILE_RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
     return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(values, ranks), strict=True)}
@@ -168,7 +168,9 @@ def one_way_hausdorff_between(candidate: Points, reference: Points) -> float:
     return one_way_hausdorff(_one_way(candidate, reference))
 
 
-def percentiles_between(candidate: Points, reference: Points, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
+def percentiles_between(
+    candidate: Points, reference: Points, ranks: tuple[float, ...] = _PERCENTILE_RANKS
+) -> dict[str, float]:
     """`percentiles` of the distances candidate -> reference; clouds as for `distances_between`."""
     return percentiles(_one_way(candidate, reference), ranks)
 
@@ -194,7 +196,7 @@ def fscore_between(candidate: Points, reference: Points, threshold: float) -> FS
 
 
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
-    """Peak signal-to-noise ratio 10 log10(factor peak^2 / mse) in dB (MPEG: factor 3 for geometry); None if undefined."""
+    """Peak signal-to-noise ratio 10 log10(factor peak^2 / mse) in dB (MPEG: factor 3); None if undefined."""
     return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
 
 

@@ -18,7 +18,7 @@ from pcbench.geometry.voxels import cell_means
 from pcbench.measure import metrics
 from pcbench.native import _core
 
-_TIE = 1e-8  # pc_error treats squared distances this close as equal
+_TIE_TOLERANCE = 1e-8  # pc_error treats squared distances this close as equal
 _MAX_TIES = 30
 
 
@@ -45,7 +45,7 @@ class Gao2025:
 
 
 @dataclass(frozen=True)
-class BothWays:
+class DirectedValues:
     """Values of both directions: a = reference, b = candidate, as in MPEG's pc_error; `symmetric` is the larger."""
 
     a_to_b: float | None = None
@@ -57,8 +57,8 @@ class BothWays:
 class Mpeg:
     """Metrics that MPEG's pc_error prints; peak in the clouds' unit, PSNR in dB."""
 
-    d1_mse: BothWays
-    d2_mse: BothWays
+    d1_mse: DirectedValues
+    d2_mse: DirectedValues
     d1_psnr: float | None
     d2_psnr: float | None
     hausdorff_squared_d1: float
@@ -122,8 +122,8 @@ def match(
     raw_normals: FloatArray | None,
 ) -> CroppedPair:
     """Match a cropped pair in both directions, with the ties that presets need."""
-    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE)
-    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE)
+    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE_TOLERANCE)
+    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE_TOLERANCE)
     matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
     return CroppedPair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
@@ -207,17 +207,17 @@ def mpeg(pair: CroppedPair) -> Mpeg:
     d2: list[FloatArray] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
-        ab = _choices(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
-        ba = _choices(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
+        ab = _all_nearest(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
+        ba = _all_nearest(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
         normals_b = _averaged_normals(normals, ab, ba, len(b))
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
-    def both_ways(squares: list[FloatArray]) -> BothWays:
+    def both_ways(squares: list[FloatArray]) -> DirectedValues:
         if not squares:
-            return BothWays()
+            return DirectedValues()
         forth, back = (float(np.mean(s)) for s in squares)
-        return BothWays(forth, back, max(forth, back))
+        return DirectedValues(forth, back, max(forth, back))
 
     d1_mse, d2_mse = both_ways(d1), both_ways(d2)
     return Mpeg(
@@ -238,26 +238,26 @@ def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray)
     return squares
 
 
-class _Choices(NamedTuple):
+class _NearestPoints(NamedTuple):
     """All nearest points of each query: parallel lists of query rows (None: each query once) and point indices."""
 
     rows: IntArray | None
     indices: IntArray
 
 
-def _choices(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _Choices:
+def _all_nearest(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _NearestPoints:
     if not several.any():
-        return _Choices(None, nearest.indices)
+        return _NearestPoints(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
     found = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
     near = np.square(found.distances.reshape(len(tied), -1))
-    which, column = np.nonzero(near - near[:, :1] < _TIE)
+    which, column = np.nonzero(near - near[:, :1] < _TIE_TOLERANCE)
     indices = found.indices.reshape(len(tied), -1)[which, column]
-    return _Choices(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
+    return _NearestPoints(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
 
 
-def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: int) -> FloatArray:
-    """Average, for each b point, the normals of the a points matched to it; if there are none, of its nearest a points."""
+def _averaged_normals(normals_a: FloatArray, ab: _NearestPoints, ba: _NearestPoints, count: int) -> FloatArray:
+    """Average the normals of the a points matched to each b point; if there are none, of its nearest a points."""
     result = _row_means(normals_a if ab.rows is None else normals_a[ab.rows], ab.indices, count)
     lonely = np.bincount(ab.indices, minlength=count) == 0
     of_nearest = normals_a[ba.indices] if ba.rows is None else _row_means(normals_a[ba.indices], ba.rows, count)
@@ -265,7 +265,7 @@ def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: 
     return result
 
 
-def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _Choices) -> FloatArray:
+def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _NearestPoints) -> FloatArray:
     rows, indices = choices
     distances = metrics.plane_distances(
         queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices

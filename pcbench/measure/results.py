@@ -5,6 +5,7 @@ and `completeness` is reference → candidate (r→c: how far the true surface i
 the reference's unit, mean squares in its square. A value that does not exist is None: D2 without normals, or the
 sampling floor of a single point.
 """
+
 from __future__ import annotations
 
 import math

@@ -13,7 +13,7 @@ from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction
-from pcbench.measure.intervals import Sampled, ScoreUncertainty
+from pcbench.measure.intervals import LinearizedScore, ScoreUncertainty
 from pcbench.measure.results import (
     ARROWS,
     BACK,
@@ -29,7 +29,7 @@ from pcbench.measure.results import (
 )
 from pcbench.measure.wording import counted
 
-MIN_PIECES = 10  # independent regions of the scene: with fewer, the correlation length cannot be estimated well
+MIN_INDEPENDENT_REGIONS = 10  # with fewer, the correlation length is poorly known
 _CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # mean that each variant adds over directions
 
 
@@ -44,7 +44,7 @@ class Measurement(NamedTuple):
     """
 
     metrics: Metrics
-    sampled: Mapping[str, Sampled]
+    sampled: Mapping[str, LinearizedScore]
     shares: FloatArray
     warnings: tuple[Notice, ...]
 
@@ -74,10 +74,10 @@ def measure(
     shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
     uneven = shares[FORTH] - shares[BACK]
     means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
-    compared = _sampled(means, thresholds)
-    within = {f"{way}/{_within(t)}": means[way][_within(t)] for way in ways for t in thresholds}
+    compared = _linearized_scores(means, thresholds)
+    within = {f"{way}/{_within_key(t)}": means[way][_within_key(t)] for way in ways for t in thresholds}
     both = 0.5 * (shares[FORTH] + shares[BACK])
-    known = _Known({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
+    known = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
     spreads = _distributions(forth, back)
     ranks = {way: spreads["distance"][way].percentiles or {} for way in ways}
@@ -90,14 +90,16 @@ def measure(
         percentiles_completeness=ranks[BACK],
         spreads=spreads,
     )
-    doubts = _doubts({name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin))
+    doubts = _interval_warnings(
+        {name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin)
+    )
     return Measurement(found, compared, both, tuple(doubts))
 
 
-class _Known(NamedTuple):
+class _ScoreTable(NamedTuple):
     """Linearised scores and their uncertainties by name."""
 
-    sampled: Mapping[str, Sampled]
+    sampled: Mapping[str, LinearizedScore]
     spreads: Mapping[str, ScoreUncertainty]
 
     def estimate(self, name: str) -> Estimate:
@@ -107,7 +109,7 @@ class _Known(NamedTuple):
 
 
 def _directed(
-    ways: Mapping[str, Direction], known: _Known, grids: Mapping[str, voxels.Cells]
+    ways: Mapping[str, Direction], known: _ScoreTable, grids: Mapping[str, voxels.Cells]
 ) -> dict[str, DirectedMetric]:
     """Return the mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
     found = {}
@@ -118,7 +120,7 @@ def _directed(
             continue
         estimates = {}
         for way, direction in ways.items():
-            values = metric.of_each(direction.distances)
+            values = metric.values_of(direction.distances)
             assert values is not None
             area_weighted = metrics.area_weighted_mean(values, grids[way])
             estimates[way] = known.estimate(f"{key}/{way}")._replace(
@@ -129,16 +131,16 @@ def _directed(
     return found
 
 
-def _chamfer(name: str, ways: Mapping[str, Direction], known: _Known) -> Estimate:
+def _chamfer(name: str, ways: Mapping[str, Direction], known: _ScoreTable) -> Estimate:
     floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
     return known.estimate(f"chamfer/{name}")._replace(floor=floor)
 
 
-def _threshold_scores(threshold: float, known: _Known) -> ThresholdScores:
+def _threshold_scores(threshold: float, known: _ScoreTable) -> ThresholdScores:
     return ThresholdScores(
         threshold,
-        precision=known.estimate(f"{FORTH}/{_within(threshold)}"),
-        recall=known.estimate(f"{BACK}/{_within(threshold)}"),
+        precision=known.estimate(f"{FORTH}/{_within_key(threshold)}"),
+        recall=known.estimate(f"{BACK}/{_within_key(threshold)}"),
         fscore=known.estimate(f"fscore/{threshold!r}"),
     )
 
@@ -156,9 +158,11 @@ def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSprea
     }
 
 
-def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
+def _linearized_scores(
+    means: Mapping[str, Mapping[str, LinearizedScore]], thresholds: tuple[float, ...]
+) -> dict[str, LinearizedScore]:
     """Linearise each score that is compared between candidates: means, symmetric maxima, sums and F-scores."""
-    found: dict[str, Sampled] = {}
+    found: dict[str, LinearizedScore] = {}
     forth, back = means[FORTH], means[BACK]
     for metric in MEAN_METRICS:
         key = metric.name
@@ -168,18 +172,18 @@ def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float
                 found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
     for name, key in _CHAMFER.items():
         a, b = forth[key], back[key]
-        found[f"chamfer/{name}"] = Sampled(a.value + b.value, a.influence + b.influence)
+        found[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)
     for threshold in thresholds:
-        p, r = forth[_within(threshold)], back[_within(threshold)]
+        p, r = forth[_within_key(threshold)], back[_within_key(threshold)]
         total = p.value + r.value
         slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
         influence = slopes[0] * p.influence + slopes[1] * r.influence
-        found[f"fscore/{threshold!r}"] = Sampled(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
+        found[f"fscore/{threshold!r}"] = LinearizedScore(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
     return found
 
 
-def _doubts(
-    spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, Sampled], rounding: float
+def _interval_warnings(
+    spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, LinearizedScore], rounding: float
 ) -> Iterator[Notice]:
     """Warn if the scene is too small for reliable intervals of the mean distances; mere rounding is exempt."""
     least = {"mean_distance": rounding, "d2_mse": rounding**2}
@@ -190,14 +194,15 @@ def _doubts(
     }
     if not found:
         return
-    name, worst = min(found.items(), key=lambda item: item[1].pieces)
-    if worst.pieces < MIN_PIECES:
+    name, worst = min(found.items(), key=lambda item: item[1].independent_regions)
+    if worst.independent_regions < MIN_INDEPENDENT_REGIONS:
         over = f"errors are correlated over {worst.reach:.3g}, which leaves" if worst.reach > 0 else "the scene holds"
         metric, _, way = name.partition("/")
+        regions = counted(round(worst.independent_regions), "independent region")
         yield Notice(
             "few-pieces",
-            f"intervals are approximate: {over} about {counted(round(worst.pieces), 'independent region')};"
-            f" reliable intervals need at least {MIN_PIECES} ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
+            f"intervals are approximate: {over} about {regions}; reliable intervals need at least"
+            f" {MIN_INDEPENDENT_REGIONS} ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 
@@ -209,7 +214,7 @@ def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArr
 
 def _means(
     direction: Direction, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
-) -> dict[str, Sampled]:
+) -> dict[str, LinearizedScore]:
     """Linearise each mean of one direction, one quantity at a time to limit memory.
 
     The number of points per cell is random, but the total is fixed. Cells with more points of one cloud than of the
@@ -217,24 +222,24 @@ def _means(
     """
     square = float(uneven @ uneven)
 
-    def mean(values: FloatArray, largest: float = math.inf) -> Sampled:
+    def mean(values: FloatArray, largest: float = math.inf) -> LinearizedScore:
         value = float(np.mean(values))
         influence = np.bincount(direction.cells, values, len(shares)) / len(values) - value * shares
         if square > 0:
             influence = influence - float(uneven @ influence) / square * uneven
-        return Sampled(value, influence, largest)
+        return LinearizedScore(value, influence, largest)
 
-    means: dict[str, Sampled] = {}
+    means: dict[str, LinearizedScore] = {}
     for metric in MEAN_METRICS:
-        values = metric.of_each(direction.distances)
+        values = metric.values_of(direction.distances)
         if values is not None:
             means[metric.name] = mean(values)
     for threshold in thresholds:
-        means[_within(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
+        means[_within_key(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
     return means
 
 
-def _within(threshold: float) -> str:
+def _within_key(threshold: float) -> str:
     return f"within/{threshold!r}"
 
 

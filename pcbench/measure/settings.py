@@ -65,9 +65,9 @@ class Settings:
             raise InputError(f"expected crop as a region or as text, got {self.crop!r}")
         if self.thresholds is not None:
             object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
-        if not _is_whole(self.seed) or self.seed < 0:
+        if not _is_integer(self.seed) or self.seed < 0:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
-        if not _is_whole(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
+        if not _is_integer(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
         check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
@@ -126,5 +126,5 @@ def _positive(values: Any) -> list[float]:
     return numbers
 
 
-def _is_whole(value: Any) -> bool:
+def _is_integer(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
