@@ -3,9 +3,10 @@
 P(Q > x) is the integral of exp(K(t) - t x) / t over 2 pi i, where K(t) = -1/2 sum log(1 - 2 w_i t) is the cumulant
 generating function, along any path from below to above that crosses the real axis between 0 and 1 / (2 max w). A path
 through the saddle point of the integrand (Rice 1980, SIAM J. Sci. Stat. Comput. 1, 438) that follows the steepest
-descent has no oscillations. Thirty nodes of the trapezoidal rule suffice, and the error is relative to the
-tail, however small. Imhof's integral (1961) follows the imaginary axis, where a tail of 1e-8 is the difference of terms
-near one. A scaled chi square with the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
+descent has no oscillations. Thirty nodes of the trapezoidal rule suffice, and the error is relative to the tail,
+however small. Imhof's integral (1961) follows the imaginary axis, where a tail of 1e-8 is the difference of terms near
+one. A scaled chi square with the same two moments (Satterthwaite 1946) is wrong by orders of magnitude at 1e-5.
+"""
 
 from __future__ import annotations
 

@@ -103,10 +103,7 @@ def test_intervals_hold_the_expectation(case):
 
 def test_noise_over_a_third_of_the_scene_is_said():
     def warned(noise):
-        return [
-            "few-independent_regions" in [notice.code for notice in draw(Case("plane", noise), run)[1]]
-            for run in range(8)
-        ]
+        return ["few-pieces" in [notice.code for notice in draw(Case("plane", noise), run)[1]] for run in range(8)]
 
     assert sum(warned("L/2")) >= 6
     assert not any(warned("white"))
