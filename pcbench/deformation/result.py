@@ -53,8 +53,7 @@ class Amplitude:
         p95, max: 95th percentile and maximum of the RMS per cell.
         ci: 95 % confidence interval of `rms`.
         rms_surface: RMS over the surface by area, including walls and rough areas.
-        rms_surface: over the surface by its area, walls and rough places included.
-        ci_surface: 95 % interval of `rms_surface`.
+        ci_surface: 95 % confidence interval of `rms_surface`.
     """
 
     rms: float

@@ -77,7 +77,8 @@ def test_an_answer_in_words(bent):
     size = bent.amplitude
     assert f"{size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS" in said(bent.sentence("a.ply", "m"))
     assert f"{size.rms:.3g} RMS, p < 1e-9" in said(repr(bent))
-    unanswered = Deformation.unanswered(Notice("few-pairs", "12 pairs of points: too few to tell a bend from noise"))
+    text = "only 12 pairs of points: too few to distinguish a deformation from noise"
+    unanswered = Deformation.unanswered(Notice("few-pairs", text))
     said(unanswered.sentence("a.ply"), masked=False)
     said(repr(unanswered))
 
