@@ -11,7 +11,7 @@ from wording import said
 
 from pcbench import Cloud
 from pcbench.deformation import Side, deform, residual_deformation
-from pcbench.deformation.blocks import noise_sizes, smoothed
+from pcbench.deformation.blocks import noise_sizes, smooth
 from pcbench.deformation.sums import kernel_sums
 from pcbench.errors import Notice
 from pcbench.geometry.neighbors import Index
@@ -105,7 +105,7 @@ def test_sizes_of_uneven_noise_come_back():
     true = 0.05 * 2 ** (places[:, 0] / 100)
     residuals = true * rng.normal(size=20_000)
     weights = np.ones(20_000)
-    local = np.sqrt(smoothed(places, np.square(residuals), weights))
+    local = np.sqrt(smooth(places, np.square(residuals), weights))
     assert np.max(np.abs(local / true - 1)) < 0.25
     moved = np.hypot(*(places[:, :2] - 30).T) < 25  # a twentieth of the scene
     residuals[moved] += 10.0
