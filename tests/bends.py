@@ -122,7 +122,7 @@ class Scene:
         field = waves @ rng.normal(size=(waves.shape[1], 3)).astype(np.float32)
         return cell.correlated * SIGMA * (field * self.normals).sum(axis=1) + rng.normal(0, SIGMA, len(self.places))
 
-    def assess_deformation(self, residuals: np.ndarray) -> Judged:
+    def judge(self, residuals: np.ndarray) -> Judged:
         g = self.geometry
         sums = np.add.reduceat(self.columns[self.order] * residuals[self.order][:, None, None], self.starts)
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
@@ -175,7 +175,7 @@ class Halves:
         classes = cloud.attributes["classification"]
         return Cloud(points[which], unit=cloud.unit, attributes={"classification": classes[which]})
 
-    def assess_deformation(self, kind: str | None, times: float) -> tuple[Deformation, float]:
+    def judge(self, kind: str | None, times: float) -> tuple[Deformation, float]:
         """The answer where the candidate is bent, and the error of the field that comes back as a share of its RMS:
         along normals, beyond an affine field, which is `times` the noise. Of a bend that normals hardly show all of it
         has that size: nobody could find it.

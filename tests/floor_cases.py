@@ -55,7 +55,7 @@ def measured(case: Case, runs: int) -> Means:
         candidate = candidate + size * rng.normal(size=(len(candidate), 1)) * normals
         for way, direction in enumerate(directions(reference, candidate, Settings(seed=run))):
             for column, metric in enumerate(MEAN_METRICS):
-                values, floor = metric.of_each(direction.distances), direction.floors[metric.name]
+                values, floor = metric.values_of(direction.distances), direction.floors[metric.name]
                 assert values is not None
                 assert floor is not None
                 scores[way, column] += np.mean(values) / runs

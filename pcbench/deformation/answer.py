@@ -1,4 +1,4 @@
-"""The verdict with its sizes, from the sums over pairs."""
+"""From the sums over pairs to a `Deformation`."""
 
 from __future__ import annotations
 
@@ -8,42 +8,35 @@ from dataclasses import replace
 from pcbench.deformation.field import CellDisplacements, local_changes
 from pcbench.deformation.model import TILE
 from pcbench.deformation.polynomials import PARAMETERS
-from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, rounded
+from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, round_to_six_digits
 from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
 from pcbench.deformation.sums import TileSums
 from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
 
 
-def assess_deformation(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """Return the verdict on a pair of clouds.
+def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
+    """Assess the deformation of a pair of clouds.
 
     Args:
-        sums: sums over the pairs of points.
-        metric: whether the scale of both clouds is known; otherwise a difference of scale is no deformation.
-        resolution: deformations that are certainly smaller count as none, because tangent planes through a finite
-            spacing do not show them.
-        seed: random seed for the folds of cross-validation.
+        sums: sums over the pairs.
+        metric: whether the scale of both clouds is known; otherwise a difference in scale is not a deformation.
+        resolution: smallest deformation that counts, in the clouds' unit: tangent planes through sparse points cannot
+            resolve smaller ones.
+        seed: random seed for the folds of the cross-validation.
     """
     view = PairEvidence.of(sums)
     return describe(view, decide([view], metric=metric, resolution=resolution), resolution=resolution, seed=seed)
 
 
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
-    """Return a finding with its size, its location and its detection limit.
-
-    Args:
-        view: the evidence of one kind of pairs.
-        finding: the verdict.
-        resolution: as in `assess_deformation`.
-        seed: as in `assess_deformation`.
-    """
+    """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
     sums, geometry, scores, noise = view
     rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
     changed, length, local = local_changes(geometry, noise, sums, resolution)
     remaining = sums.energy.sum() - geometry.explained(scores, finding.model)
-    answer: Deformation = rounded(
+    answer: Deformation = round_to_six_digits(
         Deformation(
             verdict=finding.verdict,
             model=finding.model,

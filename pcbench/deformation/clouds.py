@@ -1,4 +1,4 @@
-"""`pcbench.deform`: registers two clouds and tests the remaining differences for deformation."""
+"""From two clouds to a `Deformation`: register, crop, and test the residuals."""
 
 from __future__ import annotations
 
@@ -26,22 +26,18 @@ def deform(
     crop: Region | str = "none",
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
-    """Register a candidate, and test whether it is deformed, by how much, and where.
+    """Register a candidate and test whether it is deformed beyond that, by how much and where.
 
     Args:
-        reference: a cloud, an (N, 3) array, or the path of a file.
-        candidate: the same. Without a unit or a coordinate system its scale is unknown, and a difference of scale is no
-            deformation.
-        method: the registration method or a known pose, as in `pcbench.register`.
-        crop: the region to use, in the reference's coordinates, or its text, see
-            `pcbench.geometry.region_text.parse_region`. Closest points may lie outside.
-        seed: random seed for the folds of cross-validation, a whole number >= 0.
-
-    Returns:
-        The registration, and the verdict with sizes in the reference's unit.
+        reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds. Without a unit or a coordinate
+            system the scale is unknown, and a difference in scale is not a deformation.
+        method: registration method, or the pose itself, as for `pcbench.register`.
+        crop: region to assess, in the reference's coordinates, or its text, see
+            `pcbench.geometry.region_text.parse_region`. Closest points are still searched outside.
+        seed: random seed for the folds of the cross-validation, an integer >= 0.
 
     Raises:
-        InputError: a cloud, the seed or the region is invalid, or the region has no points of one cloud.
+        InputError: a cloud, the seed or the region is not usable, or the region holds no points of either cloud.
         RegistrationError: the clouds do not overlap.
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
@@ -49,11 +45,11 @@ def deform(
     reference, candidate = to_cloud(reference), to_cloud(candidate)
     origin = local_origin(reference)
     target = Target.of(reference, origin)
-    registration = register(reference, candidate, method, target=target)
-    aligned = Surface(Index(registration.T_local.apply(candidate.points - origin)))
+    found = register(reference, candidate, method, target=target)
+    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
     region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)
     sides = []
     for name, points, cloud in (("reference", target.surface, reference), ("candidate", aligned, candidate)):
         sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s"), cloud))
-    return registration, residual_deformation(sides[0], sides[1], registration, origin, seed=seed)
+    return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)

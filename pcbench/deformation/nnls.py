@@ -1,7 +1,7 @@
 """Non-negative least squares.
 
-scipy.optimize.nnls returns the same numbers (a test holds it to 1e-9), but importing scipy.optimize costs 0.6 CPU
-seconds, a seventh of what a comparison of the paper's size takes; nothing else in a comparison needs scipy.
+The result equals that of scipy.optimize.nnls (a test requires 1e-9). Importing scipy.optimize costs 0.6 CPU seconds, a
+seventh of a comparison of the paper's size, and nothing else in a comparison needs scipy.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 
 
 def nonnegative_least_squares(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the x (N,) >= 0 that minimises |matrix x - values|, for a matrix (M, N) and values (M,).
+    """Minimise |matrix x - values| over x >= 0, for a matrix (M, N) and values (M,); return x (N,).
 
     The active-set method of Lawson & Hanson 1974, chapter 23.
     """

@@ -1,8 +1,8 @@
-"""Pairs of points and tangent planes of two aligned clouds, on which a deformation is measured.
+"""Find the pairs of points and tangent planes on which a deformation is measured.
 
-Weights are determined under the largest model and then frozen: a robust fit that starts from the rigid model would
-reject a deformation of many standard deviations as outliers. Closest points are found twice, under the largest model
-and under none, because in a volume closest points seem to confirm any assumed deformation.
+Weights are found under the largest model and then frozen. A robust fit that starts from the rigid model would treat a
+deformation of many standard deviations as outliers and miss it. Closest points are found twice, under that model and
+without one: in a volume such as a forest, closest points seem to confirm any assumed deformation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.blocks import estimate_noise_sizes, smooth
+from pcbench.deformation.blocks import noise_sizes, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -26,17 +26,19 @@ _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_MAX_LAST_FITS = 12  # needed only if a part moved separately
-_LAST_HALF_INFORMATION = 1e-4  # relative
-_CONVERGENCE_SHARE = 0.01  # of the noise
-_TUKEY_WIDTH = 4.685  # standard deviations; 95 % efficient for normal residuals
-_MIN_SLOPE = 0.2  # mean slope of the influence function; below it, nearly all residuals are outliers
-CELLS_ALONG = 16  # initial number along the scene's extent
-_MIN_TILES = 60  # cells become smaller until there are as many tiles
-_MAX_CELLS = 480  # more cost time without a gain
-_POSITION_NEIGHBORS = 8  # a pair's position is their mean
-_VARIATION_RATIO = 4.0  # to the lower quartile of the surface variation; a pair with this ratio has weight 1/4
-_MAX_VARIATION = 0.005  # surface variation at which a pair has at most weight 1/4, in any scene
+_MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = (
+    12,
+    1e-4,
+)  # usually far fewer fits
+_CONVERGENCE_TOLERANCE = 0.01  # convergence tolerance, in standard deviations of the noise
+_TUKEY_CONSTANT = 4.685  # standard deviations: 95 % efficiency for normal residuals
+_MIN_INFLUENCE_SLOPE = 0.2  # minimum mean slope of the influence function: below it, nearly all pairs are outliers
+CELLS_ALONG = 16  # initial number of cells along the scene's extent
+_MIN_TILES = 60  # tiles aimed for
+_MAX_CELLS = 480  # more cells cost time without adding information
+_POSITION_NEIGHBORS = 8  # points averaged for a position
+_ROUGHNESS_RATIO = 4.0  # times the lower quartile of the variation: such a pair has a quarter of the weight
+_MAX_VARIATION = 0.005  # surface variation at which a pair has at most a quarter of the weight: not a plane
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
@@ -45,9 +47,9 @@ class Side:
     """One cloud of the pair, in the reference's coordinates minus the local origin.
 
     Attributes:
-        surface: its points and normals.
-        inside: (N,) whether a point can be a query; all points are searched.
-        cloud: the original cloud with classes, coordinate system and unit.
+        surface: points and normals.
+        inside: (N,) points that may be queries; all points are searched.
+        cloud: the cloud as it was read: classes, coordinate system, unit.
     """
 
     surface: Surface
@@ -56,11 +58,11 @@ class Side:
 
     @property
     def is_metric(self) -> bool:
-        """Whether the unit of the cloud is known."""
+        """Whether the scale is known, from a unit or a coordinate system."""
         return self.cloud.unit is not None or self.cloud.crs is not None
 
     def class_weights(self, rows: IntArray) -> FloatArray:
-        """Return the weights (M,) of points by LAS class; 1 without classes."""
+        """Return (M,) weights of points by LAS class; 1 without classes."""
         classes = self.cloud.attributes.get("classification")
         if classes is None:
             return np.ones(len(rows))
@@ -72,25 +74,25 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """N pairs with frozen residuals and weights.
+    """Frozen pairs, N of them.
 
-    Pseudo-values (Huber 1981, section 7.10) limit outliers: least squares with these residuals and weights gives the
-    robust fit, and the residuals have the variance of that fit. Weights that depend on residuals would not: they reduce
-    the moments of the residuals but not the variance of the fit (by 1.46 for normal residuals).
+    Outliers are limited by pseudo-values (Huber 1981, section 7.10): with these residuals and weights, least squares
+    gives the robust fit, and its residuals have the variance of that fit. Weights that depend on residuals do not: they
+    shrink the moments of the residuals but not the variance of the fit (by 1.46 for normal residuals).
 
     Attributes:
         places: (N, 3) positions.
         normals: (N, 3) unit normals of the planes.
-        residuals: (N,) n . (p - q), with limited outliers.
+        residuals: (N,) n . (p - q), outliers limited.
         weights: (N,) from 0 to 1.
-        scales: (N,) relative sizes of the noise, about 1.
-        left: (N,) residuals of the largest model, with limited outliers.
-        apart: (N,) residuals of the largest model, as measured.
-        quality: (N,) the part of the weights that does not depend on the residuals.
-        areas: (N,) relative area of surface that each pair represents.
-        inliers: share of the pairs within the range of the robust fit.
-        rough: share of the pairs on rough surface.
-        spacing: spacing of the points from which the planes are estimated.
+        scales: (N,) relative scale of the noise, about 1.
+        left: (N,) residuals from the largest model, outliers limited.
+        apart: (N,) residuals from the largest model, as measured.
+        quality: (N,) factor of the weights that does not depend on the residuals.
+        areas: (N,) surface area that each pair represents, in any unit.
+        inliers: share of the pairs within the support of Tukey's biweight.
+        rough: share of the pairs that are not on a smooth surface.
+        spacing: spacing of the points that define the planes.
         distance: median distance of the closest points.
     """
 
@@ -110,27 +112,27 @@ class Pairs:
 
 
 def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pair evenly sampled points of the sparser cloud with tangent planes at their closest points of the denser cloud.
+    """Pair evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
 
-    The maximum correspondence distance decreases while the largest model is fitted; then Tukey's biweight selects
-    inliers.
+    The maximum correspondence distance shrinks while the largest model is fitted; then Tukey's biweight sets the
+    weights.
 
     Args:
         reference: the reference.
-        candidate: the candidate.
-        follow: whether closest points are searched after the fitted model is undone; otherwise the points are used as
-            they are.
+        candidate: the aligned candidate.
+        follow: whether closest points are searched after the model's displacement is removed, or at the points as they
+            are.
 
     Returns:
-        The pairs, or None if there are too few.
+        The pairs; None if there are too few.
     """
     swapped = len(candidate.surface) > len(reference.surface)
     queries, surface = (reference, candidate) if swapped else (candidate, reference)
     sign = -1.0 if swapped else 1.0  # query minus closest point, times the sign: candidate minus reference
-    selection = _select_queries(queries, surface)
-    if selection is None:
+    spread = _spread_queries(queries, surface)
+    if spread is None:
         return None
-    rows, max_distance = selection
+    rows, max_distance = spread
     fitted = _graduated_fit(queries, surface, rows, max_distance, sign=sign, follow=follow)
     if fitted is None:
         return None
@@ -139,7 +141,7 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
 
 
 class _PlanePairs(NamedTuple):
-    """N closest points within the maximum correspondence distance, with their weights."""
+    """Closest points within the maximum correspondence distance, N pairs, with their weights."""
 
     queries: FloatArray  # (N, 3) points of the sparser cloud
     closest: IntArray  # (N,) rows of the denser cloud
@@ -153,8 +155,8 @@ class _PlanePairs(NamedTuple):
     noise: float  # robust standard deviation of the residuals from the model
 
 
-def _select_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
-    """Return indices of evenly sampled points that may have a counterpart, and the initial maximum distance."""
+def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
+    """Select evenly spread points that may have a counterpart, and the initial maximum correspondence distance."""
     rows = np.flatnonzero(queries.inside)
     if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
         return None
@@ -162,8 +164,8 @@ def _select_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | No
     if extent(points) == 0 or surface.surface.spacing == 0:
         return None  # all points coincide
     rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
-    # The nearest tenth lies on the surface even for a small overlap, and deformations are a few times as large. Voxel
-    # downsampling over-represents outliers, which fill space: distant points are dropped before the limit applies.
+    # The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
+    # downsampling favours outliers, which fill space, so distant points are removed before the final selection.
     distances = surface.surface.index.query(queries.surface.points[rows]).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
     max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
@@ -178,17 +180,17 @@ def _graduated_fit(
     points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
-    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
+    field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     min_distance = 4 * surface.surface.spacing
-    for round_index in range(_ROUNDS):
-        final = round_index >= _ROUNDS - 3
-        sample = rows if final else rows[::step]
-        matches = _closest_planes(queries, surface, sample, field, max_distance, sign=sign, follow=follow, final=final)
-        if matches is None or not matches.weights.any():
+    for number in range(_ROUNDS):
+        final = number >= _ROUNDS - 3
+        some = rows if final else rows[::step]
+        found = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
+        if found is None or not found.weights.any():
             return None
-        pairs = matches
-        field = field.fit(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
-        narrower = 0.6 * max_distance if round_index < _ROUNDS - 4 else 0.0
+        pairs = found
+        field = field.fitted(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
+        narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
     return pairs, field
 
@@ -204,33 +206,33 @@ def _closest_planes(
     follow: bool,
     final: bool,
 ) -> _PlanePairs | None:
-    """Pair query points with tangent planes within a distance and weight them; None if there are too few pairs.
+    """Pair query points with tangent planes within a distance, with weights; None if there are too few.
 
     Args:
         queries: the sparser cloud.
         surface: the denser cloud.
-        rows: indices of the query points.
+        rows: rows of the query points.
         field: the current model.
-        max_distance: the maximum correspondence distance.
-        sign: 1 if the queries are the candidate, -1 if they are the reference.
-        follow: whether closest points are searched after the model is undone.
-        final: whether the weights follow the local noise; in earlier rounds nearly all pairs within the distance count.
+        max_distance: maximum correspondence distance.
+        sign: factor that turns query minus closest point into candidate minus reference.
+        follow: whether closest points are searched after the model's displacement is removed.
+        final: whether the weights use the local noise; before, nearly all pairs within the distance count.
     """
     points, index = queries.surface.points[rows], surface.surface.index
-    displacement = field(points)
-    distances, closest = index.query(points - sign * displacement if follow else points)
+    bend = field(points)
+    distances, closest = index.query(points - sign * bend if follow else points)
     near = np.flatnonzero(distances <= max_distance)
     if len(near) < MIN_PAIRS:
         return None
     points, closest = points[near], closest[near]
     normals = surface.surface.normals(closest)
     residuals = sign * np.einsum("ni,ni->n", points - index.points[closest], normals)
-    deviations = residuals - np.einsum("ni,ni->n", displacement[near], normals)
-    noise = 1.4826 * float(np.median(np.abs(deviations)))
+    left = residuals - np.einsum("ni,ni->n", bend[near], normals)
+    noise = 1.4826 * float(np.median(np.abs(left)))
     variation = surface.surface.variation(closest)
     quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
-    sizes = estimate_noise_sizes(points, deviations, quality) if final else np.full(len(deviations), noise)
-    width = np.maximum(_TUKEY_WIDTH * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
+    sizes = noise_sizes(points, left, quality) if final else np.full(len(left), noise)
+    width = np.maximum(_TUKEY_CONSTANT * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,
         closest,
@@ -240,25 +242,25 @@ def _closest_planes(
         quality,
         variation,
         width,
-        weights=quality * np.square(1 - _squared_ratios(deviations, width)),
+        weights=quality * np.square(1 - _squared_ratios(left, width)),
         noise=noise,
     )
 
 
 def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
-    """Return squared residuals (N,) relative to the width of Tukey's biweight, at most 1, where the weight is zero."""
+    """Squared ratios (N,) of residuals to the width of Tukey's biweight, clamped to 1, where the weight is zero."""
     squared: FloatArray = np.square(np.clip(left / width, -1, 1))
     return squared
 
 
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
-    """Return the robust fit to fixed pairs as pseudo-values for least squares."""
+    """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places = _local_means(surface.index, pairs.closest)
     quality = pairs.quality
-    fitted, left = _last_fit(pairs, field, places)
+    fitted, left = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
-    slopes = (1 - squared) * (1 - 5 * squared)  # of Tukey's influence function left * (1 - squared)^2
-    mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_SLOPE)
+    slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
+    mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
     power = smooth(pairs.queries, np.square(limited), quality)
     return Pairs(
@@ -279,35 +281,36 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
 
 
 def _local_means(index: Index, rows: IntArray) -> FloatArray:
-    """Return the mean (N, 3) of the nearest neighbours of each of the points (N,) of an index.
+    """Return means (N, 3) of the nearest neighbours of rows (N,) of an index.
 
-    A point's noise is part of its residual. Its position comes from its neighbours, so that noise does not look like a
-    slope.
+    The noise of a point is in its residual. Positions come from its neighbours, so that noise does not look like slope.
     """
     around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index))).indices[:, 1:]
     means: FloatArray = index.points[around].mean(axis=1)
     return means
 
 
-def _last_fit(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the fitted displacement along the normals (N,) and the residuals (N,), by reweighted least squares.
+def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit by iteratively reweighted least squares; return the model along the normals (N,) and the residuals (N,).
 
-    Damping is weak here, because no further closest points are searched.
+    Damping is minimal, because no further closest points are searched.
     """
     weights = pairs.weights
     left = np.full(len(pairs.residuals), np.inf)
-    for _ in range(_MAX_LAST_FITS):
-        field = field.fit(places, pairs.normals, pairs.residuals, weights, pairs.noise, _LAST_HALF_INFORMATION)
+    for _ in range(_MAX_FINAL_FITS):
+        field = field.fitted(
+            places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION
+        )
         fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
-        previous, left = left, pairs.residuals - fitted
-        if np.abs(left - previous).max() <= _CONVERGENCE_SHARE * pairs.noise:
+        before, left = left, pairs.residuals - fitted
+        if np.abs(left - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
             break
         weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
     return fitted, left
 
 
 def tile_sums(pairs: Pairs) -> TileSums:
-    """Return the sums over cells, with cells small enough for about 60 tiles."""
+    """Sum pairs over cells as large as the scene allows: about 60 tiles of two cells' edge."""
     counted = pairs.places[pairs.weights > 0]
     lower, upper = np.percentile(counted, [1, 99], axis=0)
     span = float((upper - lower).max())
@@ -338,17 +341,14 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 
 def _smoothness(variation: FloatArray) -> FloatArray:
-    """Return weights (M,) from surface variation.
-
-    Edges, foliage, and points much rougher than the smoothest quarter of the scene have low weights.
-    """
-    limit = min(_MAX_VARIATION, _VARIATION_RATIO * max(float(np.percentile(variation, 25)), 1e-6))
+    """Return weights (M,) of surface points: edges, foliage and points rougher than the smooth quarter count less."""
+    limit = min(_MAX_VARIATION, _ROUGHNESS_RATIO * max(float(np.percentile(variation, 25)), 1e-6))
     weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
     return weights
 
 
 def _areas(points: FloatArray) -> FloatArray:
-    """Return the relative area (N,) that each point represents; voxels of two spacings have about equal area."""
+    """Return (N,) relative surface areas of points: voxels of two spacings contain about equal areas."""
     side = 2 * median_spacing(Index(points))
     if side == 0:
         return np.ones(len(points))

@@ -1,8 +1,8 @@
-"""Polynomial displacement fields: monomials, their products, and the nested models.
+"""Polynomial displacement fields: monomials, their products, and the five nested models.
 
 A field is u(x) = sum_a c_a phi_a(x), with one coefficient vector (3,) for each of the 20 monomials phi of degree up to
-three. Coefficients are stored as (60,), the three components of each monomial together, sorted by degree: the first 12
-are the affine fields, the first 30 the quadratic ones.
+three. Coefficients are stored as (60,), the three components of a monomial together, monomials by degree: the first
+12 span the affine fields, the first 30 the quadratic ones.
 """
 
 from __future__ import annotations
@@ -26,25 +26,28 @@ def _exponents(degree: int) -> IntArray:
 
 
 EXPONENTS = _exponents(DEGREE)  # (20, 3)
-_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): exponents of products of two monomials
-_INDEX = {tuple(powers): index for index, powers in enumerate(_PRODUCTS.tolist())}
-# Each monomial is an earlier one times a coordinate: (index, axis).
-_STEPS = [
-    (_INDEX[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
+_PRODUCTS = _exponents(2 * DEGREE)  # (84, 3): all products of two monomials
+_MONOMIAL_INDEX = {tuple(powers): place for place, powers in enumerate(_PRODUCTS.tolist())}
+# Each monomial is an earlier one times a coordinate: (index of the earlier one, axis).
+_RECURRENCE = [
+    (_MONOMIAL_INDEX[tuple(p - (k == axis) for k, p in enumerate(powers))], axis)
     for powers in _PRODUCTS[1:].tolist()
     for axis in [next(k for k in range(3) if powers[k])]
 ]
-_PRODUCT = np.array([[_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])  # (20, 20) -> 84
-_ENTRY = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_ONE_GROUP = np.zeros(1, dtype=np.int64)
+# (20, 20) -> 84
+_PRODUCT_INDEX = np.array(
+    [[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS]
+)  # (20, 20) -> 84
+_SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
+_ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
 
 def monomials(places: FloatArray) -> FloatArray:
-    """Return the values (20, N) of the monomials at positions (N, 3)."""
+    """Evaluate the monomials at positions (N, 3); return (20, N)."""
     values = np.empty((len(EXPONENTS), len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
-    for row, (earlier, axis) in enumerate(_STEPS[: len(EXPONENTS) - 1], 1):
+    for row, (earlier, axis) in enumerate(_RECURRENCE[: len(EXPONENTS) - 1], 1):
         np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
@@ -52,65 +55,65 @@ def monomials(places: FloatArray) -> FloatArray:
 def normal_equations(
     places: FloatArray, normals: FloatArray, weights: FloatArray, residuals: FloatArray, starts: IntArray = _ONE_GROUP
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the moments and scores of the normal equations of a cubic field for groups of pairs.
+    """Accumulate the normal equations of a cubic field for each group of pairs.
 
-    The gradient of the residual with respect to the coefficients is phi (x) n. Each entry of the (60, 60) normal matrix
-    is therefore a sum of a monomial of degree up to six times an entry of n n': 504 values instead of 1830.
+    The gradient of the residual with respect to the coefficients is phi(x) n. Each entry of the (60, 60) normal matrix
+    is thus the sum of a monomial of degree up to six times an entry of n n': 504 values instead of 1830.
 
     Args:
-        places: (N, 3) positions.
+        places: (N, 3) positions, scaled to about -1 to 1.
         normals: (N, 3) unit normals.
         weights: (N,) weights.
-        residuals: (N,) residuals.
-        starts: (G,) index of the first pair of each group.
+        residuals: (N,) residuals along the normals.
+        starts: (G,) first row of each group.
 
     Returns:
-        Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, their right side.
+        Moments (G, 84, 6), sums of w phi_a phi_b n n', and scores (G, 20, 3), sums of w phi n r, the right-hand side.
     """
     moments = np.empty((len(starts), len(_PRODUCTS), 6))
     scores = np.empty((len(starts), len(EXPONENTS), 3))
     places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
-    _core.normal_equations(places, normals, weights, residuals, starts, np.array(_STEPS), moments, scores)
+    _core.normal_equations(places, normals, weights, residuals, starts, np.array(_RECURRENCE), moments, scores)
     return moments, scores
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:
-    """Return the normal matrix (..., 60, 60) from moments (..., 84, 6)."""
-    blocks = moments[..., _PRODUCT[:, :, None, None], _ENTRY[None, None]]  # (..., 20, 20, 3, 3)
+    """Assemble the normal matrix (..., 60, 60) from moments (..., 84, 6)."""
+    blocks = moments[..., _PRODUCT_INDEX[:, :, None, None], _SYMMETRIC_INDEX[None, None]]  # (..., 20, 20, 3, 3)
     size = 3 * len(EXPONENTS)
     matrix: FloatArray = np.swapaxes(blocks, -3, -2).reshape(*moments.shape[:-2], size, size)
     return matrix
 
 
 def translation_columns(moments: FloatArray) -> FloatArray:
-    """Return the columns (..., 60, 3) of `normal_matrix` that belong to a translation."""
-    blocks = moments[..., _PRODUCT[:, 0, None, None], _ENTRY[None]]  # (..., 20, 3, 3)
+    """Return the columns (..., 60, 3) of `normal_matrix` for a common translation."""
+    blocks = moments[..., _PRODUCT_INDEX[:, 0, None, None], _SYMMETRIC_INDEX[None]]  # (..., 20, 3, 3)
     columns: FloatArray = blocks.reshape(*moments.shape[:-2], 3 * len(EXPONENTS), 3)
     return columns
 
 
-def gram(moments: FloatArray) -> FloatArray:
-    """Return the sums (20, 20) of w phi_a phi_b, by the trace of n n', which is 1."""
-    sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT]
+def gram_matrix(moments: FloatArray) -> FloatArray:
+    """Return the Gram matrix (20, 20) of the monomials, sums of w phi_a phi_b, using that n n' has trace one."""
+    sums: FloatArray = moments[:, :3].sum(axis=1)[_PRODUCT_INDEX]
     return sums
 
 
-def derivative_squares(squares: FloatArray) -> FloatArray:
-    """Return the mean squared gradients (20,) of the monomials from their mean products (20, 20)."""
-    row = {tuple(powers): index for index, powers in enumerate(EXPONENTS.tolist())}
-    gradients = np.zeros(len(EXPONENTS))
-    for index, powers in enumerate(EXPONENTS.tolist()):
+def mean_squared_gradients(squares: FloatArray) -> FloatArray:
+    """Return (20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
+    row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
+    found = np.zeros(len(EXPONENTS))
+    for number, powers in enumerate(EXPONENTS.tolist()):
         for axis in range(3):
             if powers[axis]:
                 lower = row[tuple(p - (k == axis) for k, p in enumerate(powers))]
-                gradients[index] += powers[axis] ** 2 * squares[lower, lower]
-    return gradients
+                found[number] += powers[axis] ** 2 * squares[lower, lower]
+    return found
 
 
 def model_columns(model: str) -> FloatArray:
-    """Return the coefficients (60, P) of the fields of a model.
+    """Return (60, P) coefficients of the fields that span a model.
 
-    Rotations are linearised as e x x, which suffices for registered pairs.
+    Rotations are linearised (e x x), which suffices for a pair that is nearly registered.
     """
     size = 3 * len(EXPONENTS)
     if model not in ("rigid", "similarity"):
@@ -130,10 +133,10 @@ def model_columns(model: str) -> FloatArray:
 
 
 def mean_and_spread(moments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean position (..., 3) and the mean squared distance from it (...,) from moments (..., 84, 6)."""
+    """Mean position (..., 3) and mean squared distance from it (...,) of the pairs in moments (..., 84, 6)."""
     sums = moments[..., :3].sum(axis=-1)
     weight = np.maximum(sums[..., 0], 1e-300)
     axes = np.eye(3, dtype=int)
-    mean = np.stack([sums[..., _INDEX[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
-    squares = sum(sums[..., _INDEX[tuple((2 * axis).tolist())]] for axis in axes) / weight
+    mean = np.stack([sums[..., _MONOMIAL_INDEX[tuple(axis.tolist())]] / weight for axis in axes], axis=-1)
+    squares = sum(sums[..., _MONOMIAL_INDEX[tuple((2 * axis).tolist())]] for axis in axes) / weight
     return mean, np.maximum(squares - np.square(mean).sum(axis=-1), 0.0)

@@ -1,4 +1,4 @@
-"""The verdict on two aligned clouds."""
+"""From two aligned clouds to a `Deformation`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcbench.deformation.answer import describe
-from pcbench.deformation.breaks import find_offset_parts
+from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import projected_share
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
@@ -20,105 +20,106 @@ from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
 
-_RESOLUTION_SPACINGS = 5e-3  # smallest deformation, in spacings of the points of the tangent planes
-_MIN_GAIN_SHARE = 0.1  # of the median distance, by which the assumed deformation brings the clouds closer
-_MAX_MOVED_SHARE = 0.1  # of the cells; if more moved, they are not exceptions
-_MIN_MOVED_SIGMAS = 3.0  # displacement of a moved cell, in standard deviations of a pair's noise
-_MAX_REMOVALS = 3
-_MAX_ROUGH_SHARE = 0.9  # of the pairs; a city sampled at metres consists mostly of corners and edges
-_MIN_INLIER_SHARE = 0.85
-_MAX_DISTANCE_SPACINGS = 1.25  # median distance of closest points
-_MIN_MAP_COORDINATE = 1e5  # larger coordinates look like those of a map
-_EARTH_RADIUS_M = 6.37e6
-_DOUBTFUL_REGISTRATION = "doubtful-registration"
+_RESOLUTION_SPACINGS = 5e-3  # smallest deformation that counts, in spacings of the points that define the planes
+_MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which the pairs disagree
+_MAX_MOVED_SHARE = 0.1  # maximum share of the cells to exclude as moved
+_MOVED_SIGMAS, _MAX_EXCLUSION_PASSES = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
+_MAX_ROUGH_SHARE = 0.9  # share of rough pairs: at a spacing of metres, most of a city is corners and edges
+_MIN_INLIER_SHARE, _MAX_DISTANCE_SPACINGS = (
+    0.85,
+    1.25,
+)  # of the pairs of registered clouds
+_MIN_MAP_COORDINATE = 1e5  # larger coordinates are probably those of a map projection
+_EARTH_RADIUS = 6.37e6  # metres
+_DOUBTFUL = "doubtful-registration"
 
 
 def residual_deformation(
     reference: Side, candidate: Side, registration: Registration, origin: FloatArray, *, seed: int = 0
 ) -> Deformation:
-    """Return the deformation between two registered clouds.
+    """Test what a rigid, a similarity or an affine motion leaves between two registered clouds.
 
     Args:
         reference: the reference, in its coordinates minus `origin`.
-        candidate: the registered candidate, in the same coordinates.
-        registration: the registration of the candidate; a scale that it estimated is no deformation.
-        origin: (3,) the local origin.
-        seed: random seed for the folds of cross-validation.
+        candidate: the aligned candidate, in the same coordinates.
+        registration: registration of the candidate; a scale that it solved for is not a deformation.
+        origin: (3,) local origin.
+        seed: random seed for the folds of the cross-validation.
     """
     pairs = find_pairs(reference, candidate)
     if pairs is None or np.count_nonzero(pairs.weights) < MIN_PAIRS or extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
-        text = f"{count} pairs of points are too few to distinguish a deformation from noise"
-        return Deformation.without_evidence(Notice("few-pairs", text))
+        text = f"only {count} pairs of points: too few to distinguish a deformation from noise"
+        return Deformation.unanswered(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = _RESOLUTION_SPACINGS * pairs.spacing
-    complete = [PairEvidence.of(tile_sums(pairs))]
-    views = [without_moved(complete[0], resolution)]
+    wholes = [PairEvidence.of(tile_sums(pairs))]
+    views = [exclude_moved_cells(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
-        # The deformation must also appear without having been assumed.
-        unassumed = find_pairs(reference, candidate, follow=False)
-        if unassumed is not None:
-            unassumed, _ = _without_map_projection(unassumed, reference, candidate, registration, origin)
-            complete.append(PairEvidence.of(tile_sums(unassumed)))
-            views.append(without_moved(complete[1], resolution))
+        # A claim has to hold without the model being assumed.
+        plain = find_pairs(reference, candidate, follow=False)
+        if plain is not None:
+            plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
+            wholes.append(PairEvidence.of(tile_sums(plain)))
+            views.append(exclude_moved_cells(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
-            if finding.verdict == "none" and pairs.distance < (1 - _MIN_GAIN_SHARE) * unassumed.distance:
-                text = "an assumed deformation brings the clouds closer, but closest points alone do not show it"
+            if finding.verdict == "none" and pairs.distance < (1 - _MIN_DISTANCE_GAIN) * plain.distance:
+                text = "a deformation brings the clouds closer together, but unmodified closest points do not show it"
                 finding = finding.undecided(Notice("pairs-disagree", text))
     if finding.verdict == "undecided" and pairs.rough > _MAX_ROUGH_SHARE:
-        text = f"{pairs.rough:.0%} of the pairs are on rough surface, where displacements cannot be observed"
+        text = f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement"
         finding = finding.undecided(Notice("rough-places", text))
-    offset_parts = find_offset_parts(views[-1])
-    if offset_parts is not None:
-        finding = finding.undecided(Notice("parts-displaced", offset_parts.text(origin)))
+    broken = find_break(views[-1])
+    if broken is not None:
+        finding = finding.undecided(Notice("parts-displaced", broken.text(origin)))
     finding = _with_registration(finding, registration, pairs)
-    # A deformation is described by the pairs found under it; if these were wrong, the other pairs are right.
-    index = -1 if finding.verdict == "none" else 0
-    described, whole = views[index], complete[index]
+    # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
+    which = -1 if finding.verdict == "none" else 0
+    described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
-    if finding.verdict == "undecided" and finding.warnings[0].code in (_DOUBTFUL_REGISTRATION, POSE_NOT_FIXED):
-        answer = answer.without_sizes()
+    if finding.verdict == "undecided" and finding.warnings[0].code in (_DOUBTFUL, POSE_NOT_FIXED):
+        answer = answer.withheld()
     answer = answer.without_rounding(rounding_of(reference.surface.points, origin))
     return answer.shifted(origin).with_warnings(notes)
 
 
-def without_moved(whole: PairEvidence, resolution: float) -> PairEvidence:
-    """Return the evidence without the few cells that moved separately, which would distort a smooth model."""
-    view, min_cells = whole, (1 - _MAX_MOVED_SHARE) * len(whole.sums.counts)
-    for _ in range(_MAX_REMOVALS):  # more moved cells appear after the first are removed
+def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
+    """Exclude the few cells that clearly moved by themselves: a smooth model would bend towards them."""
+    view, most = whole, (1 - _MAX_MOVED_SHARE) * len(whole.sums.counts)
+    for _ in range(_MAX_EXCLUSION_PASSES):  # once some are excluded, more may stand out
         changed, length, _ = local_changes(view.geometry, view.noise, view.sums, resolution)
-        moved = changed & (length > _MIN_MOVED_SIGMAS * math.sqrt(view.noise.white + view.noise.correlated))
+        moved = changed & (length > _MOVED_SIGMAS * math.sqrt(view.noise.white + view.noise.correlated))
         if not moved.any():
             break
-        if len(moved) - np.count_nonzero(moved) < min_cells:
+        if len(moved) - np.count_nonzero(moved) < most:
             return whole
         view = PairEvidence.of(view.sums.without(moved))
     return view
 
 
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:
-    """Return the finding, undecided if the registration is doubtful or does not determine the pose."""
+    """Return the finding as undecided if the pose behind it is wrong or may be."""
     if registration.doubtful:
-        text = "the registration is doubtful: see its warnings"
-        return finding.undecided(Notice(_DOUBTFUL_REGISTRATION, text))
+        text = "the registration is doubtful, and the verdict depends on it: see its warnings"
+        return finding.undecided(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIER_SHARE and pairs.distance > _MAX_DISTANCE_SPACINGS * pairs.spacing:
         text = (
-            f"{1 - pairs.inliers:.0%} of the closest points do not belong together, and the clouds are farther apart"
-            " than their spacing explains: register them (--register icp), unless much has changed"
+            f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"
+            " closer: they are not registered (use --register icp), or much has changed"
         )
         return finding.undecided(Notice("not-registered", text))
     if UNOBSERVABLE in {notice.code for notice in registration.warnings}:
         if finding.verdict in ("similarity", "affine", "non-affine") and registration.converged is not None:
             text = (
-                "the geometry does not determine the pose, and the apparent deformation may be a slip: see the"
-                " registration's warnings; a known pose would settle it (--register matrix:FILE)"
+                "the geometry does not fix the pose, and the apparent deformation may be a sliding registration: see"
+                " the registration's warnings; a pose from another source settles it (--register matrix:FILE)"
             )
             return finding.undecided(Notice(POSE_NOT_FIXED, text))
-        notice = Notice(POSE_NOT_FIXED, "as far as the geometry determines the pose")
+        notice = Notice(POSE_NOT_FIXED, "as far as the geometry fixes the pose")
         return finding._replace(warnings=(notice, *finding.warnings))
     return finding
 
@@ -126,22 +127,19 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
 def _without_map_projection(
     pairs: Pairs, reference: Side, candidate: Side, registration: Registration, origin: FloatArray
 ) -> tuple[Pairs, list[Notice]]:
-    """Return the pairs in a Euclidean frame if only one cloud is on a map grid and the residuals agree with that.
+    """Transform the pairs to a Euclidean frame if one cloud alone is on a map grid and the residuals agree with that.
 
-    Heights on a map follow the Earth's curvature, and its scale varies: relative to a Euclidean cloud the map is
-    deformed (2 cm at 500 m).
-
-    Returns:
-        The pairs, and notes on the correction.
+    Heights on a map follow the Earth's curvature, and its scale varies: relative to a Euclidean cloud it is deformed (2
+    cm at 500 m).
     """
     ours, theirs = reference.cloud.crs, candidate.cloud.crs
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
-        sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS_M)
+        sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise and noise > rounding_of(reference.surface.points, origin):
             text = (
-                "the coordinates look like those of a map, but no file names its coordinate system: relative to a"
-                f" Euclidean cloud, the Earth's curvature alone deforms a map by {sagitta:.2g} (if the unit is m)"
+                "coordinates look like those of a map, but no file names its projection: relative to a Euclidean cloud"
+                f" the Earth's curvature alone deforms it by {sagitta:.2g} (if the unit is the metre)"
             )
             return pairs, [Notice("map-not-named", text)]
     name = ours if theirs is None else theirs
@@ -152,11 +150,11 @@ def _without_map_projection(
     offsets = euclidean_offsets(name, places if theirs is None else T.inverse().apply(places))
     if offsets is None:
         return pairs, []
-    # A point q of the map is at q + offset in space. A Euclidean candidate lies there and seems displaced by it.
-    displacement = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
+    # A point at q on the map is at q + offset in space, so a Euclidean candidate seems displaced by the offset.
+    bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
     gauge = "similarity" if registration.solved_scale else "rigid"
-    share, size = projected_share(pairs.places, pairs.normals, pairs.residuals, pairs.weights, displacement, gauge)
+    share, size = projected_share(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
-    text = f"one cloud is on a map grid: its deformation of {size:.2g} RMS against Euclidean space was removed first"
-    return replace(pairs, residuals=pairs.residuals - displacement), [Notice("map-bend-taken-off", text)]
+    text = f"one cloud is on a map grid: its deformation of {size:.2g} RMS relative to Euclidean space was removed"
+    return replace(pairs, residuals=pairs.residuals - bend), [Notice("map-bend-taken-off", text)]

@@ -1,6 +1,6 @@
-"""The result types of the test for deformation. Names and order of their fields are those of the JSON.
+"""Result types; the names and the order of the fields are those of the JSON in a report.
 
-Missing numbers are None. Lengths are in the clouds' unit, shares from 0 to 1.
+A value that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-POSE_NOT_FIXED = "pose-not-fixed"  # code of the warning that the geometry does not determine the pose
-_MIN_MOVED_SIGMAS = 5.0  # change of a tile that is reported, in standard deviations of a pair's noise
+POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
+_MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
 @dataclass(frozen=True)
 class ModelScore:
-    """Cross-validation score of one of the five nested models.
+    """Score of one of the five nested models; `Deformation.rungs` and the JSON key `rungs` hold these.
 
     Attributes:
         model: rigid, similarity, affine, quadratic or cubic.
-        parameters: number of its parameters.
-        cv_score: mean square residual of held-out tiles, in squared units.
+        parameters: number of parameters.
+        cv_score: cross-validated mean squared residual, of tiles left out of the fit, in squared units.
         cv_se: standard error of `cv_score`, in squared units.
         bic_eff: Bayesian information criterion with the effective number of pairs.
         rms_explained: RMS displacement along the normals beyond the rigid model, in the clouds' unit.
@@ -49,11 +49,10 @@ class Amplitude:
     """Size of the displacement along the normals beyond an affine one, in the clouds' unit, corrected for noise.
 
     Attributes:
-        rms: RMS over the pairs with the weights of the fit, so that smooth areas count more than rough ones.
-        p95: 95th percentile of the RMS in a cell.
-        max: maximum of the RMS in a cell.
+        rms: RMS over the pairs with their weights in the fit: smooth areas have more weight than rough ones.
+        p95, max: 95th percentile and maximum of the RMS per cell.
         ci: 95 % confidence interval of `rms`.
-        rms_surface: RMS over the surface by area, with walls and rough areas.
+        rms_surface: RMS over the surface by area, including walls and rough areas.
         ci_surface: 95 % confidence interval of `rms_surface`.
     """
 
@@ -67,13 +66,13 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """Noise of the residuals, in the clouds' unit.
+    """The residuals' noise, in the clouds' unit.
 
     Attributes:
-        sigma_white: standard deviation of the uncorrelated noise.
-        sigma_correlated: standard deviation of the spatially correlated noise.
-        correlation_length: length l of the kernel exp(-d^2 / 2 l^2) with the same integral.
-        n_eff: effective number of independent pairs that would determine a deformation as precisely.
+        sigma_white: standard deviation of the noise that is independent between pairs.
+        sigma_correlated: standard deviation of the noise that is correlated between neighbouring pairs.
+        correlation_length: l of the Gaussian kernel exp(-d^2 / 2 l^2) with the same integral as the mixture.
+        n_eff: effective number of pairs: independent ones that would determine a deformation as well.
     """
 
     sigma_white: float
@@ -87,8 +86,8 @@ class Tiles:
     """Tiles of the scene.
 
     Attributes:
-        count: number of tiles with pairs.
-        side: edge length, in the clouds' unit.
+        count: number of tiles that contain pairs.
+        side: edge of a tile, in the clouds' unit.
     """
 
     count: int
@@ -97,13 +96,13 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Bin:
-    """A bin of a profile, in the clouds' unit.
+    """One bin of a profile, in the clouds' unit.
 
     Attributes:
         at: mean coordinate of the bin.
         mean: mean vertical displacement.
-        ci: its 95 % confidence interval.
-        null: half the width of the band that contains noise alone in 95 % of all cases.
+        ci: 95 % confidence interval of `mean`.
+        null: half width of the band that contains 95 % of the means under noise alone.
     """
 
     at: float
@@ -114,11 +113,11 @@ class Bin:
 
 @dataclass(frozen=True)
 class Trend:
-    """Dependence of the vertical displacement on a coordinate.
+    """Trend of the vertical displacement along a coordinate.
 
     Attributes:
         slope: displacement per length.
-        ci: its 95 % confidence interval.
+        ci: 95 % confidence interval of the slope.
         profile: means in up to eight bins of equal weight, in ascending order.
     """
 
@@ -129,11 +128,9 @@ class Trend:
 
 @dataclass(frozen=True)
 class Growth:
-    """Trends of the vertical displacement; None if too little of the surface constrains it.
+    """Trends of the vertical displacement with the horizontal distance from the centre and with the height.
 
-    Attributes:
-        with_distance: trend with the horizontal distance from the centre.
-        with_height: trend with the height.
+    A trend is None if too little of the surface constrains it.
     """
 
     with_distance: Trend | None
@@ -151,14 +148,14 @@ class Observable:
 
 @dataclass(frozen=True)
 class LocalChanges:
-    """Parts of the scene that changed separately.
+    """Parts of the scene that changed locally.
 
     Attributes:
         tiles_tested: number of cells with enough smooth surface for a test.
-        tiles_changed: number of changed cells.
-        fdr: their false discovery rate.
-        largest: length of the largest change, in the clouds' unit; None without changes.
-        at: its position.
+        tiles_changed: number of tested cells that changed.
+        fdr: false discovery rate of the tests.
+        largest: length of the largest change, in the clouds' unit; None if there is none.
+        at: position of the largest change.
     """
 
     tiles_tested: int
@@ -170,17 +167,18 @@ class LocalChanges:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The deformation on M cells, one row each, as in the table `NAME_deformation.csv`.
+    """The deformation per cell, one row each (M,), as in the table `NAME_deformation.csv`.
 
     Attributes:
         places: (M, 3) mean positions of the pairs.
-        displacements: (M, 3) displacements of the candidate relative to the reference by the chosen model, beyond the
-            rigid motion, in the observable directions of each cell.
-        vertical: (M,) measured mean vertical displacement beyond the rigid motion; NaN if not observable.
-        sigma: (M,) standard deviation of `vertical` under the noise.
-        local: (M,) length of the displacement beyond the largest model; NaN if a cell is not tested.
-        changed: (M,) whether that exceeds noise, at a false discovery rate of 5 %.
-        counts: (M,) number of pairs.
+        displacements: (M, 3) displacement of the candidate by the selected model, beyond the rigid motion, in the
+            directions that the surface in the cell constrains.
+        vertical: mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN if the surface
+            does not constrain it.
+        sigma: standard error of `vertical`.
+        local: length of the cell's displacement from the largest model; NaN if the cell was not tested.
+        changed: whether the cell changed locally, at a false discovery rate of 5 %.
+        counts: number of pairs.
     """
 
     places: FloatArray
@@ -194,26 +192,27 @@ class Field:
 
 @dataclass(frozen=True)
 class Deformation:
-    """Result of the test for deformation of a candidate relative to a reference.
+    """Verdict on the deformation of a candidate against the reference, with its size and location.
 
     Attributes:
         verdict: none, similarity, affine, non-affine or undecided.
-        model: the smallest sufficient model: rigid, similarity, affine, quadratic or cubic.
-        parameters: number of its parameters.
-        p_value: probability that noise alone, with its estimated covariance, looks at least as deformed. Of the pairs
-            found with and without an assumed deformation the larger value counts.
-        rungs: scores of the five nested models, from the smallest to the largest.
+        model: smallest adequate model: rigid, similarity, affine, quadratic or cubic.
+        parameters: number of parameters of that model.
+        p_value: probability that noise alone explains as much non-affine deformation; the largest over the sets of
+            pairs.
+        rungs: scores of all five models, from the smallest; see `ModelScore`.
         amplitude: size of the non-affine part.
-        remaining_rms: RMS residual of the chosen model, in the clouds' unit.
-        noise: the noise.
-        tiles: the tiles.
+        remaining_rms: RMS residual of the selected model, in the clouds' unit.
+        noise: noise of the residuals.
+        tiles: tiles of the scene.
         pairs: number of pairs of points.
-        growth: trends with distance and height.
-        observable: observability along each axis.
+        growth: trends of the vertical displacement.
+        observable: observable directions.
         local: local changes.
-        minimum_detectable_rms: RMS of a dome that is detected in 90 % of all cases.
-        warnings: warnings with codes; for an undecided verdict the reasons.
-        field: displacements of the cells, stored as a separate table; None without pairs, and after `from_json`.
+        minimum_detectable_rms: RMS of the smallest dome that is detected with a power of 90 %.
+        warnings: codes and texts; for an undecided verdict, the reasons.
+        field: the displacement per cell, a separate table in a report; None if there was nothing to test, and after
+            `from_json`.
     """
 
     verdict: str
@@ -235,33 +234,35 @@ class Deformation:
 
     def __repr__(self) -> str:
         size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
-        p = "" if self.p_value is None else f", {_p(self.p_value)}"
+        p = "" if self.p_value is None else f", {_p_value_text(self.p_value)}"
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
 
     @classmethod
-    def without_evidence(cls, reason: Notice) -> Deformation:
-        """Return an undecided result without evidence."""
+    def unanswered(cls, reason: Notice) -> Deformation:
+        """Return an undecided result, for data that allow no test."""
         return cls("undecided", "rigid", warnings=(reason,))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Deformation:
-        """Return the result in `deformation.json` or a candidate's `deformation` in `comparison.json`, without field.
+        """Read `deformation.json`, or a candidate's `deformation` in `comparison.json`, without the field.
 
         Raises:
-            KeyError, TypeError, ValueError: the values have another form.
+            KeyError, TypeError, ValueError: the content is not a deformation.
         """
         texts = values["warnings"]
         codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        result: Deformation = _from_json(cls, {**values, "warnings": notices})
-        return result
+        found: Deformation = _from_json_value(cls, {**values, "warnings": notices})
+        return found
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
-        """Return the verdict as a sentence without a period, with its limitations first.
+        """Return the verdict as a sentence.
+
+        It starts with its limitations: the reasons of an undecided verdict, or a pose that the geometry does not fix.
 
         Args:
             name: name of the candidate.
-            unit: unit of lengths.
+            unit: unit of the clouds.
         """
         notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
         lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
@@ -277,65 +278,67 @@ class Deformation:
     def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
-            return f"{name} may or may not be deformed (undecided): {'; '.join(map(str, self.warnings))}{parts}"
+            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
         if self.remaining_rms == 0 and self.verdict == "none":
-            return f"{name} is not deformed: it coincides with the reference up to rounding{parts}"
+            return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
         limit = self.minimum_detectable_rms
-        detectable = "" if limit is None else f"; a dome above {limit:.3g}{unit} RMS would have been detected"
+        unseen = "" if limit is None else f"; a deformation above {limit:.3g}{unit} RMS would have been detected"
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
-            surface = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
+            over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
-                f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth"
-                f" areas{surface} beyond any affine motion ({self.model} model, {_p(self.p_value)}){parts}"
+                f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
+                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)}){parts}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched, but not deformed beyond that{detectable}{parts}"
+            return (
+                f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}{parts}"
+            )
         if self.verdict == "similarity":
-            return f"{name} has another scale than the reference, but is not deformed beyond that{detectable}{parts}"
+            return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
         whole = " as a whole" if parts else ""
-        return f"{name} is not deformed{whole}{detectable}{parts}"
+        return f"{name} is not deformed{whole}{unseen}{parts}"
 
     @property
     def part_moved(self) -> bool:
-        """Whether a part of the scene moved separately."""
+        """Whether a part of the scene moved by itself, far beyond the noise."""
         return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:
             return ""
-        if local.largest < _MIN_MOVED_SIGMAS * math.hypot(noise.sigma_white, noise.sigma_correlated):
+        if local.largest < _MOVED_SIGMAS * math.hypot(noise.sigma_white, noise.sigma_correlated):
             return ""
-        position = ", ".join(f"{x:.1f}" for x in local.at)
+        place = ", ".join(f"{x:.1f}" for x in local.at)
         return (
-            f"; but a part moved separately: {local.largest:.3g}{unit} at ({position}), {local.tiles_changed} of"
+            f"; a part of the scene moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
             f" {local.tiles_tested} tiles changed"
         )
 
     def shifted(self, origin: FloatArray) -> Deformation:
-        """Return the result with `origin` (3,) added to all positions."""
+        """Return the same result in coordinates that include `origin` (3,)."""
         local, field = self.local, self.field
         if local is not None and local.at is not None:
-            x, y, z = (float(a + b) for a, b in zip(local.at, origin, strict=True))
+            x, y, z = (float(here + there) for here, there in zip(local.at, origin, strict=True))
             local = replace(local, at=(x, y, z))
         return replace(self, local=local, field=field and replace(field, places=field.places + origin))
 
     def with_changes(self, whole: Deformation) -> Deformation:
-        """Return this result, computed without moved cells, with the changes and cells of a result on all cells."""
+        """Add the local changes and excluded cells of a result on all cells to this one, which excluded moved cells."""
         if self.field is None or whole.field is None:
             return self
-        present = {tuple(place) for place in self.field.places.tolist()}
-        is_missing = np.array([tuple(place) not in present for place in whole.field.places.tolist()])
+        kept = {tuple(place) for place in self.field.places.tolist()}
+        left_out = np.array([tuple(place) not in kept for place in whole.field.places.tolist()])
         parts = {
-            name: np.concatenate([getattr(self.field, name), getattr(whole.field, name)[is_missing]])
+            name: np.concatenate([getattr(self.field, name), getattr(whole.field, name)[left_out]])
             for name in Field.__annotations__
         }
         return replace(self, local=whole.local, field=Field(**parts))
 
-    def without_sizes(self) -> Deformation:
-        """Return the result without sizes, positions and evidence, which are meaningless if the pose may be wrong."""
+    def withheld(self) -> Deformation:
+        """Remove sizes, positions and p-value, which are meaningless if the pose may be wrong."""
         return replace(
             self,
             p_value=None,
@@ -346,25 +349,25 @@ class Deformation:
         )
 
     def without_rounding(self, rounding: float) -> Deformation:
-        """Return the result with zero sizes if the residual is within the rounding of coordinates."""
+        """Set sizes to zero if the remaining residual is no more than the rounding of the coordinates."""
         if self.remaining_rms is None or self.remaining_rms > rounding:
             return self
         return replace(
             self,
             remaining_rms=0.0,
-            rungs=tuple(replace(row, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for row in self.rungs),
-            amplitude=self.amplitude and _scaled(self.amplitude, 0.0),
+            rungs=tuple(replace(rung, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for rung in self.rungs),
+            amplitude=self.amplitude and _scale_amplitude(self.amplitude, 0.0),
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
         )
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
-        """Return the result with additional warnings."""
+        """Return the same result with further warnings."""
         return replace(self, warnings=(*self.warnings, *notes))
 
 
-def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
-    """Return an amplitude times a factor."""
+def _scale_amplitude(amplitude: Amplitude, factor: float) -> Amplitude:
+    """Return the amplitude times a factor."""
 
     def times(value: Any) -> Any:
         return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
@@ -372,34 +375,36 @@ def _scaled(amplitude: Amplitude, factor: float) -> Amplitude:
     return Amplitude(*(times(getattr(amplitude, item.name)) for item in dataclasses.fields(amplitude)))
 
 
-def _p(value: float | None) -> str:
-    """Return a p-value as text, at least 1e-9."""
+def _p_value_text(value: float | None) -> str:
+    """Return a p-value as text; below 1e-9 only the bound."""
     if value is None:
         return "p unknown"
     return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
 
 
-def rounded(value: Any) -> Any:
-    """Return values rounded to six digits, which do not depend on the number of threads of the linear algebra."""
+def round_to_six_digits(value: Any) -> Any:
+    """Round to six significant digits: more carry no information and depend on the number of threads."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, tuple):
-        return tuple(map(rounded, value))
+        return tuple(map(round_to_six_digits, value))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{item.name: rounded(getattr(value, item.name)) for item in dataclasses.fields(value)})
+        return replace(
+            value, **{item.name: round_to_six_digits(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        )
     return value
 
 
-def _from_json(kind: Any, value: Any) -> Any:
-    """Convert a JSON value to a type: a dataclass, a tuple, a plain type, or one of these or None."""
+def _from_json_value(kind: Any, value: Any) -> Any:
+    """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
     if value is None:
         return None
     kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        # Older reports have fewer fields: missing ones get their defaults.
-        return kind(**{name: _from_json(hints[name], value[name]) for name in names if name in value})
+        # Older reports lack some fields: they take their defaults, and missing required ones are errors.
+        return kind(**{name: _from_json_value(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(_from_json(get_args(kind)[0], part) for part in value)
+        return tuple(_from_json_value(get_args(kind)[0], part) for part in value)
     return value

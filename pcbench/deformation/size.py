@@ -1,4 +1,4 @@
-"""Size of a deformation, detection limit, and observability."""
+"""Amplitude of a deformation, smallest detectable amplitude, and observable directions."""
 
 from __future__ import annotations
 
@@ -12,48 +12,43 @@ from pcbench.deformation.result import Amplitude, Interval, Observable
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-# The covariance is only estimated: if it is a third too small, a nominal 1e-5 is 1e-3.
-MAX_P_SURE = 1e-5  # largest p-value of a verdict
-DETECTION_POWER = 0.9  # probability to detect the smallest detectable deformation
-_POWER_Z = 1.282  # normal deviate of DETECTION_POWER
+# The covariance is itself an estimate: if it is a third too small, a nominal p of 1e-5 is in fact 1e-3.
+MAX_P_SURE = 1e-5  # significance level of a verdict
+DETECTION_POWER = 0.9  # power of the test at the minimum detectable deformation
+_POWER_Z = 1.282  # normal quantile of DETECTION_POWER
 
 
 def amplitude(geometry: Geometry, scores: Scores, noise: Noise, step: ModelStep) -> Amplitude:
-    """Return the size of the displacement along the normals that a step explains, corrected for noise."""
+    """Estimate the amplitude of the displacement along the normals that a model step explains, corrected for noise."""
     modes = step.modes.T @ scores.total
     covariance = geometry.covariance(step, noise)
     power, bias = float(modes @ modes), float(np.trace(covariance))
     size = max(0.0, power - bias)
     rms, ci = _root_mean_square(modes, covariance, np.eye(len(modes)) / geometry.total)
-    over_surface, surface_ci = _root_mean_square(modes, covariance, geometry.over_surface(step))
+    surface_form, surface_ci = _root_mean_square(modes, covariance, geometry.surface_form(step))
     coefficients = step.modes @ modes
     per_cell = (geometry.cell_matrices @ coefficients) @ coefficients
     weight = geometry.weights
     shrink = math.sqrt(size / power) if power > 0 else 0.0
-    is_sampled = weight >= 0.1 * np.median(weight)
-    cells = shrink * np.sqrt(np.maximum(per_cell[is_sampled], 0) / weight[is_sampled])
+    enough = weight >= 0.1 * np.median(weight)
+    cells = shrink * np.sqrt(np.maximum(per_cell[enough], 0) / weight[enough])
     order = np.argsort(cells)
-    below = np.cumsum(weight[is_sampled][order]) / weight[is_sampled].sum()
+    below = np.cumsum(weight[enough][order]) / weight[enough].sum()
     return Amplitude(
         rms=rms,
         p95=float(cells[order][np.searchsorted(below, 0.95)]),
         max=float(cells.max()),
         ci=ci,
-        rms_surface=over_surface,
+        rms_surface=surface_form,
         ci_surface=surface_ci,
     )
 
 
 def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArray) -> tuple[float, Interval]:
-    """Return the root of m' Q m with its 95 % confidence interval, for modes m + e with noise e of covariance V.
+    """Estimate the root of m' Q m and its 95 % interval, from modes m + e (K,) with noise e of covariance V; Q (K, K).
 
-    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2. m' Q V Q m is
+    (m + e)' Q (m + e) has the mean m' Q m + tr Q V and the variance 4 m' Q V Q m + 2 tr (Q V)^2. The term m' Q V Q m is
     estimated from the modes in the same way.
-
-    Args:
-        modes: (K,) m + e.
-        covariance: (K, K) V.
-        form: (K, K) Q.
     """
     noise = form @ covariance
     scatter = float((noise * noise.T).sum())
@@ -65,7 +60,7 @@ def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArra
 
 
 def effective_count(geometry: Geometry, noise: Noise) -> float:
-    """Return the number of independent pairs that would determine the non-affine fields as precisely."""
+    """Number of independent pairs that would determine the non-affine fields as well; less if noise is correlated."""
     covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     if not len(covariance):
         return 0.0
@@ -74,7 +69,7 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
-    """Return the RMS of a dome that is detected with the probability `DETECTION_POWER`; None if it is unobservable."""
+    """RMS of the smallest dome that is detected with power `DETECTION_POWER`; None if domes are not observable."""
     step = geometry.step("affine", "cubic")
     modes = step.modes.T @ (geometry.matrix @ geometry.dome)
     power = float(modes @ modes)
@@ -91,13 +86,13 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
             return None
     for _ in range(100):
         middle = (low + high) / 2
-        is_detected = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
-        low, high = (low, middle) if is_detected else (middle, high)
+        found = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
+        low, high = (low, middle) if found else (middle, high)
     return math.sqrt(high * power / geometry.total)
 
 
 def observable(sums: TileSums, tile: IntArray) -> Observable:
-    """Return the share of the tiles that constrain a displacement along each axis, with the other axes free."""
+    """Share of the tiles that constrain a displacement along each axis, for any displacement along the others."""
     spread = sum_over_tiles(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]
     constrained = 1 / np.diagonal(np.linalg.inv(mean + 1e-9 * np.eye(3)), axis1=1, axis2=2) >= MIN_INFORMATION

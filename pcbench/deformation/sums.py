@@ -1,4 +1,4 @@
-"""Sums over the pairs in the cells of a grid, from which all results are computed."""
+"""Sums over the pairs in cells of a grid, from which everything else is computed."""
 
 from __future__ import annotations
 
@@ -10,32 +10,36 @@ from numpy.typing import NDArray
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_SUBCELL_LEVELS = 5  # halves of cells, quarters, ...
-LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # of the noise's kernels, in cells: 1/200 to 1/7 of the scene
-_CELL_PARTNERS, _SUBCELL_PARTNERS = 4, 1  # sampled partners of each pair
+_DYADIC_LEVELS = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
+KERNEL_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
+_CELL_PARTNERS, _SUBCELL_PARTNERS = 4, 1  # sampled partners of each pair, in cells and in sub-cells
 
 
 @dataclass(frozen=True, eq=False)
 class TileSums:
-    """Additive sums over the pairs in each cell, a cube of edge `side`.
+    """Sums over the pairs in each cell (cubes of edge `side`), additive over pairs.
 
-    A pair has a weight w in fits and a noise size s. Its noise is s times a stationary part, which is white or has the
-    correlation exp(-d^2 / 2 l^2), with l in `LENGTHS` times the edge of a cell.
+    A pair has a weight w in fits and a relative scale s of its noise. Noise is s times a stationary process, which is
+    white or correlated as exp(-d^2 / 2 l^2), with each l of `KERNEL_LENGTHS` times the cells' edge.
 
-    Attributes: center: (3,) centre of the scene; positions in the sums are (x - center) / radius, about -1 to 1.
-        radius: half the extent of the scene. side: edge of the cells, in the clouds' unit. cells: (C, 3) integer
-        coordinates of the cells. moments: (C, 84, 6), see `polynomials.normal_equations`. white: the same with weights
-        (w s)^2, the covariance of the scores for white noise. loads: the same with weights w s, the response of the
-        scores to noise that is constant in a cell. near: (C, J) sums over all combinations of two pairs in a cell of w
-        s w' s' (n . n')^2 times each kernel of their distance. scores: (C, 20, 3) sums of w phi n r. energy: (C,) sums
-        of w r^2. counts: (C,) number of pairs. dyadic: (levels, 1 + J), like `near` over sub-cells of each size, for
-        white noise and each kernel. The first row
-            is for single pairs.
-        powers: (levels,) sums over sub-cells of |sum w n r'|^2, with the residual r' of the largest model.
-        local: (C, 3) sums of v n r', with r' clipped at three standard deviations, to detect changes.
-        apart: (C, 3) the same, clipped around the median of each cell, to measure changes.
+    Attributes:
+        center, radius: positions are scaled as (x - center) / radius in all sums, to about -1 to 1.
+        side: edge of the cells, in the clouds' unit.
+        cells: (C, 3) integer coordinates of the cells.
+        moments: (C, 84, 6), see `polynomials.normal_equations`.
+        white: moments with weights (w s)^2: the covariance of the scores under white noise.
+        loads: moments with weights w s: the response of the scores to noise that is constant in the cell.
+        near: (C, J) sums over all pairs of pairs in a cell of w s w' s' (n . n')^2 times each kernel of their distance.
+        scores: (C, 20, 3) sums of w phi n r.
+        energy: (C,) sums of w r^2.
+        counts: (C,) number of pairs.
+        dyadic: (levels, 1 + J), expectations as in `near`, over sub-cells of each size, for white noise and each
+            kernel. The first row is for single pairs.
+        powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual from the largest model.
+        local: (C, 3) sums of v n r', with r' clamped at three standard deviations: for tests of local change.
+        apart: (C, 3) the same, clamped about the median of each cell: for the size of local changes.
         spread: (C, 3, 3) sums of v n n'.
-        surface: (84, 6) moments of all pairs, weighted by area instead of smoothness.
+        surface: (84, 6) moments of all pairs weighted by area, including rough surface.
     """
 
     center: FloatArray
@@ -57,7 +61,7 @@ class TileSums:
     surface: FloatArray
 
     def without(self, cells: NDArray[np.bool_]) -> TileSums:
-        """Return the sums without some cells (C,). Quantities that are not stored by cell still include all pairs."""
+        """Return the sums without some cells (C,); values that are not per cell remain those of all pairs."""
         per_cell = (
             "cells",
             "moments",
@@ -91,22 +95,21 @@ class TileSums:
         center: FloatArray,
         radius: float,
     ) -> TileSums:
-        """Compute the sums over pairs.
+        """Sum pairs over cells.
 
         Args:
             places: (N, 3) positions.
             normals: (N, 3) unit normals.
-            residuals: (N,) n . (p - q), or the pseudo-values of a robust fit.
+            residuals: (N,) n . (p - q), or pseudo-values of a robust fit.
             weights: (N,) from 0 to 1.
-            scales: (N,) relative sizes of the noise, about 1.
-            left: (N,) residuals of the largest model.
-            apart: (N,) residuals of the largest model, as measured.
+            scales: (N,) relative scale of the noise, about 1.
+            left: (N,) residuals from the largest model, of the same pairs.
+            apart: (N,) residuals n . (p - q) from the largest model, as measured.
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
-            areas: (N,) relative areas of surface that the pairs represent.
-            lower: (3,) corner of the grid.
-            side: edge of the cells.
-            center: (3,) centre of the scene.
-            radius: half the extent of the scene.
+            areas: (N,) surface area that each pair represents, in any unit.
+            lower: (3,) the corner that cells are counted from.
+            side: of the cells.
+            center, radius: of the scene; (3,) and about half its extent.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
         order, starts = group_rows(cells)
@@ -115,7 +118,7 @@ class TileSums:
         white, _ = normal_equations(x, n, np.square(w * s), r, starts)
         loads, _ = normal_equations(x, n, w * s, r, starts)
         surface, _ = normal_equations(x, n, areas[order], r)
-        lengths = side * np.array(LENGTHS)
+        lengths = side * np.array(KERNEL_LENGTHS)
         v, measured = quality[order], apart[order]
         sigma = 1.4826 * float(np.median(np.abs(measured[v >= np.median(v)])))
         changed = (v * np.clip(measured, -3 * sigma, 3 * sigma))[:, None] * n
@@ -150,32 +153,31 @@ def kernel_sums(
     lengths: FloatArray,
     partners: int = _CELL_PARTNERS,
 ) -> FloatArray:
-    """Return for each pair the sum (N, J) over its group of load load' (n . n')^2 times each kernel of the distance.
+    """Sum load load' (n . n')^2 times each kernel of the distance, for each pair over all pairs in its group; (N, J).
 
-    The contribution of the pair itself is exact; the others are estimated from a few sampled partners.
+    The term of the pair itself is exact; the sum over the others is estimated from a few sampled partners.
 
     Args:
-        places: (N, 3) positions, sorted by group.
-        normals: (N, 3) unit normals.
-        loads: (N,) loads w s.
-        starts: (G,) index of the first pair of each group.
-        lengths: (J,) lengths of the kernels.
+        places, normals: (N, 3), in groups that start at `starts` (G,).
+        loads: (N,) factor of each pair.
+        starts: (G,) first row of each group.
+        lengths: (J,) kernel lengths.
         partners: number of sampled partners.
     """
     counts = np.diff([*starts, len(places)])
     size, first = np.repeat(counts, counts), np.repeat(starts, counts)
-    position = np.arange(len(places)) - first
+    mine = np.arange(len(places)) - first
     sums: FloatArray = np.repeat(np.square(loads)[:, None], len(lengths), axis=1)
     others = np.maximum(size - 1, 1)
     partners = min(partners, int(counts.max()) - 1)
-    for index in range(partners):
-        # Multiples of the golden ratio sample the group evenly, in any order.
-        step = 1 + ((index + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
-        partner = first + (position + step) % size
-        products = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
-        products *= (size - 1) / partners
+    for number in range(partners):
+        # Multiples of the golden ratio spread the partners evenly over the group, in any order.
+        step = 1 + ((number + 0.5) * 0.6180339887 % 1 * others).astype(np.int64)
+        partner = first + (mine + step) % size
+        counted = loads * loads[partner] * np.square(np.einsum("ni,ni->n", normals, normals[partner]))
+        counted *= (size - 1) / partners
         squared = np.square(places - places[partner]).sum(axis=1)
-        sums += products[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
+        sums += counted[:, None] * np.exp(-0.5 * squared[:, None] / np.square(lengths))
     return sums
 
 
@@ -188,15 +190,15 @@ def dyadic_moments(
     lower: FloatArray,
     side: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the expected powers (levels, 1 + J) of unit noise in sub-cells, and the measured powers (levels,).
+    """Moments over sub-cells of each size: expectations for unit noise (levels, 1 + J), and measured values (levels,).
 
-    A power is the sum over sub-cells of |sum w n r|^2; see `TileSums`.
+    The moment is the sum of |sum w n r|^2 over sub-cells; see `TileSums`.
     """
-    lengths = side * np.array(LENGTHS)
+    lengths = side * np.array(KERNEL_LENGTHS)
     loads = weights * scales
     single = float(np.square(loads).sum())
     expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * left).sum())]
-    for level in range(_SUBCELL_LEVELS, 0, -1):
+    for level in range(_DYADIC_LEVELS, 0, -1):
         order, starts = group_rows(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
         vectors = np.add.reduceat((weights * left)[order, None] * normals[order], starts)
         powers.append(float(np.square(vectors).sum()))
@@ -206,12 +208,12 @@ def dyadic_moments(
 
 
 def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> FloatArray:
-    """Clip values (N,) around the median of their group, at three robust standard deviations."""
+    """Clamp values (N,) about the median of their group, at three robust standard deviations of the group."""
     counts = np.diff([*starts, len(values)])
     group = np.repeat(np.arange(len(starts)), counts)
 
-    def medians(items: FloatArray) -> FloatArray:
-        ordered = items[np.lexsort((items, group))]
+    def medians(of: FloatArray) -> FloatArray:
+        ordered = of[np.lexsort((of, group))]
         middle: FloatArray = 0.5 * (ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2])
         return middle[group]
 
@@ -221,20 +223,20 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
 
 
 def group_rows(cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Return an order (N,) that groups equal rows, and the start of each group."""
+    """Return an order (N,) that sorts equal rows together, and the start of each group."""
     order = np.lexsort(cells.T[::-1])
     changed = (np.diff(cells[order], axis=0) != 0).any(axis=1)
     return order, np.flatnonzero(np.concatenate([[True], changed]))
 
 
-def tiles_of_cells(cells: IntArray, factor: int) -> IntArray:
-    """Return the index (C,) of the tile of `factor` cells along each axis that contains each cell."""
+def tile_of_cells(cells: IntArray, factor: int) -> IntArray:
+    """Return (C,) the index of the tile of `factor` cells along each axis that contains each cell."""
     _, tile = np.unique(cells // factor, axis=0, return_inverse=True)
     return np.asarray(tile, dtype=np.int64).ravel()
 
 
 def sum_over_tiles(values: FloatArray, tile: IntArray) -> FloatArray:
-    """Return the sums (T, ...) of rows (C, ...) over tiles."""
+    """Sum rows (C, ...) over tiles; return (T, ...)."""
     order = np.argsort(tile, kind="stable")
     starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
     sums: FloatArray = np.add.reduceat(values[order], starts, axis=0)

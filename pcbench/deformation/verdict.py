@@ -1,4 +1,4 @@
-"""Selection of the smallest sufficient model, by tests against the noise."""
+"""Select the smallest adequate model by tests against the noise, and score all models by cross-validation."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pcbench.errors import Notice
 
 MIN_TILES = 40
 _FOLDS = 10
-_MAX_P_DOUBT = 1e-3
-_MIN_AMPLITUDE_SHARE = 0.1  # of the noise; certainly smaller deformations do not make a verdict undecided
+_MAX_P_DOUBTFUL = 1e-3
+_MIN_BEND = 0.1  # in standard deviations of the noise: a deformation bounded below this is negligible
 
 
 class PairEvidence(NamedTuple):
-    """Sums, models, scores and noise of one kind of pairs."""
+    """Sums over one set of pairs, and the geometry, scores and noise computed from them."""
 
     sums: TileSums
     geometry: Geometry
@@ -32,124 +32,103 @@ class PairEvidence(NamedTuple):
 
     @classmethod
     def of(cls, sums: TileSums) -> PairEvidence:
-        """Return the evidence in sums over pairs."""
         geometry = Geometry(sums)
         scores = Scores(geometry, sums.scores, sums.energy, sums.powers)
         return cls(sums, geometry, scores, estimate_noise(geometry, scores))
 
 
 class Evidence(NamedTuple):
-    """Result of a test that a smaller model suffices.
-
-    Attributes:
-        modes: number of observable fields of the larger model beyond the smaller one.
-        p: probability that noise alone explains as much.
-    """
+    """Number of modes of a model beyond a smaller one, and the p-value of the sum of squares that they explain."""
 
     modes: int
     p: float
 
     @property
-    def sure(self) -> bool:
-        """Whether the larger model is needed."""
+    def significant(self) -> bool:
         return self.p <= MAX_P_SURE
 
     @property
     def doubtful(self) -> bool:
-        """Whether the evidence is weak."""
-        return MAX_P_SURE < self.p <= _MAX_P_DOUBT
+        return MAX_P_SURE < self.p <= _MAX_P_DOUBTFUL
 
 
 class Finding(NamedTuple):
-    """The smallest sufficient model.
+    """The verdict and the selected model, with the evidence for a non-affine part and the warnings."""
 
-    Attributes:
-        verdict: none, similarity, affine, non-affine or undecided.
-        model: the model.
-        evidence: evidence for a non-affine part.
-        warnings: warnings.
-    """
-
-    verdict: str
+    verdict: str  # none, similarity, affine, non-affine or undecided
     model: str
-    evidence: Evidence
+    evidence: Evidence  # that there is a non-affine part
     warnings: tuple[Notice, ...]
 
     def undecided(self, reason: Notice) -> Finding:
-        """Return an undecided finding with a reason as its first warning."""
+        """Return the finding as undecided, with the reason as first warning."""
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
 
 
 def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
-    """Return the smallest model that explains the pair, tested from the largest model down.
-
-    Args:
-        views: evidence of different kinds of pairs; the weakest counts.
-        metric: as in `assess_deformation`.
-        resolution: as in `assess_deformation`.
-    """
+    """Return the smallest adequate model, tested from the largest down; see `judge`."""
     geometry, scores, noise = views[0].geometry, views[0].scores, views[0].noise
 
-    def test(smaller: str, larger: str) -> Evidence:
-        return weakest_evidence([test_model(view, smaller, larger) for view in views])
+    def compare(smaller: str, larger: str) -> Evidence:
+        return least_significant([compare_models(view, smaller, larger) for view in views])
 
     def largest(smaller: str, larger: str) -> float:
         step = geometry.step(smaller, larger)
         return float(amplitude(geometry, scores, noise, step).ci[1]) if step.modes.shape[1] else 0.0
 
     def is_needed(smaller: str, larger: str) -> bool:
-        return test(smaller, larger).sure and largest(smaller, larger) > resolution
+        return compare(smaller, larger).significant and largest(smaller, larger) > resolution
 
-    evidence = test("affine", "cubic")
+    non_affine = compare("affine", "cubic")
     tiles = len(geometry.tile_matrices)
     warnings = []
-    if evidence.modes == 0:
-        text = "no deformation can be observed here: the surfaces constrain no direction well enough"
+    if non_affine.modes == 0:
+        text = "a deformation is not observable here: the surfaces do not constrain any direction well enough"
         warnings.append(Notice("nothing-observable", text))
     if tiles < MIN_TILES:
         text = (
-            f"only {tiles} tiles of side {TILE * geometry.side:.3g} have points (at least {MIN_TILES} are needed): a"
-            " larger or better covered scene would settle it"
+            f"only {tiles} tiles of {TILE * geometry.side:.3g} contain points (expected at least {MIN_TILES}): use a"
+            " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
-    size = largest("affine", "cubic")
-    is_resolved = size > resolution
-    if evidence.sure and is_resolved and not warnings:
-        # The cubic part needs less evidence, because a deformation is established.
-        model = "cubic" if test("quadratic", "cubic").p <= _MAX_P_DOUBT else "quadratic"
-        return Finding("non-affine", model, evidence, ())
+    bend = largest("affine", "cubic")
+    shown = bend > resolution
+    if non_affine.significant and shown and not warnings:
+        # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
+        model = "cubic" if compare("quadratic", "cubic").p <= _MAX_P_DOUBTFUL else "quadratic"
+        return Finding("non-affine", model, non_affine, ())
     if is_needed("similarity", "affine"):
         verdict, model = "affine", "affine"
     elif is_needed("rigid", "similarity"):
         verdict, model = ("similarity" if metric else "none"), "similarity"
         if not metric:
-            text = "the scales differ, which counts as deformation only if the units of both clouds are known"
+            text = "the scales differ; this counts as deformation only if the unit of both clouds is known"
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
-    is_relevant = is_resolved and size > _MIN_AMPLITUDE_SHARE * math.sqrt(noise.white + noise.correlated)
-    if evidence.doubtful and is_relevant:
+    matters = shown and bend > _MIN_BEND * math.sqrt(noise.white + noise.correlated)
+    if non_affine.doubtful and matters:
         side = geometry.side * TILE
         remedy = (
-            f"it is correlated over {noise.correlation_length:.3g}, with tiles of side {side:.3g}; a scene larger than"
-            f" {40 * noise.correlation_length:.3g} would settle it"
+            f"it is correlated over {noise.correlation_length:.3g}, and the tiles are {side:.3g} wide; use a scene of"
+            f" more than {40 * noise.correlation_length:.3g}"
             if noise.correlation_length > side / 6
-            else "more points, or a larger scene, would settle it"
+            else "use more points or a larger scene"
         )
-        text = f"the residual looks like a deformation, but noise may explain it: {remedy}"
+        text = f"the residuals suggest a deformation, but noise may explain them: {remedy}"
         warnings.append(Notice("noise-or-bend", text))
-    if (evidence.doubtful and is_relevant) or evidence.modes == 0 or tiles < MIN_TILES:
+    if (non_affine.doubtful and matters) or non_affine.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
-    return Finding(verdict, model, evidence, tuple(warnings))
+    return Finding(verdict, model, non_affine, tuple(warnings))
 
 
-def weakest_evidence(evidence: Sequence[Evidence]) -> Evidence:
-    """Return the weakest evidence of different pairs of the same clouds."""
+def least_significant(evidence: Sequence[Evidence]) -> Evidence:
+    """Return the evidence with the largest p-value among several sets of pairs of the same clouds."""
     return max(evidence, key=lambda each: each.p)
 
 
-def test_model(view: PairEvidence, smaller: str, larger: str) -> Evidence:
-    """Test whether a smaller model suffices, against a larger one."""
+def compare_models(view: PairEvidence, smaller: str, larger: str) -> Evidence:
+    """Test a smaller model against a larger one (the null hypothesis is that the smaller one suffices)."""
     step = view.geometry.step(smaller, larger)
     modes = step.modes.T @ view.scores.total
     if not len(modes):
@@ -159,33 +138,33 @@ def test_model(view: PairEvidence, smaller: str, larger: str) -> Evidence:
 
 
 def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[ModelScore]:
-    """Return the cross-validation score of each model, with held-out tiles, and its BIC with the effective count."""
+    """Score each model by leaving out tiles (10 folds) and by the BIC with the effective number of pairs."""
     tile, matrices = geometry.tiles, geometry.tile_matrices
     rows = sum_over_tiles(scores.cells, tile)
     energy, weight = sum_over_tiles(scores.energy, tile), np.maximum(sum_over_tiles(geometry.weights, tile), 1e-300)
     fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
     effective = effective_count(geometry, noise)
-    model_scores = []
+    found = []
     rigid = geometry.explained(scores, "rigid")
     for model in MODELS:
-        fields, loss = geometry.fields(model), np.empty(len(matrices))
-        for index in range(_FOLDS):
-            out = fold == index
-            # In fields of unit information, the normal matrix without a fold is close to the identity.
-            training = (1 + 1e-6) * np.eye(fields.shape[1]) - fields.T @ matrices[out].sum(axis=0) @ fields
-            c = fields @ np.linalg.solve(training, fields.T @ (scores.total - rows[out].sum(axis=0)))
+        half, loss = geometry.half(model), np.empty(len(matrices))
+        for number in range(_FOLDS):
+            out = fold == number
+            # In whitened coordinates: without one fold, the information is still close to the identity.
+            kept = (1 + 1e-6) * np.eye(half.shape[1]) - half.T @ matrices[out].sum(axis=0) @ half
+            c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
             loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
         score = float(loss.sum() / weight.sum())
         explained = geometry.explained(scores, model)
-        residual = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
-        model_scores.append(
+        left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
+        found.append(
             ModelScore(
                 model=model,
                 parameters=PARAMETERS[model],
                 cv_score=score,
                 cv_se=float(np.std(loss - score * weight) * math.sqrt(len(loss)) / weight.sum()),
-                bic_eff=effective * math.log(residual) + PARAMETERS[model] * math.log(max(effective, 2.0)),
+                bic_eff=effective * math.log(left) + PARAMETERS[model] * math.log(max(effective, 2.0)),
                 rms_explained=math.sqrt(max(0.0, explained - rigid) / geometry.total),
             )
         )
-    return model_scores
+    return found

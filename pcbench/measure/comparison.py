@@ -1,4 +1,4 @@
-"""The pipeline: register, match both ways, measure, map; one reference against any number of candidates."""
+"""Comparison pipeline: register, match in both directions, measure and map each candidate against one reference."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def compare(
     """Compare candidate clouds with a reference.
 
     Args:
-        reference: what is compared with; a mesh is sampled by area, with its faces' normals.
-        candidates: one cloud, several, or several by name.
-        settings: see `Settings`.
-        on_step: called with a few words before every step that takes time.
+        reference: reference cloud; a mesh is sampled uniformly by area, with the normals of its faces.
+        candidates: one cloud, several clouds, or several clouds by name.
+        settings: settings of the comparison; None: the defaults of `Settings`.
+        on_step: progress callback, called with a short description before each slow step.
 
     Raises:
         InputError: a cloud, a setting or a region is not usable.
@@ -75,7 +75,7 @@ def compare(
 
     step("indexing the reference")
     shared: dict[str, float] = {}
-    with _timed(shared, "reference"):
+    with _record_time(shared, "reference"):
         prepared = Reference.prepare(given, settings)
     if "poisson" in settings.maps:
         step("reconstructing the reference's surface")
@@ -91,7 +91,7 @@ def compare(
 
 
 def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], settings: Settings) -> list[float]:
-    """Of each step that is announced, roughly, for progress bars."""
+    """Estimate the duration of each announced step, in seconds, for progress bars."""
     first = len(reference) / 1e6 if isinstance(reference, Cloud) else 1.0
     expected = [0.2 + 2 * first, *([20.0 + 30 * first] if "poisson" in settings.maps else [])]
     for cloud in candidates.values():
@@ -103,11 +103,13 @@ def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], s
 
 @dataclass(frozen=True, eq=False)
 class _Aligned:
-    """A candidate on the reference.
+    """A candidate aligned with the reference.
 
     Attributes:
-        index: of its aligned points, minus the reference's origin.
-        inside: (N,) whether a point lies in the region.
+        cloud: the candidate as it was read.
+        registration: its registration to the reference.
+        index: search index over the aligned points, minus the reference's origin.
+        inside: (N,) whether each point lies in the region.
     """
 
     cloud: Cloud
@@ -117,7 +119,7 @@ class _Aligned:
 
 
 class _Matched(NamedTuple):
-    """Closest points of the queries in the region, candidate → reference and back, and those of both clouds cropped."""
+    """Closest points of the queries in the region, in both directions, and those of both cropped clouds."""
 
     forth: Matches
     back: Matches
@@ -129,25 +131,25 @@ def _compare_one(
 ) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
     step(f"{name}: registering")
-    with _timed(timings, "registration"):
+    with _record_time(timings, "registration"):
         aligned = _align(reference, name, cloud, settings)
     step(f"{name}: matching both ways")
-    with _timed(timings, "matching"):
+    with _record_time(timings, "matching"):
         matched = _match(reference, aligned)
     step(f"{name}: measuring")
-    with _timed(timings, "floors"):
+    with _record_time(timings, "floors"):
         forth, back = _directions(reference, aligned, matched, settings.seed)
-    with _timed(timings, "metrics"):
-        thresholds = settings.thresholds or _usual_thresholds(reference.spacing)
+    with _record_time(timings, "metrics"):
+        thresholds = settings.thresholds or _default_thresholds(reference.spacing)
         measurement = _measurement(reference, forth, back, thresholds)
-    with _timed(timings, "maps"):
+    with _record_time(timings, "maps"):
         deviation = _deviation_map(reference, aligned, forth, settings)
         completeness = DeviationMap(*reference.measured, {"distance": back.distances.to_points})
-    with _timed(timings, "presets"):
+    with _record_time(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
         quoted = {key: presets.measure_preset(key, matched.pair, thresholds, to_poisson) for key in settings.presets}
-    step(f"{name}: looking for a bend")
-    with _timed(timings, "deformation"):
+    step(f"{name}: testing for deformation")
+    with _record_time(timings, "deformation"):
         deformation = _deformation(reference, aligned, settings.seed)
     return Candidate(
         name=name,
@@ -177,8 +179,8 @@ def _align(reference: Reference, name: str, cloud: Cloud, settings: Settings) ->
 
 
 def _match(reference: Reference, aligned: _Aligned) -> _Matched:
-    """The region selects the queries: what is searched are the whole clouds."""
-    pair = _hard_pair(reference, aligned.index, aligned.inside)
+    """Match in both directions; the region selects the queries, but the complete clouds are searched."""
+    pair = _cropped_pair(reference, aligned.index, aligned.inside)
     if reference.region is None:
         return _Matched(pair.to_reference, pair.to_candidate, pair)
     forth = reference.index.query(aligned.index.points[aligned.inside])
@@ -186,7 +188,7 @@ def _match(reference: Reference, aligned: _Aligned) -> _Matched:
 
 
 def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed: int) -> tuple[Direction, Direction]:
-    """Candidate → reference and reference → candidate, with their floors."""
+    """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
     points = aligned.index.points
     queries = points if reference.region is None else points[aligned.inside]
     forth = from_candidate(reference, queries, matched.forth)
@@ -195,7 +197,7 @@ def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed
     return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
 
 
-def _usual_thresholds(spacing: float) -> tuple[float, ...]:
+def _default_thresholds(spacing: float) -> tuple[float, ...]:
     return tuple(factor * spacing for factor in (1.0, 2.0, 5.0) if spacing > 0)
 
 
@@ -212,7 +214,7 @@ def _measurement(reference: Reference, forth: Direction, back: Direction, thresh
 
 
 def _deformation(reference: Reference, aligned: _Aligned, seed: int) -> Deformation:
-    """The verdict, from closest points that are found anew in the whole clouds."""
+    """Assess deformation, with closest points found anew in the complete clouds."""
     ours = Side(reference.surface, reference.inside, reference.cloud)
     theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
     return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)
@@ -228,8 +230,9 @@ def _warnings(
 
 
 def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, settings: Settings) -> DeviationMap:
-    """All maps of one candidate at its points inside the region; the distances to points and planes are those that were
-    measured already.
+    """Compute the deviation maps of one candidate at its points inside the region.
+
+    The distances to points and planes were already measured and are reused.
     """
     scalars = {"distance": forth.distances.to_points}
     if forth.distances.to_planes is not None:
@@ -243,8 +246,8 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
     return DeviationMap(forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals)
 
 
-def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
-    """Both clouds cut to the region: where there is none, matched as they are."""
+def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
+    """Crop both clouds to the region and match them; without a region they are matched as they are."""
     rows, given = reference.rows, reference.cloud.normals
     normals = reference.surface.with_normals_at(rows) if reference.has_normals else None
     if rows is None:
@@ -258,10 +261,10 @@ def _hard_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]
 def _differences(
     reference: Reference, results: Sequence[Candidate], measured: Sequence[Measurement]
 ) -> Iterator[Difference]:
-    """Every score's difference a - b, cell by cell: what both have in common is no doubt about it."""
+    """Yield the paired difference a - b of each score, cell by cell: errors common to both candidates cancel."""
     for (a, of_a), (b, of_b) in combinations(zip(results, measured, strict=True), 2):
         apart = {
-            name: intervals.Sampled(one.value - other.value, one.influence - other.influence)
+            name: intervals.LinearizedScore(one.value - other.value, one.influence - other.influence)
             for name, one in of_a.sampled.items()
             if (other := of_b.sampled.get(name)) is not None
         }
@@ -281,7 +284,7 @@ def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[Notice]:
 
 
 @contextmanager
-def _timed(timings: dict[str, float], name: str) -> Iterator[None]:
+def _record_time(timings: dict[str, float], name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - start

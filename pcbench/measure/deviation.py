@@ -1,4 +1,4 @@
-"""Local deviation maps: where, and by how much, a candidate lies off the reference."""
+"""Local deviation maps: where a candidate deviates from the reference, and by how much."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.metrics import nmad, percentiles
 
-CONFIDENCE = 1.96  # standard deviations: a level of detection at 95 %
-_MAX_CORES_AT_ONCE = 512
-_MIN_POINTS = 5  # points that a standard deviation is estimated from, as in CloudCompare
+LOD_Z = 1.96  # normal quantile of a two-sided 95 % level of detection
+_CORES_PER_BLOCK = 512
+_MIN_LOD_POINTS = 5  # points needed to estimate a standard deviation, as in CloudCompare
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How distances, signed or not, are distributed, in the clouds' unit. All None where there are none.
+    """Summary statistics of distances, signed or not, in the clouds' unit; all None if there are no distances.
 
     Attributes:
-        percentiles: as {"p50": ...}.
-        rms: root mean square; bias: mean.
-        median: of the values themselves; std: about their mean, with ddof 0 (rms^2 = bias^2 + std^2).
+        percentiles: percentiles by name, as {"p50": ...}.
+        rms: root mean square.
+        bias: mean.
+        median: median of the (signed) values.
+        std: standard deviation about the mean, with ddof 0 (rms^2 = bias^2 + std^2).
         nmad: normalised median absolute deviation (Höhle & Höhle 2009), see `pcbench.metrics.nmad`.
     """
 
@@ -39,7 +41,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: FloatArray) -> Spread:
-        """Of scalars (N,)."""
+        """Summarise values (N,)."""
         if not len(values):
             return cls()
         ranks = percentiles(values)
@@ -52,12 +54,12 @@ class DeviationMap:
     """Deviations at a cloud's points inside the region, in reference coordinates.
 
     Attributes:
-        points: (M, 3), those of a candidate aligned.
-        rows: (M,) which of the cloud's points they are.
-        scalars: (M,) each, in the clouds' unit: `distance` to the nearest reference point; `plane_distance`, signed, to
-            the tangent plane there (positive above it); `mesh_distance` to a surface (signed where that is closed,
-            negative inside).
-        m3c2: the map of M3C2 where it was asked for; it has places of its own.
+        points: (M, 3) points; those of a candidate are aligned.
+        rows: (M,) row of each point in its cloud.
+        scalars: (M,) values by name, in the clouds' unit: `distance` to the nearest reference point; `plane_distance`,
+            signed, to the tangent plane there (positive above it); `mesh_distance` to a surface (signed if the surface
+            is closed, negative inside).
+        m3c2: M3C2 map, if requested; it has its own core points.
     """
 
     points: FloatArray
@@ -67,22 +69,23 @@ class DeviationMap:
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
-        """Of each of the scalars."""
+        """Summary statistics of each scalar."""
         return {name: Spread.of(values) for name, values in self.scalars.items()}
 
     @property
     def maps(self) -> dict[str, FloatArray]:
-        """The scalars but for the distances to the nearest points."""
+        """The scalars except the distances to the nearest points."""
         return {name: values for name, values in self.scalars.items() if name != "distance"}
 
 
 class M3C2(NamedTuple):
-    """Distances between two clouds along the reference's normals, one a core point (K,); NaN where one has no points.
+    """M3C2 distances between two clouds along the reference's normals, one per core point (K,).
 
-    Lague et al. 2013, section 3.2: `distances` = mean position of the candidate minus that of the reference within a
-    cylinder along the normal, positive where the candidate lies on the side the normal points to. `lod` is the level
-    of detection at 95 %, eq. 1: 1.96 (sqrt(s1^2 / n1 + s2^2 / n2) + registration error), standard deviations s with
-    ddof 0 as in CloudCompare; NaN where either cloud has fewer than five points.
+    Lague et al. 2013, section 3.2: `distances` are the mean position of the candidate minus that of the reference
+    within a cylinder along the normal. They are positive if the candidate lies on the side that the normal points to,
+    and NaN if either cloud has no points in the cylinder. `lod` is the level of detection at 95 %, eq. 1:
+    1.96 (sqrt(s1^2 / n1 + s2^2 / n2) + registration error), with standard deviations s of ddof 0 as in CloudCompare.
+    It is NaN if either cloud has fewer than five points.
     """
 
     cores: FloatArray  # (K, 3)
@@ -98,29 +101,29 @@ class M3C2(NamedTuple):
     registration_error: float
 
     def shifted(self, origin: FloatArray) -> M3C2:
-        """The same map in coordinates from which `origin` (3,) was subtracted."""
+        """Return the same map in coordinates from which `origin` (3,) was subtracted."""
         return self._replace(cores=self.cores - origin)
 
     @property
     def significant(self) -> FloatArray:
-        """1 where |distance| exceeds the level of detection, 0 where it does not, NaN where there is no distance."""
+        """(K,) 1 if |distance| exceeds the level of detection, 0 if it does not, NaN if it cannot be tested."""
         known = np.isfinite(self.distances) & np.isfinite(self.lod)
         return np.where(known, np.abs(self.distances) > self.lod, np.nan)
 
     @property
     def spread(self) -> Spread:
-        """Of the distances that there are."""
+        """Summary statistics of the finite distances."""
         return Spread.of(self.distances[np.isfinite(self.distances)])
 
     @property
     def median_lod(self) -> float | None:
-        """The median level of detection where there is a distance to compare with it; None where there is none."""
+        """Median level of detection of the tested core points; None if none was tested."""
         tested = np.isfinite(self.significant)
         return float(np.median(self.lod[tested])) if tested.any() else None
 
     @property
     def significant_share(self) -> float | None:
-        """Share of the distances with a level of detection that exceed it; None where there are none."""
+        """Share of the tested distances that exceed their level of detection; None if none was tested."""
         significant = self.significant[np.isfinite(self.significant)]
         return float(significant.mean()) if len(significant) else None
 
@@ -135,12 +138,16 @@ def m3c2(
     half_length: float,
     registration_error: float = 0.0,
 ) -> M3C2:
-    """M3C2 at core points (K, 3) along unit normals (K, 3).
+    """Compute M3C2 at core points (K, 3) along unit normals (K, 3).
 
     Args:
-        radius: of the cylinders (half of CloudCompare's projection *scale*, which is a diameter).
-        half_length: how far the cylinders reach to either side of a core point.
-        registration_error: added to the level of detection, in the clouds' unit.
+        reference: search index of the reference.
+        candidate: search index of the candidate.
+        cores: (K, 3) core points.
+        normals: (K, 3) unit normals.
+        radius: radius of the cylinders (half of CloudCompare's projection *scale*, which is a diameter).
+        half_length: length of the cylinders to either side of a core point.
+        registration_error: addend of the level of detection, in the clouds' unit.
 
     Raises:
         InputError: a length is not positive, or the arrays do not match.
@@ -150,12 +157,12 @@ def m3c2(
             f"expected positive lengths for M3C2, got radius {radius}, half length {half_length},"
             f" registration error {registration_error}"
         )
-    mean_r, std_r, count_r = _along(reference, cores, normals, radius, half_length)
-    mean_c, std_c, count_c = _along(candidate, cores, normals, radius, half_length)
+    mean_r, std_r, count_r = _positions_along(reference, cores, normals, radius, half_length)
+    mean_c, std_c, count_c = _positions_along(candidate, cores, normals, radius, half_length)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = std_r**2 / count_r + std_c**2 / count_c
-    enough = np.minimum(count_r, count_c) >= _MIN_POINTS
-    lod = np.where(enough, CONFIDENCE * (np.sqrt(variance) + registration_error), np.nan)
+    enough = np.minimum(count_r, count_c) >= _MIN_LOD_POINTS
+    lod = np.where(enough, LOD_Z * (np.sqrt(variance) + registration_error), np.nan)
     return M3C2(
         cores,
         normals,
@@ -171,21 +178,23 @@ def m3c2(
     )
 
 
-def _along(
+def _positions_along(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Mean, standard deviation and number of the positions along each normal; NaN where there is none."""
-    # A few cores at a time: wide cylinders hold thousands of points each.
-    starts = range(0, max(len(cores), 1), _MAX_CORES_AT_ONCE)
+    """Return mean, standard deviation and count of the positions along each normal; NaN if there are none."""
+    # Blocks of cores limit the memory: wide cylinders hold thousands of points each.
+    starts = range(0, max(len(cores), 1), _CORES_PER_BLOCK)
     parts = [
-        _along_some(index, cores[s : s + _MAX_CORES_AT_ONCE], normals[s : s + _MAX_CORES_AT_ONCE], radius, half_length)
+        _positions_along_block(
+            index, cores[s : s + _CORES_PER_BLOCK], normals[s : s + _CORES_PER_BLOCK], radius, half_length
+        )
         for s in starts
     ]
     mean, std, count = (np.concatenate(column) for column in zip(*parts, strict=True))
     return mean, std, count
 
 
-def _along_some(
+def _positions_along_block(
     index: Index, cores: FloatArray, normals: FloatArray, radius: float, half_length: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     found = index.query_cylinder(cores, normals, radius, half_length)

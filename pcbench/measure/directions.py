@@ -1,4 +1,4 @@
-"""One-way distances, candidate → reference and reference → candidate, and what sampling alone would make of them."""
+"""One-way distances candidate → reference and reference → candidate, and their sampling floors."""
 
 from __future__ import annotations
 
@@ -15,25 +15,29 @@ from pcbench.measure.reference import Reference
 
 
 class MeanMetric(NamedTuple):
-    """A metric that is a mean over the queries of a direction. Floors, intervals, area weighting, differences between
-    candidates and all outputs follow from this definition alone.
+    """A metric that is a mean over the queries of one direction.
+
+    Floors, intervals, area weighting, differences between candidates and all outputs follow from this definition.
 
     Attributes:
-        name: its key; root_name: that of its square root, if that is reported too.
-        label, root_label: in tables.
-        definition: in words.
-        power: of the unit of length.
-        of_each: what is averaged (M,), None where it does not exist.
+        name: key of the metric.
+        label: label of its row in tables.
+        definition: definition in words.
+        power: power of the unit of length.
+        of_each: function that returns the averaged values (M,), or None if they do not exist.
+        root_name: key of its square root, if that is reported too.
+        root_label: label of the square root in tables.
         has_symmetric_max: whether the larger of both directions is reported.
-        headline: its label in the summary, or that of its root if there is one; empty: it is not there.
-        column, ranks: heading and `Headline.rank` of its column there, c→r and r→c, each with the rank of its floor.
+        headline: label in the summary, of the square root if there is one; empty: not in the summary.
+        column: heading of its column in the summary.
+        ranks: `Headline.rank` of that column for c→r and r→c, each with the rank of the floor.
     """
 
     name: str
     label: str
     definition: str
     power: int
-    of_each: Callable[[Distances], FloatArray | None]
+    values_of: Callable[[Distances], FloatArray | None]
     root_name: str | None = None
     root_label: str | None = None
     has_symmetric_max: bool = False
@@ -87,10 +91,10 @@ class Direction(NamedTuple):
     """One-way distances of the queries inside the region.
 
     Attributes:
-        points: (M, 3) the queries, in local coordinates.
-        distances: (M,) each.
-        floors: of each mean metric by name, what it would be without any error; None where there is no such thing.
-        cells: (M,) of the intervals, in which each query is measured.
+        points: (M, 3) queries, in local coordinates.
+        distances: (M,) distances of each kind.
+        floors: sampling floor of each mean metric by name; None if it does not exist.
+        cells: (M,) correlation cell in which each query is measured.
     """
 
     points: FloatArray
@@ -100,7 +104,7 @@ class Direction(NamedTuple):
 
 
 def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) -> Direction:
-    """Candidate → reference."""
+    """Measure the direction candidate → reference."""
     distances, closest = matches
     planes = None
     if reference.has_normals:
@@ -113,12 +117,15 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) 
 def from_reference(
     reference: Reference, candidate: Index, matched: IntArray, back: Matches, *, forth: Direction, seed: int
 ) -> Direction:
-    """Reference → candidate.
+    """Measure the direction reference → candidate.
 
     Args:
-        forth: the other direction: its distances to planes and their floor tell how large the candidate's errors are.
-        matched: (N,) the reference's point nearest to each point of the candidate; negative where it is not known.
-        seed: of the floor's sample.
+        reference: the prepared reference.
+        candidate: search index of the aligned candidate.
+        matched: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
+        back: closest candidate points of the reference's measured points.
+        forth: the other direction; its plane distances and their floor estimate the candidate's errors.
+        seed: random seed of the floor's sample.
     """
     rows, queries = reference.rows, reference.measured_points
     planes = None
@@ -128,20 +135,20 @@ def from_reference(
     cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
     error = 0.0
     if forth.distances.to_planes is not None:
-        error = _excess(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
+        error = _error_share(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
     floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
     return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 
 def _means(distances: Distances | None) -> dict[str, float | None]:
-    """Of each mean metric by name."""
+    """Return the mean of each mean metric by name."""
     means: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
-        values = None if distances is None else metric.of_each(distances)
+        values = None if distances is None else metric.values_of(distances)
         means[metric.name] = None if values is None else float(np.mean(values))
     return means
 
 
-def _excess(score: float, floor: float | None) -> float:
-    """The share of a score that sampling does not explain."""
+def _error_share(score: float, floor: float | None) -> float:
+    """Return the share of a score that sampling does not explain."""
     return 0.0 if floor is None or score <= floor else 1 - floor / score

@@ -1,4 +1,4 @@
-"""How like a photograph a rendering of the same view is."""
+"""Similarity of a rendering to a photograph of the same view."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 class ViewScores(NamedTuple):
-    """Of one rendering against its photograph.
+    """Scores of one rendering against its photograph.
 
     Attributes:
-        psnr: decibels, more is better.
-        ssim: up to 1, more is better.
-        lpips, flip: from 0, less is better; None where what measures them is not here (`pcbench.measure.perceptual`).
+        psnr: peak signal-to-noise ratio in decibels; higher is better.
+        ssim: structural similarity, at most 1; higher is better.
+        lpips, flip: perceptual errors, at least 0; lower is better; None if not installed
+            (`pcbench.measure.perceptual`).
     """
 
     psnr: float

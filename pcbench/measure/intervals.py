@@ -1,11 +1,11 @@
-"""How far a score would move with another draw of noise and of points: 95 % intervals.
+"""95 % confidence intervals of scores: their variation under new draws of the noise and of the points.
 
-Neighbouring distances are alike, so points are no independent sample. A score is written as a sum over cells of space
-(its linearisation), and the variance of that sum is that of the cells and of their products with the cells around them,
-as far as these show that they are alike (Conley 1999: a spatial heteroskedasticity- and autocorrelation-consistent
-variance; the distance is chosen as by Politis & White 2004: the first at which nothing is seen any more). The same sum
-over the contributions to the variance tells how well that is known, hence the degrees of freedom of Student's t. The
-registration is taken as it is, and maxima get no interval.
+Neighbouring distances are correlated, so points are not an independent sample. A score is linearised as a sum over
+cells of space. The variance of that sum adds the products of each cell with itself and with the cells around it, up to
+the distance at which they are correlated (Conley 1999: a spatial heteroskedasticity- and autocorrelation-consistent
+variance). That distance is chosen as by Politis & White 2004: the first one beyond which no significant correlation is
+found. The same sum over the contributions to the variance estimates its own error, and hence the degrees of freedom of
+Student's t. The registration is taken as exact, and maxima get no interval.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import robust_bounds
 
-_CELLS_ALONG = 28  # the diagonal of the scene
-_REACHES = (0, 1, 2, 3, 5, 8)  # cells to either side, within which cells may be alike
-_SEEN = 1.3  # standard deviations by which products of cells must be positive to count as alike
-_LEAST_LEFT = 0.2  # of the variance, after the mean was subtracted
-_LEAST_DEGREES = 2.0  # of freedom
+_CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
+_CORRELATION_RADII = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
+_CORRELATION_Z = 1.3  # standard errors by which the products of cells must exceed zero to count as correlated
+_MIN_VARIANCE_SHARE = 0.2  # minimum share of the variance left after subtracting the mean
+_MIN_DEGREES_OF_FREEDOM = 2.0  # minimum degrees of freedom
 
 
 class Interval(NamedTuple):
-    """A 95 % interval."""
+    """A 95 % confidence interval."""
 
     low: float
     high: float
 
 
 class CorrelationCells(NamedTuple):
-    """A partition of the scene into cubes; those at the edges hold the stragglers beyond."""
+    """A partition of the scene into cubes; the outermost ones include the points beyond the robust bounds."""
 
     of_point: IntArray  # (N,) the cell of each point of the reference
     shape: tuple[int, ...]  # along the three axes
@@ -42,38 +42,40 @@ class CorrelationCells(NamedTuple):
 
     @property
     def number(self) -> int:
+        """Number of cells."""
         return math.prod(self.shape)
 
 
-class Sampled(NamedTuple):
-    """A score, and what each cell adds to its deviation from the expected value: to first order, and 0 in sum."""
+class LinearizedScore(NamedTuple):
+    """A score and the first-order contribution of each cell to its deviation from the expectation; they sum to 0."""
 
     value: float
     influence: FloatArray  # (B,)
-    largest: float = math.inf  # that the score can be; the least is 0
+    largest: float = math.inf  # upper bound of the score; the lower bound is 0
 
 
 class ScoreUncertainty(NamedTuple):
-    """How well a score is known.
+    """The uncertainty of a score.
 
     Attributes:
-        sigma: its standard deviation.
-        degrees: of freedom of that.
-        pieces: the number of independent pieces of the scene.
-        reach: the distance over which its distances are alike, in the clouds' unit; 0 where neighbouring cells are not.
+        sigma: standard error of the score.
+        degrees: degrees of freedom of the standard error.
+        pieces: effective number of independent regions of the scene.
+        reach: distance over which the distances are correlated, in the clouds' unit; 0 if neighbouring cells are
+            uncorrelated.
     """
 
     sigma: float
-    degrees: float
-    pieces: float
+    degrees_of_freedom: float
+    independent_regions: float
     reach: float
 
 
 def partition(points: FloatArray) -> CorrelationCells:
     """Cut the robust bounds of points (N, 3) into cubes."""
     lower, upper = robust_bounds(points)
-    side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG
-    if not side > 0:  # all points at one place
+    side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG_DIAGONAL
+    if not side > 0:  # all points coincide
         return CorrelationCells(np.zeros(len(points), np.int64), (1, 1, 1), 0.0)
     shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
     number = np.zeros(len(points), np.int64)
@@ -83,19 +85,27 @@ def partition(points: FloatArray) -> CorrelationCells:
     return CorrelationCells(number, tuple(int(size) for size in shape), side)
 
 
-def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: FloatArray) -> dict[str, ScoreUncertainty]:
-    """Of scores by name. shares (B,): of the scene's points in each cell; the sum is 1."""
+def spreads(
+    sampled: Mapping[str, LinearizedScore], cells: CorrelationCells, shares: FloatArray
+) -> dict[str, ScoreUncertainty]:
+    """Estimate the uncertainty of scores by name.
+
+    Args:
+        sampled: linearised scores by name.
+        cells: the correlation cells.
+        shares: (B,) share of the scene's points in each cell; the sum is 1.
+    """
     if not sampled:
         return {}
     u = np.stack([score.influence for score in sampled.values()]).reshape(-1, *cells.shape)
     w = shares.reshape(1, *cells.shape)
     p = np.square(u)
-    around = [_around(u, reach) for reach in _REACHES]
-    # Of each reach: the sum of products, its variance if the cells were independent, and the share of pairs within.
-    within = np.stack([_total(u * found) for found in around])
-    chance = np.stack([2 * _total(p * _around(p, reach)) for reach in _REACHES])
-    pairs = np.stack([_total(w * _around(w, reach)) for reach in _REACHES])
-    seen = np.diff(within, axis=0) > _SEEN * np.sqrt(np.maximum(np.diff(chance, axis=0), 0))
+    around = [_box_sums(u, reach) for reach in _CORRELATION_RADII]
+    # Per radius: the sum of products, its variance if the cells were independent, and the share of pairs within.
+    within = np.stack([_grid_totals(u * found) for found in around])
+    chance = np.stack([2 * _grid_totals(p * _box_sums(p, reach)) for reach in _CORRELATION_RADII])
+    pairs = np.stack([_grid_totals(w * _box_sums(w, reach)) for reach in _CORRELATION_RADII])
+    seen = np.diff(within, axis=0) > _CORRELATION_Z * np.sqrt(np.maximum(np.diff(chance, axis=0), 0))
     steps = np.cumprod(seen, axis=0, dtype=np.int64).sum(axis=0)
     found = {}
     for row, name in enumerate(sampled):
@@ -104,23 +114,27 @@ def spreads(sampled: Mapping[str, Sampled], cells: CorrelationCells, shares: Flo
         if not total > 0:
             found[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
             continue
-        # The mean was subtracted, and with it the products of the pairs within reach lost their share.
-        variance = total / max(1 - float(pairs[step, 0]), _LEAST_LEFT)
+        # Subtracting the mean removed a share of the products of pairs within the radius.
+        variance = total / max(1 - float(pairs[step, 0]), _MIN_VARIANCE_SHARE)
         parts = u[row] * around[step][row] - total * w[0]
-        doubt = max(float(np.sum(parts * _around(parts[None], _REACHES[step])[0])), float(np.sum(np.square(parts))))
-        # 2 V^2 / Var V, and half of it: the tails that few pieces do not show make it too large.
-        degrees = max(total**2 / doubt, _LEAST_DEGREES) if doubt > 0 else math.inf
-        pieces = alone / (total * float(pairs[0, 0]))
-        found[name] = ScoreUncertainty(math.sqrt(variance), degrees, pieces, _REACHES[step] * cells.side)
+        doubt = max(
+            float(np.sum(parts * _box_sums(parts[None], _CORRELATION_RADII[step])[0])), float(np.sum(np.square(parts)))
+        )
+        # 2 V^2 / Var V, halved: with few regions the observed tails are too short, which overestimates it.
+        degrees_of_freedom = max(total**2 / doubt, _MIN_DEGREES_OF_FREEDOM) if doubt > 0 else math.inf
+        independent_regions = alone / (total * float(pairs[0, 0]))
+        found[name] = ScoreUncertainty(
+            math.sqrt(variance), degrees_of_freedom, independent_regions, _CORRELATION_RADII[step] * cells.side
+        )
     return found
 
 
-def interval(score: Sampled, spread: ScoreUncertainty) -> Interval:
-    """On a scale on which scores are about normal: the logarithm, and that of the odds of a share."""
+def interval(score: LinearizedScore, spread: ScoreUncertainty) -> Interval:
+    """Return the confidence interval of a score, computed on a log scale, or on a log-odds scale for a share."""
     value, largest = score.value, score.largest
     if spread.sigma == 0 or not 0 < value < largest:
         return Interval(value, value)
-    reach = quantile(spread.degrees) * spread.sigma * (1 / value + 1 / (largest - value))
+    reach = student_t_quantile(spread.degrees_of_freedom) * spread.sigma * (1 / value + 1 / (largest - value))
     low, high = (value * math.exp(min(sign * reach, 700.0)) for sign in (-1, 1))
     if largest < math.inf:
         low, high = (largest * end / (largest - value + end) for end in (low, high))
@@ -128,17 +142,17 @@ def interval(score: Sampled, spread: ScoreUncertainty) -> Interval:
 
 
 def difference(value: float, spread: ScoreUncertainty) -> Interval:
-    """Of two scores, which may be negative."""
-    reach = quantile(spread.degrees) * spread.sigma if spread.sigma > 0 else 0.0
+    """Return the confidence interval of a difference of two scores, which may be negative."""
+    reach = student_t_quantile(spread.degrees_of_freedom) * spread.sigma if spread.sigma > 0 else 0.0
     return Interval(value - reach, value + reach)
 
 
-def quantile(degrees: float) -> float:
-    """Student's t at the upper end of a 95 % interval, for 2 degrees of freedom (to 0.8 %) and more.
+def student_t_quantile(degrees_of_freedom: float) -> float:
+    """Return the 97.5 % quantile of Student's t, for at least 2 degrees of freedom (relative error at most 0.8 %).
 
-    Abramowitz & Stegun 1964, 26.7.5: scipy, which knows it too, takes longer to import than many a comparison.
+    Abramowitz & Stegun 1964, 26.7.5. Importing scipy for it would take longer than many comparisons.
     """
-    z, n = 1.959963984540054, degrees
+    z, n = 1.959963984540054, degrees_of_freedom
     return (
         z
         + (z**3 + z) / (4 * n)
@@ -148,13 +162,13 @@ def quantile(degrees: float) -> float:
     )
 
 
-def _total(values: FloatArray) -> FloatArray:
+def _grid_totals(values: FloatArray) -> FloatArray:
     totals: FloatArray = values.sum(axis=(1, 2, 3))
     return totals
 
 
-def _around(values: FloatArray, reach: int) -> FloatArray:
-    """(Q, X, Y, Z) sums over each cell and those up to `reach` cells away along every axis."""
+def _box_sums(values: FloatArray, reach: int) -> FloatArray:
+    """Return (Q, X, Y, Z) sums over the cells up to `reach` cells away along each axis."""
     for axis in (1, 2, 3):
         size = values.shape[axis]
         if reach == 0 or size == 1:

@@ -1,11 +1,11 @@
-"""Distances between clouds as numbers: pure functions of one-way distances, and of two clouds.
+"""Metrics of one-way distances, and of two clouds, as pure functions.
 
 Let a be the distances candidate -> reference and b those reference -> candidate (each to the nearest point of the
-whole other cloud). A bare "Chamfer distance" means nothing: every function names its variant.
+complete other cloud). "Chamfer distance" alone is ambiguous: each function names its variant.
 
-`chamfer_unsquared(a, b)` takes such distances, (N,) and (M,); `chamfer_unsquared_between(candidate, reference)` takes
-the clouds themselves, as they lie, and so does every function whose name ends so. Nothing is registered, cropped or
-weighted: that is what `pcbench.compare` is for.
+`chamfer_unsquared(a, b)` takes such distances, (N,) and (M,). `chamfer_unsquared_between(candidate, reference)` takes
+the clouds themselves, and so does each function with that suffix. Nothing is registered, cropped or weighted: use
+`pcbench.compare` for that.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from pcbench.native import _core
 
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 
-Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the file that holds it
-_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
+_PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 
 class Distances(NamedTuple):
-    """Of each query of one direction (M,): to the nearest point, and signed to tangent planes of the reference."""
+    """Distances of the queries of one direction (M,): to the nearest point, and signed to the reference's planes."""
 
     to_points: FloatArray
     to_planes: FloatArray | None  # None without normals
 
 
 class FScore(NamedTuple):
-    """Shares in [0, 1] at one threshold (in the clouds' unit)."""
+    """Precision, recall and F-score in [0, 1] at one distance threshold (in the clouds' unit)."""
 
     threshold: float
     precision: float
@@ -54,9 +54,15 @@ def plane_distances(
     closest_rows: IntArray | None = None,
     normal_rows: IntArray | None = None,
 ) -> FloatArray:
-    """Signed distances (M,) of queries (M, 3) to tangent planes, along unit normals (M, 3) at closest points (M, 3).
+    """Compute signed distances (M,) of queries to tangent planes along unit normals at the closest points.
 
-    Each array is taken in order, or by rows (M,) into it: then none of it is copied.
+    Args:
+        queries: (M, 3) queries, or any number with `query_rows`.
+        closest: (M, 3) closest points, or any number with `closest_rows`.
+        normals: (M, 3) unit normals, or any number with `normal_rows`.
+        query_rows: (M,) rows into `queries`; None: all in order. Rows avoid copies.
+        closest_rows: (M,) rows into `closest`; None: all in order.
+        normal_rows: (M,) rows into `normals`; None: all in order.
     """
     distances = np.empty(len(queries) if query_rows is None else len(query_rows))
     arrays = [np.ascontiguousarray(array, np.float64) for array in (queries, closest, normals)]
@@ -65,7 +71,7 @@ def plane_distances(
 
 
 def mean_square(distances: ArrayLike) -> float:
-    """Mean of the squares, in squared units: D1 of point-to-point, D2 of point-to-plane distances, one way.
+    """Mean of the squares, in squared units: D1 of point-to-point, D2 of point-to-plane distances, in one direction.
 
     D1 and D2 as in Tian et al. 2017, eqs. 1-4 (MPEG's p2point and p2plane) before the maximum over directions.
     """
@@ -78,24 +84,24 @@ def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def one_way_hausdorff(distances: ArrayLike) -> float:
-    """Largest one-way distance."""
+    """Largest one-way distance, in the clouds' unit."""
     return float(_unsigned(distances, "one_way_hausdorff").max())
 
 
 def chamfer_unsquared(a: ArrayLike, b: ArrayLike) -> float:
-    """mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
+    """Sum of the mean distances, mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
     forth, back = (float(np.mean(_unsigned(each, "chamfer_unsquared"))) for each in (a, b))
     return forth + back
 
 
 def chamfer_squared(a: ArrayLike, b: ArrayLike) -> float:
-    """mean a^2 + mean b^2, in squared units (Fan et al. 2017 with means; most learning papers; `gao2025`)."""
+    """Sum of the mean squares, mean a^2 + mean b^2, in squared units (Fan et al. 2017 with means; `gao2025`)."""
     forth, back = (float(np.mean(np.square(_distances(each, "chamfer_squared")))) for each in (a, b))
     return forth + back
 
 
 def fscore(a: ArrayLike, b: ArrayLike, threshold: float) -> FScore:
-    """Precision = share of a <= threshold, recall = share of b <= threshold, and their harmonic mean.
+    """Precision (share of a <= threshold), recall (share of b <= threshold), and their harmonic mean.
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
@@ -107,12 +113,12 @@ def fscore(a: ArrayLike, b: ArrayLike, threshold: float) -> FScore:
 
 
 def harmonic_mean(precision: float, recall: float) -> float:
-    """2pr / (p + r), 0 where both are 0."""
+    """Harmonic mean 2pr / (p + r); 0 if both are 0."""
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
-def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
-    """Percentiles of one-way distances, as {"p5": ...}; linear interpolation between order statistics."""
+def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _PERCENTILE_RANKS) -> dict[str, float]:
+    """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
     return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(values, ranks), strict=True)}
 
@@ -120,16 +126,16 @@ def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _RANKS) -> dict
 def nmad(values: ArrayLike) -> float:
     """Normalised median absolute deviation of values (N,), in their unit: 1.4826 median |v - median v|.
 
-    The standard deviation where errors are normal, and hardly moved by outliers where they are not: what Höhle & Höhle
-    2009 ("Accuracy assessment of digital elevation models by means of robust statistical methods", ISPRS Journal 64)
-    recommend to report beside it.
+    It equals the standard deviation if errors are normal, and is robust against outliers. Höhle & Höhle 2009 ("Accuracy
+    assessment of digital elevation models by means of robust statistical methods", ISPRS Journal 64) recommend it
+    beside the standard deviation.
     """
     numbers = _distances(values, None)
     return NORMAL_MAD * float(np.median(np.abs(numbers - np.median(numbers))))
 
 
 def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:
-    """Mean over occupied voxels of the voxel's mean of `values` (N,), so that a dense centre does not decide alone."""
+    """Mean over occupied voxels of the mean of `values` (N,) in each voxel, so that dense areas do not dominate."""
     numbers = _distances(values, None)
     if len(numbers) != len(voxels.of_point):
         raise InputError(f"expected a value for each of {len(voxels.of_point)} points, got {len(numbers)}")
@@ -137,57 +143,60 @@ def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:
 
 
 def distances_between(candidate: Points, reference: Points) -> tuple[FloatArray, FloatArray]:
-    """a (N,) and b (M,): from each point of a candidate (N points) to the nearest of the reference (M), and back.
+    """Distances a (N,) from each point of a candidate to the nearest of the reference, and b (M,) in reverse.
 
     Args:
-        candidate, reference: clouds, (N, 3) arrays, or files that `pcbench.read_cloud` reads; exact at any coordinates.
+        candidate, reference: clouds, (N, 3) arrays, or files that `pcbench.read_cloud` reads. Large coordinates lose no
+            precision.
 
     Raises:
-        InputError: one of them is no cloud.
+        InputError: an argument is not a cloud.
     """
     points = _points(reference)
-    origin = np.floor(points.mean(axis=0))  # far from zero, squares would lose what differences hold
+    origin = np.floor(points.mean(axis=0))  # far from zero, squared coordinates would exceed the precision
     first, second = Index(_points(candidate) - origin), Index(points - origin)
     return second.query(first.points).distances, first.query(second.points).distances
 
 
 def mean_square_between(candidate: Points, reference: Points) -> float:
-    """D1 candidate -> reference, one way: `mean_square` of the distances; clouds as for `distances_between`."""
+    """D1 candidate -> reference: `mean_square` of the one-way distances; clouds as for `distances_between`."""
     return mean_square(_one_way(candidate, reference))
 
 
 def one_way_hausdorff_between(candidate: Points, reference: Points) -> float:
-    """Largest distance candidate -> reference, one way; clouds as for `distances_between`."""
+    """Largest distance candidate -> reference; clouds as for `distances_between`."""
     return one_way_hausdorff(_one_way(candidate, reference))
 
 
-def percentiles_between(candidate: Points, reference: Points, ranks: tuple[float, ...] = _RANKS) -> dict[str, float]:
-    """`percentiles` of the distances candidate -> reference, one way; clouds as for `distances_between`."""
+def percentiles_between(
+    candidate: Points, reference: Points, ranks: tuple[float, ...] = _PERCENTILE_RANKS
+) -> dict[str, float]:
+    """`percentiles` of the distances candidate -> reference; clouds as for `distances_between`."""
     return percentiles(_one_way(candidate, reference), ranks)
 
 
 def hausdorff_between(candidate: Points, reference: Points) -> float:
-    """`hausdorff` of two clouds, both ways; clouds as for `distances_between`."""
+    """`hausdorff` of two clouds, symmetric; clouds as for `distances_between`."""
     return hausdorff(*distances_between(candidate, reference))
 
 
 def chamfer_unsquared_between(candidate: Points, reference: Points) -> float:
-    """`chamfer_unsquared` of two clouds, both ways; clouds as for `distances_between`."""
+    """`chamfer_unsquared` of two clouds, symmetric; clouds as for `distances_between`."""
     return chamfer_unsquared(*distances_between(candidate, reference))
 
 
 def chamfer_squared_between(candidate: Points, reference: Points) -> float:
-    """`chamfer_squared` of two clouds, both ways; clouds as for `distances_between`."""
+    """`chamfer_squared` of two clouds, symmetric; clouds as for `distances_between`."""
     return chamfer_squared(*distances_between(candidate, reference))
 
 
 def fscore_between(candidate: Points, reference: Points, threshold: float) -> FScore:
-    """`fscore` of two clouds at one threshold, both ways; clouds as for `distances_between`."""
+    """`fscore` of two clouds at one threshold; clouds as for `distances_between`."""
     return fscore(*distances_between(candidate, reference), threshold)
 
 
 def psnr(mse: float, peak: float, factor: float = 3.0) -> float | None:
-    """10 log10(factor peak^2 / mse) in dB (MPEG: factor 3 for geometry); None where it does not exist."""
+    """Peak signal-to-noise ratio 10 log10(factor peak^2 / mse) in dB (MPEG: factor 3); None if undefined."""
     return float(10 * np.log10(factor * peak**2 / mse)) if 0 < mse < np.inf and peak > 0 else None
 
 
@@ -206,7 +215,7 @@ def _points(given: Points) -> FloatArray:
 
 
 def _distances(given: ArrayLike, name: str | None, further: str = "") -> FloatArray:
-    """Numbers (N,) as float64; points are refused, with the call of that name that takes them."""
+    """Return distances (N,) as float64; points are refused with a hint to the function that takes them."""
     values = np.asarray(given, dtype=np.float64)
     if values.ndim != 1:
         hint = ""
@@ -221,7 +230,7 @@ def _distances(given: ArrayLike, name: str | None, further: str = "") -> FloatAr
 
 
 def _unsigned(given: ArrayLike, name: str, further: str = "") -> FloatArray:
-    """The same of distances that may not cancel one another: signed ones are refused."""
+    """Return distances (N,) as float64; signed ones are refused, because they would cancel."""
     values = _distances(given, name, further)
     if bad := int(np.count_nonzero(values < 0)):
         raise InputError(f"expected unsigned distances, got {bad} of {len(values)} below 0: take np.abs of them")

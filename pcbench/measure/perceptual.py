@@ -1,4 +1,4 @@
-"""Metrics that imitate how people see a difference, as far as the packages that define them are here: LPIPS and FLIP.
+"""Perceptual image metrics, if their packages are installed: LPIPS and FLIP.
 
 They are learned or fitted to people's answers, so nothing but their authors' own code is the definition.
 """
@@ -26,14 +26,14 @@ Metric = Callable[[NDArray[Any], NDArray[Any], "NDArray[np.bool_] | None"], floa
 
 @dataclass(frozen=True)
 class Perceptual:
-    """The metrics that can be measured here, and what is said of the others.
+    """The available metrics, and notices about the missing ones.
 
     Attributes:
-        lpips: Zhang et al. 2018, "The unreasonable effectiveness of deep features", of the package `lpips`, on VGG as
-            papers on view synthesis report it, of values from -1 to 1 as the package expects them.
-        flip: Andersson et al. 2020, "FLIP: a difference evaluator for alternating images", of the package
-            `flip-evaluator`, at its 67 pixels per degree.
-        missing: a notice for each that is None.
+        lpips: Zhang et al. 2018, "The unreasonable effectiveness of deep features", from the package `lpips`, with VGG
+            as papers on view synthesis report it, on values from -1 to 1 as the package expects.
+        flip: Andersson et al. 2020, "FLIP: a difference evaluator for alternating images", from the package
+            `flip-evaluator`, at its default of 67 pixels per degree.
+        missing: a notice for each metric that is None.
     """
 
     lpips: Metric | None
@@ -42,7 +42,7 @@ class Perceptual:
 
     @classmethod
     def here(cls) -> Perceptual:
-        """Nothing is downloaded: LPIPS without the weights of its network is missing."""
+        """Return the metrics that are available without a download; LPIPS needs the weights of its network."""
         lpips, without_lpips = _find_lpips()
         flip, without_flip = _find_flip()
         return cls(lpips, flip, tuple(notice for notice in (without_lpips, without_flip) if notice is not None))
@@ -91,7 +91,7 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
         tensors = (torch.from_numpy(2 * part.transpose(2, 0, 1)[None] - 1).float() for part in (image, reference))
         with torch.no_grad():
             whole = float(network(*tensors))
-        # Where the images are alike it is zero: the mean over all pixels becomes that over those that count.
+        # Masked pixels are equal and contribute zero: rescale the mean over all pixels to the unmasked ones.
         share = 1.0 if mask is None else float(mask.mean())
         return whole / share if share else float("nan")
 

@@ -1,6 +1,6 @@
-"""Named sets of definitions, locked: what another tool or paper would have printed for the same aligned pair.
+"""Presets: the fixed definitions of other tools and papers, applied to the same aligned pair.
 
-All of them compare whole clouds that were cropped hard: both lose what lies outside the region.
+All of them compare complete clouds after a hard crop: both clouds lose the points outside the region.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pcbench.geometry.voxels import cell_means
 from pcbench.measure import metrics
 from pcbench.native import _core
 
-_TIE = 1e-8  # pc_error takes squared distances this close as equal
+_TIE_TOLERANCE = 1e-8  # pc_error treats squared distances this close as equal
 _MAX_TIES = 30
 
 
@@ -27,12 +27,13 @@ class Gao2025:
     """Definitions of Gao et al. 2025.
 
     Attributes:
-        d1_mse, d2_mse: mean squares from the candidate to the reference's points, and to their tangent planes.
-        d2_poisson_mse: to the reference's Poisson mesh; None where that was not asked for.
-        hausdorff: the larger one of both directions.
+        d1_mse: mean squared distance from the candidate to the reference's points.
+        d2_mse: mean squared distance from the candidate to the reference's tangent planes; None without normals.
+        d2_poisson_mse: mean squared distance to the reference's Poisson mesh; None if it was not requested.
+        hausdorff: symmetric Hausdorff distance.
         chamfer: `d1_mse` plus `d1_back_mse`.
-        d1_back_mse: mean square from the reference to the candidate's points, which the paper's D1 leaves out. None in
-            files of versions that did not write it.
+        d1_back_mse: mean squared distance from the reference to the candidate's points, which the paper's D1 omits.
+            None in files of versions that did not write it.
     """
 
     d1_mse: float
@@ -44,8 +45,8 @@ class Gao2025:
 
 
 @dataclass(frozen=True)
-class BothWays:
-    """a = reference, b = candidate, as in MPEG's pc_error; `symmetric` is the larger one."""
+class DirectedValues:
+    """Values of both directions: a = reference, b = candidate, as in MPEG's pc_error; `symmetric` is the larger."""
 
     a_to_b: float | None = None
     b_to_a: float | None = None
@@ -54,10 +55,10 @@ class BothWays:
 
 @dataclass(frozen=True)
 class Mpeg:
-    """What MPEG's pc_error prints; peak in the clouds' unit, PSNR in dB."""
+    """Metrics that MPEG's pc_error prints; peak in the clouds' unit, PSNR in dB."""
 
-    d1_mse: BothWays
-    d2_mse: BothWays
+    d1_mse: DirectedValues
+    d2_mse: DirectedValues
     d1_psnr: float | None
     d2_psnr: float | None
     hausdorff_squared_d1: float
@@ -67,7 +68,7 @@ class Mpeg:
 
 @dataclass(frozen=True)
 class Open3d:
-    """What Open3D's `compute_metrics` returns."""
+    """Metrics that Open3D's `compute_metrics` returns."""
 
     chamfer: float
     hausdorff: float
@@ -76,7 +77,7 @@ class Open3d:
 
 @dataclass(frozen=True)
 class Pdal:
-    """What PDAL prints."""
+    """Metrics that PDAL prints."""
 
     chamfer: float
     hausdorff: float
@@ -93,23 +94,23 @@ Preset = Gao2025 | Mpeg | Open3d | Pdal | Tnt
 
 
 class CroppedPair(NamedTuple):
-    """Reference and candidate after a hard crop, and the nearest points both ways."""
+    """Reference and candidate after a hard crop, and the nearest points in both directions."""
 
     reference: Index
     candidate: Index
-    to_reference: Matches  # of the candidate's points
-    to_candidate: Matches  # of the reference's points
+    to_reference: Matches  # nearest reference points of the candidate's points
+    to_candidate: Matches  # nearest candidate points of the reference's points
     tied_to_reference: NDArray[np.bool_]  # whether a second point is as near as the nearest one
     tied_to_candidate: NDArray[np.bool_]
-    nearest_other: Matches | None  # inside the reference; None for a single point
-    normals: FloatArray | None  # (N, 3) of the reference, unit length
-    raw_normals: FloatArray | None  # the same as they were given, where they were
+    nearest_other: Matches | None  # nearest neighbours within the reference; None for a single point
+    normals: FloatArray | None  # (N, 3) unit normals of the reference
+    raw_normals: FloatArray | None  # the same as they were read; None if they were estimated
 
 
 def measure_preset(
     name: str, pair: CroppedPair, thresholds: tuple[float, ...], to_poisson: FloatArray | None = None
 ) -> Preset:
-    """The preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
+    """Compute the preset of that name; `to_poisson` are distances to the reference's Poisson mesh, if there is one."""
     return _DEFINITIONS[name](pair, thresholds, to_poisson)
 
 
@@ -120,19 +121,19 @@ def match(
     normals: FloatArray | None,
     raw_normals: FloatArray | None,
 ) -> CroppedPair:
-    """The pair with everything its presets need to know of neighbours."""
-    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE)
-    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE)
+    """Match a cropped pair in both directions, with the ties that presets need."""
+    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE_TOLERANCE)
+    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE_TOLERANCE)
     matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
     return CroppedPair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
 
 def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
-    """Gao et al. 2025, table 2, on one consistent reading of its definitions.
+    """Compute the metrics of Gao et al. 2025, table 2, under one consistent reading of its definitions.
 
-    D1 and D2 are one way, candidate to reference, mean squares; the Hausdorff distance is symmetric and unsquared;
-    Chamfer is the sum of both mean squares. The paper's "point to surface" is read in two ways, both named: `d2_mse` to
-    tangent planes of the reference, `d2_poisson_mse` to its Poisson mesh (None unless that was asked for).
+    D1 and D2 are mean squares from the candidate to the reference. The Hausdorff distance is symmetric and unsquared.
+    Chamfer is the sum of both mean squares. The paper's "point to surface" has two readings, both reported: `d2_mse` to
+    tangent planes of the reference and `d2_poisson_mse` to its Poisson mesh (None if it was not requested).
     """
     a, closest = pair.to_reference
     b = pair.to_candidate.distances
@@ -154,7 +155,7 @@ def gao2025(pair: CroppedPair, to_poisson: FloatArray | None = None) -> Gao2025:
 
 
 def open3d(pair: CroppedPair, thresholds: tuple[float, ...]) -> Open3d:
-    """What Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer sum, Hausdorff, F-scores."""
+    """Compute what Open3D's `t.geometry.PointCloud.compute_metrics` returns: unsquared Chamfer, Hausdorff, F-scores."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
     return Open3d(
         chamfer=metrics.chamfer_unsquared(a, b),
@@ -164,7 +165,7 @@ def open3d(pair: CroppedPair, thresholds: tuple[float, ...]) -> Open3d:
 
 
 def pdal(pair: CroppedPair) -> Pdal:
-    """What `pdal chamfer` and `pdal hausdorff` print: the SUM of squares both ways, and the largest distance."""
+    """Compute what `pdal chamfer` and `pdal hausdorff` print: the SUM of squares, and the largest distance."""
     a, b = pair.to_reference.distances, pair.to_candidate.distances
     return Pdal(
         chamfer=float(np.sum(np.square(a))) + float(np.sum(np.square(b))),
@@ -173,8 +174,10 @@ def pdal(pair: CroppedPair) -> Pdal:
 
 
 def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
-    """F-scores as in Tanks and Temples (Knapitsch et al. 2017): after cropping (give the selection volume as the crop),
-    both clouds are downsampled to one mean point a voxel of half the threshold.
+    """Compute F-scores as in Tanks and Temples (Knapitsch et al. 2017).
+
+    After cropping (use the selection volume as the crop), both clouds are downsampled to the mean point of each voxel,
+    with voxels of half the threshold.
     """
     rows = []
     for threshold in thresholds:
@@ -185,17 +188,18 @@ def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
 
 
 def _voxel_down(points: FloatArray, side: float) -> FloatArray:
-    # The grid begins half a voxel below the lowest corner, as in Open3D, which the benchmark's code calls.
+    # The grid starts half a voxel below the lowest corner, as in Open3D, which the benchmark's code calls.
     return cell_means(points, side, points.min(axis=0) - side / 2)
 
 
 def mpeg(pair: CroppedPair) -> Mpeg:
-    """MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate; Hausdorff distances are SQUARED.
+    """Compute the metrics of MPEG's pc_error (mpeg-pcc-dmetric 0.14.2), a = reference, b = candidate.
 
-    Duplicate points are merged first. D2 takes the target's normals; the candidate's are averaged from the
-    reference's, neither oriented nor scaled to length one again. Ties are averaged. The peak is the largest distance
-    from a reference point to its nearest other one. Coordinate differences are rounded to float32 as in pc_error, for
-    its printed digits; the coordinates are not, where its float32 loses up to several per cent at UTM offsets.
+    Hausdorff distances are SQUARED. Duplicate points are merged first. D2 uses the target's normals; the candidate's
+    are averages of the reference's, neither oriented nor normalised again. Ties are averaged. The peak is the largest
+    distance from a reference point to its nearest neighbour. Coordinate differences are rounded to float32 as in
+    pc_error, to match its printed digits. The coordinates themselves are not rounded: at UTM offsets, its float32 has
+    errors of up to several per cent.
     """
     pair = _merge_duplicates(pair)
     a, b = pair.reference.points, pair.candidate.points
@@ -203,17 +207,17 @@ def mpeg(pair: CroppedPair) -> Mpeg:
     d2: list[FloatArray] = []
     normals = pair.normals if pair.raw_normals is None else np.nan_to_num(pair.raw_normals, posinf=0, neginf=0)
     if normals is not None:
-        ab = _choices(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
-        ba = _choices(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
+        ab = _all_nearest(pair.reference, pair.candidate, pair.to_candidate, pair.tied_to_candidate)
+        ba = _all_nearest(pair.candidate, pair.reference, pair.to_reference, pair.tied_to_reference)
         normals_b = _averaged_normals(normals, ab, ba, len(b))
         d2 = [_plane_squares(a, b, normals_b, ab), _plane_squares(b, a, normals, ba)]
     peak = 0.0 if pair.nearest_other is None else float(pair.nearest_other.distances.max())
 
-    def both_ways(squares: list[FloatArray]) -> BothWays:
+    def both_ways(squares: list[FloatArray]) -> DirectedValues:
         if not squares:
-            return BothWays()
+            return DirectedValues()
         forth, back = (float(np.mean(s)) for s in squares)
-        return BothWays(forth, back, max(forth, back))
+        return DirectedValues(forth, back, max(forth, back))
 
     d1_mse, d2_mse = both_ways(d1), both_ways(d2)
     return Mpeg(
@@ -228,32 +232,32 @@ def mpeg(pair: CroppedPair) -> Mpeg:
 
 
 def _float32_squares(queries: FloatArray, others: FloatArray, nearest: IntArray) -> FloatArray:
-    """Squared distances (N,) from differences that were rounded to float32."""
+    """Return squared distances (N,) from differences rounded to float32."""
     squares = np.empty(len(queries))
     _core.rounded_squares(queries, others, nearest, squares)
     return squares
 
 
-class _Choices(NamedTuple):
-    """All nearest points of every query: parallel lists of query rows (None: each query once) and point indices."""
+class _NearestPoints(NamedTuple):
+    """All nearest points of each query: parallel lists of query rows (None: each query once) and point indices."""
 
     rows: IntArray | None
     indices: IntArray
 
 
-def _choices(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _Choices:
+def _all_nearest(queries: Index, others: Index, nearest: Matches, several: NDArray[np.bool_]) -> _NearestPoints:
     if not several.any():
-        return _Choices(None, nearest.indices)
+        return _NearestPoints(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
     found = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
     near = np.square(found.distances.reshape(len(tied), -1))
-    which, column = np.nonzero(near - near[:, :1] < _TIE)
+    which, column = np.nonzero(near - near[:, :1] < _TIE_TOLERANCE)
     indices = found.indices.reshape(len(tied), -1)[which, column]
-    return _Choices(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
+    return _NearestPoints(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
 
 
-def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: int) -> FloatArray:
-    """Each b point's mean of the normals of the a points that chose it; if none did, of the a points nearest to it."""
+def _averaged_normals(normals_a: FloatArray, ab: _NearestPoints, ba: _NearestPoints, count: int) -> FloatArray:
+    """Average the normals of the a points matched to each b point; if there are none, of its nearest a points."""
     result = _row_means(normals_a if ab.rows is None else normals_a[ab.rows], ab.indices, count)
     lonely = np.bincount(ab.indices, minlength=count) == 0
     of_nearest = normals_a[ba.indices] if ba.rows is None else _row_means(normals_a[ba.indices], ba.rows, count)
@@ -261,7 +265,7 @@ def _averaged_normals(normals_a: FloatArray, ab: _Choices, ba: _Choices, count: 
     return result
 
 
-def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _Choices) -> FloatArray:
+def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray, choices: _NearestPoints) -> FloatArray:
     rows, indices = choices
     distances = metrics.plane_distances(
         queries, others, normals, query_rows=rows, closest_rows=indices, normal_rows=indices
@@ -271,7 +275,7 @@ def _plane_squares(queries: FloatArray, others: FloatArray, normals: FloatArray,
 
 
 def _row_means(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Mean (count, C) of the values (M, C) that belong to each row; 0 where none does."""
+    """Return the mean (count, C) of the values (M, C) of each row; 0 for rows without values."""
     number = np.maximum(np.bincount(rows, minlength=count), 1)
     return np.stack([np.bincount(rows, column, minlength=count) / number for column in values.T], axis=1)
 
@@ -289,7 +293,7 @@ def _merge_duplicates(pair: CroppedPair) -> CroppedPair:
 
 
 def _has_duplicates(points: FloatArray) -> bool:
-    """Whether two points agree in all bits; rarely says so of points that do not (a 64-bit hash each)."""
+    """Whether two points are bitwise equal; false positives are rare (a 64-bit hash per point)."""
     bits = (points + 0.0).view(np.uint64)  # + 0.0: the two zeros become one
     key = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
     key ^= (bits[:, 1] + np.uint64(0x7F4A7C15)) * np.uint64(0xC2B2AE3D27D4EB4F)

@@ -1,7 +1,6 @@
-"""All numbers of a candidate, once.
+"""All quantities of a candidate, defined once.
 
-comparison.json, metrics.csv, the table, the summary and the sentences on differences are renderings of this walk: what
-is yielded here is shown by all of them.
+comparison.json, metrics.csv, the table, the summary and the sentences on differences all render this sequence.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ from pcbench.deformation.size import DETECTION_POWER, MAX_P_SURE
 from pcbench.measure.deviation import M3C2, Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
-from pcbench.measure.presets import BothWays, Preset
+from pcbench.measure.presets import DirectedValues, Preset
 from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Headline, Quantity
 from pcbench.measure.results import BACK, FORTH, Candidate, Estimate
 
 _UNITS = {0: RATIO, 1: LENGTH, 2: SQUARED_LENGTH}  # by the power of the unit of length
-_SPREADS = {  # the numbers of a `Spread`
+_SPREAD_DEFINITIONS = {  # the numbers of a `Spread`
     "bias": "mean",
     "rms": "root mean square",
     "median": "median",
@@ -27,12 +26,15 @@ _SPREADS = {  # the numbers of a `Spread`
     "nmad": "NMAD (1.4826 median |v - median v|)",
 }
 _SPREAD_LABELS = {"median": "median", "std": "standard deviation", "nmad": "NMAD"}
-_DISTANCES = {"distance": "distance to the nearest point", "plane_distance": "signed distance to the tangent plane"}
+_DISTANCE_DEFINITIONS = {
+    "distance": "distance to the nearest point",
+    "plane_distance": "signed distance to the tangent plane",
+}
 _SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # whose distances a mean is of
 
 
 def quantities(candidate: Candidate) -> Iterator[Quantity]:
-    """Every number of a candidate, in the order of the table."""
+    """Yield all quantities of a candidate, in the order of the table."""
     for part in _PARTS:
         yield from part(candidate)
 
@@ -43,13 +45,13 @@ def _means(candidate: Candidate) -> Iterator[Quantity]:
             yield from _mean(candidate.metrics.directed[metric.name][way], metric, way)
         larger = candidate.metrics.directed[metric.name].symmetric_max
         if larger is not None:
-            yield _estimated(metric.name, "symmetric_max", metric.definition, larger, _UNITS[metric.power])
+            yield _estimate_quantity(metric.name, "symmetric_max", metric.definition, larger, _UNITS[metric.power])
         if (kind := _SPREAD_OF.get(metric.name)) in candidate.metrics.spreads:
             yield from _distribution(candidate, str(kind))
 
 
 def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
-    """A mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
+    """Yield a mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
     name, text, unit = metric.name, metric.definition, _UNITS[metric.power]
     headline = floor_headline = None
     if metric.headline:
@@ -57,7 +59,7 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
         headline = Headline(metric.headline, column=metric.column, rank=rank)
         floor_headline = Headline("  sampling floor", column="floor", rank=floor_rank)
     root = metric.root_name  # which stands in the summary in place of the mean square
-    value = _estimated(name, way, text, found, unit, label=metric.label)
+    value = _estimate_quantity(name, way, text, found, unit, label=metric.label)
     yield value if root else replace(value, headline=headline)
     yield Quantity(
         f"{name}_floor",
@@ -102,22 +104,22 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
 
 
 def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
-    """How the distances of one kind are distributed, both ways."""
+    """Yield the distribution of the distances of one kind, in both directions."""
     both = candidate.metrics.spreads[kind]
     for way in (FORTH, BACK):
-        for key, definition in _SPREADS.items():
+        for key, definition in _SPREAD_DEFINITIONS.items():
             signed = ", signed" if kind == "plane_distance" and key == "median" else ""
             yield Quantity(
                 f"{kind}_{key}",
                 way,
-                f"{definition} of: {_DISTANCES[kind]}",
+                f"{definition} of: {_DISTANCE_DEFINITIONS[kind]}",
                 getattr(both[way], key),
                 path=("metrics", "spreads", kind, way, key),
                 label=f"  {_SPREAD_LABELS[key]}{signed}" if key in _SPREAD_LABELS else "",
             )
 
 
-def _largest(candidate: Candidate) -> Iterator[Quantity]:
+def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
     found = candidate.metrics.hausdorff
     for rank in ("p95", "p99"):
         for way in (FORTH, BACK):
@@ -148,7 +150,7 @@ def _largest(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _maps(candidate: Candidate) -> Iterator[Quantity]:
-    """The deviation maps but for that to the nearest points. The table has the spread of some of them already."""
+    """Yield the deviation maps except the nearest-point distances; the table may already show their distribution."""
     deviation, spreads = candidate.deviation, candidate.metrics.spreads
     for name in deviation.maps:
         title = f"map {name.replace('_distance', '')}"
@@ -159,12 +161,12 @@ def _maps(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _map(spread: Spread, name: str, title: str, *, is_new: bool) -> Iterator[Quantity]:
-    """The spread of a map; the variant is the number's name in `Spread`."""
+    """Yield the statistics of a map; the variant is the statistic's name in `Spread`."""
     first = f"{title}: bias, rms"
     labels = {"bias": first, "rms": first}
     if is_new:
         labels |= {"median": "  median, NMAD", "nmad": "  median, NMAD", "std": "  standard deviation"}
-    for key, definition in _SPREADS.items():
+    for key, definition in _SPREAD_DEFINITIONS.items():
         label = labels.get(key, "")
         yield Quantity(
             name,
@@ -210,7 +212,7 @@ def _chamfer(candidate: Candidate) -> Iterator[Quantity]:
         ("sum_squared", chamfer.sum_squared, "mean square c→r + mean square r→c", SQUARED_LENGTH, "mean squares"),
     ):
         title, path = f"Chamfer, sum of {label}", ("metrics", "chamfer", variant)
-        value = _estimated("chamfer", "both", definition, found, unit, section="scores", label=title)
+        value = _estimate_quantity("chamfer", "both", definition, found, unit, section="scores", label=title)
         yield replace(value, variant=variant, path=path, difference=f"chamfer/{variant}")
         floor = Quantity("chamfer_floor", "both", f"sampling floor of: {definition}", found.floor, unit, variant)
         yield replace(floor, path=("metrics", "chamfer", "floor", variant), section="scores")
@@ -220,7 +222,7 @@ def _fscores(candidate: Candidate) -> Iterator[Quantity]:
     for number, scores in enumerate(candidate.metrics.fscores):
         label = f"F-score at {scores.threshold:.4g}"
         headline = Headline(label, optional=True, column="F-score", rank=3)
-        fscore = _estimated("fscore", "both", "harmonic mean of precision and recall", scores.fscore, RATIO)
+        fscore = _estimate_quantity("fscore", "both", "harmonic mean of precision and recall", scores.fscore, RATIO)
         yield replace(
             fscore,
             threshold=scores.threshold,
@@ -235,7 +237,7 @@ def _fscores(candidate: Candidate) -> Iterator[Quantity]:
             ("precision", FORTH, "candidate", scores.precision),
             ("recall", BACK, "reference", scores.recall),
         ):
-            share = _estimated(metric, way, f"share of the {whose}'s points within the threshold", found, RATIO)
+            share = _estimate_quantity(metric, way, f"share of the {whose}'s points within the threshold", found, RATIO)
             yield replace(
                 share,
                 threshold=scores.threshold,
@@ -254,11 +256,11 @@ def _presets(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
-    """Units are left out: they are what the quoted tool makes of them."""
+    """Yield the values of a preset, without units: these are up to the quoted tool."""
     blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, section=f"preset {name}")
     for key, value in vars(preset).items():
         path, label = ("metrics", "presets", name, key), f"{name}: {key}"
-        if isinstance(value, BothWays):  # its a is the reference: b to a is our candidate to reference
+        if isinstance(value, DirectedValues):  # its a is the reference: b to a is our candidate to reference
             for way, number in asdict(value).items():
                 found = replace(blank, metric=key, direction=way, value=number, path=(*path, way))
                 yield found if way == "symmetric" else replace(found, label=label, second=way == "a_to_b")
@@ -274,7 +276,7 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
 
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
-    """comparison.json holds the deformation as a whole, by which it is read again."""
+    """Yield the summary of the deformation; comparison.json holds the complete object."""
     bend, label = candidate.deformation, "  bend RMS, detectable"
     verdict = f"verdict: {bend.verdict}"
     size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
@@ -290,7 +292,7 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:
-    """The root mean square errors at control and check points, where the candidate was registered by such points."""
+    """Yield the root mean square errors at control and check points, if the registration used such points."""
     residuals = candidate.registration.residuals
     for kind, points in (("control", residuals.control), ("check", residuals.check)):
         if (rmse := residuals.rmse(points)) is None:
@@ -307,10 +309,10 @@ def _survey(candidate: Candidate) -> Iterator[Quantity]:
             )
 
 
-def _estimated(
+def _estimate_quantity(
     metric: str, way: str, definition: str, found: Estimate, unit: str, section: str = "distances", label: str = ""
 ) -> Quantity:
-    """A number with an interval, by which candidates are compared too."""
+    """Return a quantity with an interval, by which candidates are also compared."""
     return Quantity(
         metric,
         way,
@@ -332,7 +334,7 @@ def _root(value: float | None) -> float | None:
 
 _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
     _means,
-    _largest,
+    _largest_distances,
     _maps,
     _chamfer,
     _fscores,

@@ -1,4 +1,4 @@
-"""One measured number, with everything that an output needs to show it."""
+"""One measured quantity, with everything that an output needs to show it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ LENGTH, SQUARED_LENGTH, RATIO = "length", "length^2", "1"
 
 
 class Headline(NamedTuple):
-    """How a quantity stands in the summary.
+    """Presentation of a quantity in the summary.
 
     Attributes:
-        label: of its line where candidates stand side by side.
-        optional: whether the line is left out where there are enough others.
-        column: heading of its column where each candidate is a row.
-        rank: of that column: the highest ranks are left out first, 0 never; None where there is no such column.
+        label: label of its line when candidates are shown side by side.
+        optional: whether the line is omitted if there are enough others.
+        column: heading of its column when each candidate is a row.
+        rank: priority of that column: the highest ranks are omitted first, 0 never; None: no such column.
     """
 
     label: str
@@ -30,25 +30,25 @@ class Headline(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of a candidate. (metric, variant, threshold, direction) tells it from all others of the candidate.
+    """One quantity of a candidate; (metric, variant, threshold, direction) identifies it.
 
     Attributes:
-        metric, variant, threshold, direction: what was measured, under which definition of several, at which distance
-            (in the reference's unit), and which way: `FORTH`, `BACK`, "symmetric_max", "both", or "" where there is
-            no direction.
-        definition: in words.
-        value: None where it does not exist.
-        unit: `LENGTH`, `SQUARED_LENGTH`, `RATIO`, another unit, or "" as a tool that is quoted leaves it.
-        interval: 95 %; None where it is not known.
-        has_interval: whether comparison.json has a place for the interval even where it is not known.
-        path: of keys from the candidate to the number in comparison.json. Empty where a larger object that holds it is
-            written as a whole.
-        difference: its name in `Difference.metric`; empty where candidates are not compared by it.
-        section: of the table; a rule separates sections.
-        label: of its line in the table; empty where it has none. Two leading blanks: it belongs to the line above.
-        shares_row: names the line where several metrics stand in one; by default each has its own.
-        second: whether it stands in the second column of its line, as r→c does in any case.
-        headline: how it stands in the summary; None where it does not.
+        metric: what was measured.
+        direction: `FORTH`, `BACK`, "symmetric_max", "both", or "" without a direction.
+        definition: definition in words.
+        value: measured value; None if it does not exist.
+        unit: `LENGTH`, `SQUARED_LENGTH`, `RATIO`, another unit, or "" if a quoted tool gives none.
+        variant: definition, if there are several.
+        threshold: distance threshold, in the reference's unit.
+        interval: 95 % confidence interval; None if unknown.
+        has_interval: whether comparison.json has a field for the interval even if it is unknown.
+        path: keys from the candidate to the value in comparison.json; empty if a larger object is written instead.
+        difference: name in `Difference.metric`; empty if candidates are not compared by it.
+        section: section of the table; a rule separates sections.
+        label: label of its line in the table; empty: not in the table. Two leading blanks attach it to the line above.
+        shares_row: name of the line that several metrics share; by default each has its own.
+        second: whether it is in the second column of its line, as r→c always is.
+        headline: presentation in the summary; None: not in the summary.
     """
 
     metric: str
@@ -70,14 +70,14 @@ class Quantity:
 
     @property
     def row(self) -> tuple[str, str, float | None]:
-        """Which line of tables it stands in."""
+        """Key of its line in tables."""
         return (self.shares_row or self.metric, "" if self.shares_row else self.variant, self.threshold)
 
     @property
     def column(self) -> int:
-        """0 for c→r and for what has no direction, 1 for r→c and what stands beside another number."""
+        """Column in tables: 0 for c→r and values without direction, 1 for r→c and second values."""
         return int(self.second or self.direction == BACK)
 
     def unit_name(self, length: str) -> str:
-        """The unit in words, where `length` is that of lengths."""
+        """Return the unit in words; `length` is the unit of lengths."""
         return {LENGTH: length, SQUARED_LENGTH: f"{length}^2"}.get(self.unit, self.unit)

@@ -1,4 +1,4 @@
-"""The reference with all that every candidate needs, computed once."""
+"""The prepared reference, with all that is shared by its candidates."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
 from pcbench.registration import Target, local_origin
 
-_VOXELS_ALONG = 50  # of the scene's extent: the cells of area weighting
-_MESH_SAMPLES = 1_000_000  # points that stand for a mesh as the reference
-_MAX_POISSON_POINTS = 400_000  # that a Poisson mesh is made from: well under a minute
+_VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
+_MESH_SAMPLES = 1_000_000  # points sampled from a reference mesh
+_MAX_POISSON_POINTS = 400_000  # limits the Poisson reconstruction to well under a minute
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The reference, minus its local origin, with all that every candidate needs, computed once."""
+    """The reference minus its local origin, with all data shared by its candidates, computed once."""
 
     cloud: Cloud
     origin: FloatArray
-    target: Target  # of registrations
+    target: Target  # for registrations
     region: Region | None  # in local coordinates: minus `origin`
     inside: NDArray[np.bool_]
-    rows: IntArray | None  # of the points inside; None for all
+    rows: IntArray | None  # rows of the points inside the region; None: all
     nearest_other: Matches | None
     spacing: float
     cells: intervals.CorrelationCells
@@ -46,10 +46,10 @@ class Reference:
 
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
-        """The reference of a comparison with these settings.
+        """Prepare the reference of a comparison with these settings.
 
         Raises:
-            InputError: the crop cannot be read, or leaves none of the points.
+            InputError: the crop cannot be read, or contains no points.
         """
         cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
         origin = local_origin(cloud)
@@ -60,7 +60,7 @@ class Reference:
         surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
         rows = None if region is None else np.flatnonzero(inside)
         if len(surface) >= 3:
-            surface.with_normals_at(rows)  # all that D2 needs: registration takes what it wants from them
+            surface.with_normals_at(rows)  # sufficient for D2; registration estimates further ones as needed
         nearest_other = surface.nearest_other() if len(surface) > 1 else None
         return cls(
             cloud=cloud,
@@ -77,7 +77,7 @@ class Reference:
         )
 
     def with_poisson_mesh(self) -> Reference:
-        """The same with a Poisson mesh of the reference, voxel-downsampled where it is large, to measure distances to.
+        """Add a Poisson mesh of the reference, voxel-downsampled if it is large, to measure distances to.
 
         Raises:
             InputError: the reference is too small for normals.
@@ -93,32 +93,37 @@ class Reference:
 
     @property
     def surface(self) -> Surface:
+        """Points and normals, in local coordinates."""
         return self.target.surface
 
     @property
     def index(self) -> Index:
+        """Search index over the points, in local coordinates."""
         return self.surface.index
 
     @property
     def points(self) -> FloatArray:
+        """All points (N, 3), in local coordinates."""
         return self.surface.points
 
     @property
     def measured_points(self) -> FloatArray:
-        """Those inside the region."""
+        """Points inside the region (M, 3), in local coordinates."""
         return self.points if self.rows is None else self.points[self.rows]
 
     @property
     def measured(self) -> tuple[FloatArray, IntArray]:
-        """Those inside the region as they came (M, 3), and their rows (M,)."""
+        """Points inside the region (M, 3) in the original coordinates, and their rows (M,)."""
         points = self.cloud.points
         return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
 
     @property
     def has_normals(self) -> bool:
+        """Whether the points have normals or there are enough to estimate them."""
         return len(self.points) >= 3 or self.surface.is_complete
 
     def summary(self) -> ReferenceSummary:
+        """Summarise the reference for the result."""
         mesh = self.meshes.get("mesh_distance")
         return ReferenceSummary(
             points=len(self.points),

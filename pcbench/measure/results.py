@@ -1,9 +1,9 @@
-"""What a comparison returns, as types: nobody digs numbers out of dictionaries.
+"""Result types of a comparison.
 
-Two directions, everywhere: `accuracy` is candidate → reference (c→r: how far is what was reconstructed from what is
-there?), `completeness` is reference → candidate (r→c: how far is what is there from what was reconstructed?). Lengths
-are in the reference's unit, mean squares in its square. What does not exist is None: D2 without normals, a floor of a
-single point.
+There are two directions: `accuracy` is candidate → reference (c→r: how far the reconstruction is from the true surface)
+and `completeness` is reference → candidate (r→c: how far the true surface is from the reconstruction). Lengths are in
+the reference's unit, mean squares in its square. A value that does not exist is None: D2 without normals, or the
+sampling floor of a single point.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ from pcbench.measure.settings import Settings
 from pcbench.measure.wording import counted
 from pcbench.registration import Registration
 
-# The directions as keys of comparison.json, and as arrows in tables.
+# The directions as keys of comparison.json and as arrows in tables.
 FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
 ARROWS = {FORTH: "c→r", BACK: "r→c"}
 
 
 class Estimate(NamedTuple):
-    """A number of one direction, or of both together.
+    """A value of one direction or of both together, with its floor and interval.
 
     Attributes:
-        value: as measured.
-        floor: what independent, error-free points of the same surface would score; a value near it says nothing.
-        interval: where the value's expectation lies: over other draws of the noise and of the points on this scene.
-        area_weighted: the mean over occupied voxels of each voxel's mean: dense places do not decide alone.
+        value: measured value.
+        floor: sampling floor: the value for independent, error-free points of the same surface. A value near it shows
+            no error.
+        interval: 95 % confidence interval of the expected value, over new draws of the noise and points on this scene.
+        area_weighted: mean over occupied voxels of each voxel's mean, so that dense areas do not dominate.
     """
 
     value: float | None = None
@@ -56,16 +57,16 @@ class DirectedMetric:
     symmetric_max: Estimate | None = None
 
     def __getitem__(self, direction: str) -> Estimate:
-        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        """Return the estimate of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
         return {FORTH: self.accuracy, BACK: self.completeness}[direction]
 
     def root(self) -> DirectedMetric:
-        """The square roots of both values: a mean square as a length."""
+        """Return the square roots of both values: a mean square as a length."""
         return DirectedMetric(Estimate(_root(self.accuracy.value)), Estimate(_root(self.completeness.value)))
 
 
 class Extremes(NamedTuple):
-    """The largest distances of one direction, and where the very largest is (3,), in the reference's coordinates."""
+    """Largest distances of one direction, and the position (3,) of the maximum in the reference's coordinates."""
 
     largest: float
     p95: float
@@ -75,23 +76,24 @@ class Extremes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Hausdorff:
-    """Hausdorff distances, unsquared: the largest of either direction and the larger of both."""
+    """Hausdorff distances, unsquared: the largest distance of each direction and the larger of both."""
 
     accuracy: Extremes
     completeness: Extremes
 
     def __getitem__(self, direction: str) -> Extremes:
-        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        """Return the extremes of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
         return {FORTH: self.accuracy, BACK: self.completeness}[direction]
 
     @property
     def symmetric_max(self) -> float:
+        """Larger of the two one-way Hausdorff distances, in the reference's unit."""
         return max(self.accuracy.largest, self.completeness.largest)
 
 
 @dataclass(frozen=True)
 class Chamfer:
-    """Chamfer distances. The variants disagree by orders of magnitude, so none is called "the" Chamfer distance.
+    """Chamfer distances; the variants differ by orders of magnitude, so each is named.
 
     Attributes:
         sum_unsquared: mean distance c→r + mean distance r→c, a length.
@@ -114,29 +116,30 @@ class ThresholdScores:
 
 @dataclass(frozen=True)
 class DirectedSpread:
-    """How the distances of both directions are distributed."""
+    """Distributions of the distances in both directions."""
 
     accuracy: Spread
     completeness: Spread
 
     def __getitem__(self, direction: str) -> Spread:
-        """Of `FORTH` (accuracy) or `BACK` (completeness)."""
+        """Return the distribution of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
         return {FORTH: self.accuracy, BACK: self.completeness}[direction]
 
 
 @dataclass(frozen=True, eq=False)
 class Metrics:
-    """Everything measured of one candidate.
+    """All metrics of one candidate.
 
     Attributes:
-        directed: the means of `pcbench.measure.directions.MEAN_METRICS` by name; the most asked for have attributes of
-            their own: `d1_mse`, `d2_mse` and `mean_distance`, and the roots `d1_rms` and `d2_rms`.
+        directed: the means of `pcbench.measure.directions.MEAN_METRICS` by name. The most common ones are also
+            properties: `d1_mse`, `d2_mse` and `mean_distance`, and the roots `d1_rms` and `d2_rms`.
         hausdorff: largest distances.
-        chamfer: sums of both directions.
-        fscores: one a threshold.
-        percentiles_accuracy, percentiles_completeness: of the distances to the nearest point, as {"p50": ...}.
-        presets: locked definitions of other tools and papers by name, see `pcbench.measure.presets`.
-        spreads: median, standard deviation, NMAD and more of `distance` (to the nearest point) and, where there are
+        chamfer: sums over both directions.
+        fscores: F-scores, one per threshold.
+        percentiles_accuracy: percentiles of the distances c→r to the nearest point, as {"p50": ...}.
+        percentiles_completeness: percentiles of the distances r→c to the nearest point.
+        presets: definitions of other tools and papers by name, see `pcbench.measure.presets`.
+        spreads: median, standard deviation, NMAD and more of `distance` (to the nearest point) and, if there are
             normals, of `plane_distance` (signed, to the reference's tangent planes).
     """
 
@@ -151,7 +154,7 @@ class Metrics:
 
     @property
     def d1_mse(self) -> DirectedMetric:
-        """Mean squared distance to the nearest point."""
+        """Mean squared distance to the nearest point, in both directions."""
         return self.directed["d1_mse"]
 
     @property
@@ -161,7 +164,7 @@ class Metrics:
 
     @property
     def mean_distance(self) -> DirectedMetric:
-        """Mean distance to the nearest point."""
+        """Mean distance to the nearest point, in both directions."""
         return self.directed["mean_distance"]
 
     @property
@@ -177,16 +180,19 @@ class Metrics:
 
 @dataclass(frozen=True)
 class ReferenceSummary:
-    """What the candidates were compared with.
+    """The reference that the candidates were compared with.
 
     Attributes:
-        points, points_in_region: how many there are, and how many are measured.
-        spacing_median: see `pcbench.geometry.neighbors.median_spacing`; of all points.
-        extent: diagonal of the box that holds the inner 98 % of all points along each axis.
-        crs, unit: of the coordinates, if known.
-        normals: "given" with the points, "estimated", or None where there are too few points for normals.
-        faces: of the mesh that the reference is; None for a cloud.
-        block_side: of the cells of the intervals; voxel_side: of the cells of area weighting.
+        points: number of points.
+        points_in_region: number of points inside the region.
+        spacing_median: median spacing of all points, see `pcbench.geometry.neighbors.median_spacing`.
+        extent: diagonal of the box that contains the inner 98 % of all points along each axis.
+        crs: coordinate system, if known.
+        unit: unit of the coordinates, if known.
+        normals: "given" with the points, "estimated", or None if there are too few points for normals.
+        faces: number of faces if the reference is a mesh; None for a cloud.
+        block_side: side of the correlation cells of the intervals.
+        voxel_side: side of the voxels of area weighting.
     """
 
     points: int
@@ -203,14 +209,21 @@ class ReferenceSummary:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Everything about one candidate: how it was registered, what was measured, where it deviates, whether it is bent.
+    """All results of one candidate: registration, metrics, deviation maps and deformation.
 
     Attributes:
+        name: name of the candidate.
+        points: number of points.
+        points_in_region: number of aligned points inside the region.
+        registration: its registration to the reference.
+        metrics: all metrics.
         deviation: the candidate's measured points with their distances to the reference.
         completeness: the reference's measured points with their `distance` to the nearest point of the candidate; its
             `rows` are the reference's.
-        timings_s: seconds a step took; peak_rss_bytes: the most memory of the process so far.
-        warnings: on the clouds themselves; those on registration and deformation stand there.
+        deformation: the deformation that remains after registration.
+        timings_s: seconds per step.
+        peak_rss_bytes: peak memory of the process so far.
+        warnings: warnings about the clouds; registration and deformation have their own.
     """
 
     name: str
@@ -227,7 +240,7 @@ class Candidate:
 
 
 class Difference(NamedTuple):
-    """Is candidate `a` better than `b`? a - b in one metric, with an interval from the paired differences of each cell.
+    """The difference a - b between two candidates in one metric, with an interval from the paired differences of cells.
 
     `metric` is named as in comparison.json: "d1_mse/candidate_to_reference", "chamfer/sum_squared", "fscore/0.1".
     """
@@ -241,7 +254,7 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CandidateComparisons:
-    """A reference, its candidates, and the differences between them. `comparison["a"]` is the candidate named a."""
+    """A reference, its candidates, and the differences between them; `comparison["a"]` is the candidate named a."""
 
     settings: Settings
     reference: ReferenceSummary
@@ -249,10 +262,10 @@ class CandidateComparisons:
     differences: tuple[Difference, ...] = ()
 
     def __getitem__(self, name: str) -> Candidate:
-        """The candidate of that name.
+        """Return the candidate of that name.
 
         Raises:
-            KeyError: there is none.
+            KeyError: no candidate has that name.
         """
         for candidate in self.candidates:
             if candidate.name == name:

@@ -1,4 +1,4 @@
-"""All metrics of one aligned pair: values in both directions, floors, area weighting and intervals."""
+"""All metrics of one aligned pair: values in both directions, sampling floors, area weighting and intervals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, rounding_of
 from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction
-from pcbench.measure.intervals import Sampled, ScoreUncertainty
+from pcbench.measure.intervals import LinearizedScore, ScoreUncertainty
 from pcbench.measure.results import (
     ARROWS,
     BACK,
@@ -29,21 +29,22 @@ from pcbench.measure.results import (
 )
 from pcbench.measure.wording import counted
 
-MIN_PIECES = 10  # independent ones, of the scene: fewer do not show how far distances are alike
-_CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # of which mean in both directions
+MIN_INDEPENDENT_REGIONS = 10  # with fewer, the correlation length is poorly known
+_CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # mean that each variant adds over directions
 
 
 class Measurement(NamedTuple):
-    """Metrics of a candidate, with what their differences from those of other candidates need.
+    """Metrics of a candidate, with the data for its differences from other candidates.
 
     Attributes:
-        sampled: every score by name, as `Difference.metric` has it.
-        shares: (B,) of the queries of both directions in each cell.
-        warnings: on the intervals.
+        metrics: values, floors and intervals.
+        sampled: linearised scores by the names of `Difference.metric`.
+        shares: (B,) share of the queries of both directions in each cell.
+        warnings: warnings about the intervals.
     """
 
     metrics: Metrics
-    sampled: Mapping[str, Sampled]
+    sampled: Mapping[str, LinearizedScore]
     shares: FloatArray
     warnings: tuple[Notice, ...]
 
@@ -58,22 +59,25 @@ def measure(
     corner: FloatArray,
     origin: FloatArray,
 ) -> Measurement:
-    """Measure candidate → reference (`forth`) and reference → candidate (`back`).
+    """Compute all metrics of an aligned pair.
 
     Args:
-        thresholds: of the F-score.
-        cells: of the intervals.
-        voxel, corner: side of the cells that area weighting averages over first, and where (3,) they are counted from.
-        origin: (3,) added to the coordinates of the worst points.
+        forth: distances candidate → reference.
+        back: distances reference → candidate.
+        thresholds: distance thresholds of the F-score.
+        cells: correlation cells of the intervals.
+        voxel: side of the voxels for area weighting.
+        corner: (3,) origin of those voxels.
+        origin: (3,) offset added to the coordinates of the worst points.
     """
     ways = {FORTH: forth, BACK: back}
     shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
     uneven = shares[FORTH] - shares[BACK]
     means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
-    compared = _sampled(means, thresholds)
-    within = {f"{way}/{_within(t)}": means[way][_within(t)] for way in ways for t in thresholds}
+    compared = _linearized_scores(means, thresholds)
+    within = {f"{way}/{_within_key(t)}": means[way][_within_key(t)] for way in ways for t in thresholds}
     both = 0.5 * (shares[FORTH] + shares[BACK])
-    known = _Known({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
+    known = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
     spreads = _distributions(forth, back)
     ranks = {way: spreads["distance"][way].percentiles or {} for way in ways}
@@ -86,14 +90,16 @@ def measure(
         percentiles_completeness=ranks[BACK],
         spreads=spreads,
     )
-    doubts = _doubts({name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin))
+    doubts = _interval_warnings(
+        {name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin)
+    )
     return Measurement(found, compared, both, tuple(doubts))
 
 
-class _Known(NamedTuple):
-    """Scores by name, and how well each is known."""
+class _ScoreTable(NamedTuple):
+    """Linearised scores and their uncertainties by name."""
 
-    sampled: Mapping[str, Sampled]
+    sampled: Mapping[str, LinearizedScore]
     spreads: Mapping[str, ScoreUncertainty]
 
     def estimate(self, name: str) -> Estimate:
@@ -103,9 +109,9 @@ class _Known(NamedTuple):
 
 
 def _directed(
-    ways: Mapping[str, Direction], known: _Known, grids: Mapping[str, voxels.Cells]
+    ways: Mapping[str, Direction], known: _ScoreTable, grids: Mapping[str, voxels.Cells]
 ) -> dict[str, DirectedMetric]:
-    """The mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
+    """Return the mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
     found = {}
     for metric in MEAN_METRICS:
         key = metric.name
@@ -114,7 +120,7 @@ def _directed(
             continue
         estimates = {}
         for way, direction in ways.items():
-            values = metric.of_each(direction.distances)
+            values = metric.values_of(direction.distances)
             assert values is not None
             area_weighted = metrics.area_weighted_mean(values, grids[way])
             estimates[way] = known.estimate(f"{key}/{way}")._replace(
@@ -125,22 +131,22 @@ def _directed(
     return found
 
 
-def _chamfer(name: str, ways: Mapping[str, Direction], known: _Known) -> Estimate:
+def _chamfer(name: str, ways: Mapping[str, Direction], known: _ScoreTable) -> Estimate:
     floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
     return known.estimate(f"chamfer/{name}")._replace(floor=floor)
 
 
-def _threshold_scores(threshold: float, known: _Known) -> ThresholdScores:
+def _threshold_scores(threshold: float, known: _ScoreTable) -> ThresholdScores:
     return ThresholdScores(
         threshold,
-        precision=known.estimate(f"{FORTH}/{_within(threshold)}"),
-        recall=known.estimate(f"{BACK}/{_within(threshold)}"),
+        precision=known.estimate(f"{FORTH}/{_within_key(threshold)}"),
+        recall=known.estimate(f"{BACK}/{_within_key(threshold)}"),
         fscore=known.estimate(f"fscore/{threshold!r}"),
     )
 
 
 def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSpread]:
-    """How the distances to points and, where there are normals, to tangent planes are distributed."""
+    """Summarise the distances to points and, if there are normals, to tangent planes."""
     pairs = {
         "distance": (forth.distances.to_points, back.distances.to_points),
         "plane_distance": (forth.distances.to_planes, back.distances.to_planes),
@@ -152,9 +158,11 @@ def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSprea
     }
 
 
-def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float, ...]) -> dict[str, Sampled]:
-    """Every score that candidates are told apart by: means, the larger of both directions, sums, and F-scores."""
-    found: dict[str, Sampled] = {}
+def _linearized_scores(
+    means: Mapping[str, Mapping[str, LinearizedScore]], thresholds: tuple[float, ...]
+) -> dict[str, LinearizedScore]:
+    """Linearise each score that is compared between candidates: means, symmetric maxima, sums and F-scores."""
+    found: dict[str, LinearizedScore] = {}
     forth, back = means[FORTH], means[BACK]
     for metric in MEAN_METRICS:
         key = metric.name
@@ -164,20 +172,20 @@ def _sampled(means: Mapping[str, Mapping[str, Sampled]], thresholds: tuple[float
                 found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
     for name, key in _CHAMFER.items():
         a, b = forth[key], back[key]
-        found[f"chamfer/{name}"] = Sampled(a.value + b.value, a.influence + b.influence)
+        found[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)
     for threshold in thresholds:
-        p, r = forth[_within(threshold)], back[_within(threshold)]
+        p, r = forth[_within_key(threshold)], back[_within_key(threshold)]
         total = p.value + r.value
         slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
         influence = slopes[0] * p.influence + slopes[1] * r.influence
-        found[f"fscore/{threshold!r}"] = Sampled(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
+        found[f"fscore/{threshold!r}"] = LinearizedScore(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
     return found
 
 
-def _doubts(
-    spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, Sampled], rounding: float
+def _interval_warnings(
+    spreads: Mapping[str, ScoreUncertainty], scores: Mapping[str, LinearizedScore], rounding: float
 ) -> Iterator[Notice]:
-    """Whether the scene is too small to know how well the mean distances are known; of rounding there is no doubt."""
+    """Warn if the scene is too small for reliable intervals of the mean distances; mere rounding is exempt."""
     least = {"mean_distance": rounding, "d2_mse": rounding**2}
     found = {
         name: spread
@@ -186,14 +194,15 @@ def _doubts(
     }
     if not found:
         return
-    name, worst = min(found.items(), key=lambda item: item[1].pieces)
-    if worst.pieces < MIN_PIECES:
-        over = f"distances are alike over about {worst.reach:.3g}: " if worst.reach > 0 else ""
+    name, worst = min(found.items(), key=lambda item: item[1].independent_regions)
+    if worst.independent_regions < MIN_INDEPENDENT_REGIONS:
+        over = f"errors are correlated over {worst.reach:.3g}, which leaves" if worst.reach > 0 else "the scene holds"
         metric, _, way = name.partition("/")
+        regions = counted(round(worst.independent_regions), "independent region")
         yield Notice(
             "few-pieces",
-            f"intervals are rough: {over}the scene holds about {counted(round(worst.pieces), 'independent piece')}, and"
-            f" fewer than {MIN_PIECES} do not show how scores vary ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
+            f"intervals are approximate: {over} about {regions}; reliable intervals need at least"
+            f" {MIN_INDEPENDENT_REGIONS} ({metric.replace('_', ' ')} {ARROWS.get(way, way)})",
         )
 
 
@@ -205,32 +214,32 @@ def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArr
 
 def _means(
     direction: Direction, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
-) -> dict[str, Sampled]:
-    """Every mean of one direction; one quantity after the other, so that only one takes room.
+) -> dict[str, LinearizedScore]:
+    """Linearise each mean of one direction, one quantity at a time to limit memory.
 
-    How many points of either cloud fall into a cell is chance, but how many there are in all is not: what cells with
-    more of the one and less of the other (`uneven`, 0 in sum) add to the mean is made up for elsewhere.
+    The number of points per cell is random, but the total is fixed. Cells with more points of one cloud than of the
+    other (`uneven`, which sums to 0) are balanced by other cells, so that component of the influence is removed.
     """
     square = float(uneven @ uneven)
 
-    def mean(values: FloatArray, largest: float = math.inf) -> Sampled:
+    def mean(values: FloatArray, largest: float = math.inf) -> LinearizedScore:
         value = float(np.mean(values))
         influence = np.bincount(direction.cells, values, len(shares)) / len(values) - value * shares
         if square > 0:
             influence = influence - float(uneven @ influence) / square * uneven
-        return Sampled(value, influence, largest)
+        return LinearizedScore(value, influence, largest)
 
-    means: dict[str, Sampled] = {}
+    means: dict[str, LinearizedScore] = {}
     for metric in MEAN_METRICS:
-        values = metric.of_each(direction.distances)
+        values = metric.values_of(direction.distances)
         if values is not None:
             means[metric.name] = mean(values)
     for threshold in thresholds:
-        means[_within(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
+        means[_within_key(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
     return means
 
 
-def _within(threshold: float) -> str:
+def _within_key(threshold: float) -> str:
     return f"within/{threshold!r}"
 
 

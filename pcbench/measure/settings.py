@@ -1,4 +1,4 @@
-"""What a user may change about a comparison; few numbers, stored with every result."""
+"""User settings of a comparison, stored with every result."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ MAPS = ("poisson", "m3c2")
 
 @dataclass(frozen=True)
 class Settings:
-    """What a user may change; stored with every result.
+    """User settings of a comparison, stored with every result.
 
     Attributes:
-        register: how candidates are aligned: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
+        register: registration method: an `IcpSettings`, `FeatureSettings`, `ControlPoints` or `GivenPose`, a
             `Similarity` or 4x4 array as the pose itself, or the text of one, see `pcbench.registration.parse_method`.
-        crop: which part is measured, in the reference's coordinates: a region, such as `pcbench.Box`, or the text of
-            one, see `pcbench.geometry.region_text.parse_region`.
-        thresholds: of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's median spacing.
-        presets: locked definitions to report beside ours; `gao2025` and `mpeg` are always there.
-        maps: deviation maps beside those to the nearest point and to the tangent plane: `poisson` (to a Poisson mesh of
-            the reference) and `m3c2`.
-        m3c2: how M3C2 is computed: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; the map is made then.
-        seed: of everything random: the points sampled from a mesh as the reference, those that the floor of D2 from
-            reference to candidate is taken over, and the folds of the cross-validation of deformation models.
-        normal_neighbors: points a normal of the reference is estimated from where the file has none.
-        classes, returns: which points of LAS files count, see `pcbench.read_cloud`.
-        min_opacity, max_axis: which Gaussian splats count, of those clouds that are models of some, see there.
-        initial: the pose candidate -> reference, a `Similarity` or 4x4 array, that ICP starts from; None: the identity.
+        crop: measured region in the reference's coordinates, such as `pcbench.Box`, or its text, see
+            `pcbench.geometry.region_text.parse_region`.
+        thresholds: distance thresholds of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's
+            median spacing.
+        presets: definitions of other tools and papers to report too; `gao2025` and `mpeg` are always included.
+        maps: further deviation maps: `poisson` (to a Poisson mesh of the reference) and `m3c2`.
+        m3c2: settings of M3C2: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; implies the map `m3c2`.
+        seed: random seed: for points sampled from a reference mesh, for the sample behind the floor of D2 from
+            reference to candidate, and for the folds of the cross-validation of deformation models.
+        normal_neighbors: number of points for estimating a normal of the reference, if its file has none.
+        classes, returns: LAS classes and returns to keep, see `pcbench.read_cloud`.
+        min_opacity, max_axis: limits for keeping Gaussian splats, see `pcbench.read_cloud`.
+        initial: initial pose candidate -> reference for ICP, a `Similarity` or 4x4 array; None: the identity.
     """
 
     register: Method | Similarity | ArrayLike | str = "icp"
@@ -65,9 +65,9 @@ class Settings:
             raise InputError(f"expected crop as a region or as text, got {self.crop!r}")
         if self.thresholds is not None:
             object.__setattr__(self, "thresholds", tuple(dict.fromkeys(_positive(self.thresholds))))
-        if not _is_whole(self.seed) or self.seed < 0:
+        if not _is_integer(self.seed) or self.seed < 0:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
-        if not _is_whole(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
+        if not _is_integer(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
         check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
@@ -86,9 +86,7 @@ class Settings:
         object.__setattr__(self, "maps", maps)
 
     def plain(self) -> dict[str, Any]:
-        """The settings as JSON holds them: methods and regions by their texts; an initial pose and M3C2's settings
-        where they were given.
-        """
+        """Return the settings as JSON values: methods and regions as text; an initial pose and M3C2 only if given."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
@@ -98,10 +96,10 @@ class Settings:
 
 
 def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Settings:
-    """Settings, or the defaults, with some of them changed by name.
+    """Return settings, or the defaults, with some of them changed by name.
 
     Raises:
-        InputError: there is no such setting, or it is not usable; or `settings` are none.
+        InputError: the setting does not exist or its value is not usable, or `settings` has the wrong type.
     """
     settings = Settings() if settings is None else settings
     if not isinstance(settings, Settings):
@@ -128,5 +126,5 @@ def _positive(values: Any) -> list[float]:
     return numbers
 
 
-def _is_whole(value: Any) -> bool:
+def _is_integer(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -250,7 +250,7 @@ class _Writer:
             limits = [c.deformation.minimum_detectable_rms for c in chosen]
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
-                text += f"; a dome above {self.length(limit)} RMS would have been detected"
+                text += f"; a deformation above {self.length(limit)} RMS would have been detected"
             sentences.append(text)
         return ". ".join(sentences)
 

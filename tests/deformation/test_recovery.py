@@ -35,14 +35,14 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
     predicted = np.trace(scene.geometry.covariance(step, Noise(0.02**2, components, lengths)))
     powers = []
     for seed in range(40):
-        scores = scene.assess_deformation(scene.noise(NOISE, waves, seed)).scores
+        scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
         powers.append(np.square(step.modes.T @ scores.total).sum())
     # Neighbouring cells are coarse, and the mean of 40 runs is good to 5 %.
     assert np.mean(powers) == pytest.approx(predicted, rel=0.15)
 
 
 def test_noise_comes_back(scene, waves):
-    found = [scene.assess_deformation(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
+    found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
     assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
     assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
     # A hundredth of the noise that seems to reach across the scene is a fifth of that area.
@@ -50,7 +50,7 @@ def test_noise_comes_back(scene, waves):
 
 
 def test_nothing_is_found_where_nothing_is(scene, waves):
-    findings = [scene.assess_deformation(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
+    findings = [scene.judge(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
     assert [f.verdict for f in findings].count("none") >= 18
     assert not any(f.verdict == "non-affine" for f in findings)
 
@@ -59,7 +59,7 @@ def test_nothing_is_found_where_nothing_is(scene, waves):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_bend_is_found(scene, waves, kind, times):
     bend = times * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
-    judged = scene.assess_deformation(scene.noise(NOISE, waves, 7) + bend)
+    judged = scene.judge(scene.noise(NOISE, waves, 7) + bend)
     assert judged.finding.verdict == "non-affine"
     if times >= 2:
         error = np.sqrt(np.mean(np.square(scene.fitted(judged) - bend)))
@@ -70,20 +70,18 @@ def test_every_bend_is_found(scene, waves, kind, times):
 def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model):
     x = scene.places
     field = 1e-3 * x if model == "similarity" else 2e-3 * x[:, [1]] * [1.0, 0.0, 0.0]
-    judged = scene.assess_deformation(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
+    judged = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
     assert (judged.finding.verdict, judged.finding.model) == (model, model)
 
 
 @pytest.mark.slow
 def test_the_dome_that_can_be_detected(scene, waves):
-    noise = scene.assess_deformation(scene.noise(NOISE, waves, 9)).noise
+    noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
     limit = minimum_detectable_rms(scene.geometry, noise)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
 
     def found(size):
-        runs = [
-            scene.assess_deformation(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)
-        ]
+        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
         return np.mean([run.verdict == "non-affine" for run in runs])
 
     # 90 % of such domes are found, within the scatter of 30 runs and of the noise's estimate; of half as large ones far

@@ -212,7 +212,7 @@ def lidar():
     "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
 )  # at 18 a field that is free among the trees finds pairs that bear it out
 def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
-    found, _ = Halves(lidar, 0.1, seed).assess_deformation(None, 0.0)
+    found, _ = Halves(lidar, 0.1, seed).judge(None, 0.0)
     assert found.verdict == "none", found.warnings
 
 
@@ -220,7 +220,7 @@ def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
     "kind", ["dome", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("strip drift", "half wave of a sine"))]
 )
 def test_bent_halves_of_a_lidar_cloud(lidar, kind):
-    found, error = Halves(lidar, 0.1, 16).assess_deformation(kind, 2.0)
+    found, error = Halves(lidar, 0.1, 16).judge(kind, 2.0)
     assert found.verdict == "non-affine", found.warnings
     # Noise of 0.2 that is the same over 20 feet adds a bend of its own.
     assert found.amplitude.rms == pytest.approx(0.4, rel=0.15)

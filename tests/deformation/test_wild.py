@@ -11,7 +11,7 @@ from wording import said
 
 from pcbench import Cloud
 from pcbench.deformation import Side, deform, residual_deformation
-from pcbench.deformation.blocks import estimate_noise_sizes, smooth
+from pcbench.deformation.blocks import noise_sizes, smooth
 from pcbench.deformation.sums import kernel_sums
 from pcbench.errors import Notice
 from pcbench.geometry.neighbors import Index
@@ -109,7 +109,7 @@ def test_sizes_of_uneven_noise_come_back():
     assert np.max(np.abs(local / true - 1)) < 0.25
     moved = np.hypot(*(places[:, :2] - 30).T) < 25  # a twentieth of the scene
     residuals[moved] += 10.0
-    assert np.max(estimate_noise_sizes(places, residuals, weights)[moved]) < 0.15  # and does not become noise
+    assert np.max(noise_sizes(places, residuals, weights)[moved]) < 0.15  # and does not become noise
 
 
 def test_correlated_noise_of_the_cases_is_what_it_says():

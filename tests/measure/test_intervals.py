@@ -8,13 +8,13 @@ from scipy.stats import t
 from pcbench.measure.intervals import (
     CorrelationCells,
     Interval,
-    Sampled,
+    LinearizedScore,
     ScoreUncertainty,
     difference,
     interval,
     partition,
-    quantile,
     spreads,
+    student_t_quantile,
 )
 
 SIDE = 24
@@ -32,22 +32,29 @@ def moving_average(rng, width):
 
 def spread_of(field):
     influence = (field - field.mean()) / field.size
-    return spreads({"x": Sampled(1.0, influence)}, CELLS, EVEN)["x"]
+    return spreads({"x": LinearizedScore(1.0, influence)}, CELLS, EVEN)["x"]
 
 
 @pytest.mark.parametrize(
-    ("width", "reach", "pieces"), [(1, (0, 1), (300, 576)), (3, (1, 3), (40, 110)), (5, (1.5, 5), (12, 50))]
+    ("width", "reach", "independent_regions"),
+    [(1, (0, 1), (300, 576)), (3, (1, 3), (40, 110)), (5, (1.5, 5), (12, 50))],
 )
-def test_the_variance_of_a_correlated_field(width, reach, pieces):
+def test_the_variance_of_a_correlated_field(width, reach, independent_regions):
     rng = np.random.default_rng(width)
     fields, truths = zip(*(moving_average(rng, width) for _ in range(60)), strict=True)
     found = [spread_of(field) for field in fields]
     # Products that are there by chance are taken for more: on the safe side.
     assert 0.9 * truths[0] < np.mean([s.sigma**2 for s in found]) < 1.4 * truths[0]
     assert reach[0] <= np.median([s.reach for s in found]) <= reach[1]
-    assert pieces[0] <= np.median([s.pieces for s in found]) <= pieces[1]
-    low = [mean - quantile(s.degrees) * s.sigma <= 0 for mean, s in zip(map(np.mean, fields), found, strict=True)]
-    high = [mean + quantile(s.degrees) * s.sigma >= 0 for mean, s in zip(map(np.mean, fields), found, strict=True)]
+    assert independent_regions[0] <= np.median([s.independent_regions for s in found]) <= independent_regions[1]
+    low = [
+        mean - student_t_quantile(s.degrees_of_freedom) * s.sigma <= 0
+        for mean, s in zip(map(np.mean, fields), found, strict=True)
+    ]
+    high = [
+        mean + student_t_quantile(s.degrees_of_freedom) * s.sigma >= 0
+        for mean, s in zip(map(np.mean, fields), found, strict=True)
+    ]
     assert np.mean(np.logical_and(low, high)) >= 0.88
 
 
@@ -56,22 +63,22 @@ def test_few_strong_places_leave_few_degrees_of_freedom():
     even = rng.normal(size=SIDE * SIDE)
     peaked = even.copy()
     peaked[rng.choice(SIDE * SIDE, 4, replace=False)] += 60
-    assert spread_of(even).degrees > 60
-    assert spread_of(peaked).degrees < 6
+    assert spread_of(even).degrees_of_freedom > 60
+    assert spread_of(peaked).degrees_of_freedom < 6
 
 
 def test_quantiles_are_those_of_student():
-    for degrees in (2, 3, 5, 10, 30, 1e6):
-        assert quantile(degrees) == pytest.approx(t.ppf(0.975, degrees), rel=0.008)
+    for degrees_of_freedom in (2, 3, 5, 10, 30, 1e6):
+        assert student_t_quantile(degrees_of_freedom) == pytest.approx(t.ppf(0.975, degrees_of_freedom), rel=0.008)
 
 
 def test_scales_keep_scores_possible():
     spread = ScoreUncertainty(0.4, 3.0, 20.0, 1.0)
-    low, high = interval(Sampled(0.5, EVEN), spread)
+    low, high = interval(LinearizedScore(0.5, EVEN), spread)
     assert 0 < low < 0.5 < high
-    low, high = interval(Sampled(0.95, EVEN, 1.0), spread)
+    low, high = interval(LinearizedScore(0.95, EVEN, 1.0), spread)
     assert 0 < low < 0.95 < high < 1
-    assert interval(Sampled(1.0, EVEN, 1.0), spread) == Interval(1.0, 1.0)
+    assert interval(LinearizedScore(1.0, EVEN, 1.0), spread) == Interval(1.0, 1.0)
     assert difference(-0.5, ScoreUncertainty(0.0, np.inf, np.inf, 0.0)) == Interval(-0.5, -0.5)
     low, high = difference(-0.5, spread)
     assert low < -1 < 0 < high

@@ -242,7 +242,7 @@ def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: 
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
-        return Deformation.without_evidence(Notice("not-registered", recorded(error))), candidate
+        return Deformation.unanswered(Notice("not-registered", recorded(error))), candidate
     return found, candidate.transformed(registration.T_reference_candidate)
 
 
