@@ -75,7 +75,7 @@ def rows(case: Case) -> Iterator[str]:
                 continue
 
             def against(cameras) -> int:
-                return len(agreement(work / "verified" / DATABASE, cameras).contradicting)
+                return len(agreement(work / "verified" / DATABASE, cameras).contradicting_pairs)
 
             model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
             alone = f"{furthest(cameras_of(model), truth)} | {against(cameras_of(model))}"

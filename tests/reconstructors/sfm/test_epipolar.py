@@ -14,10 +14,17 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
 from pcbench.geometry.transform import Similarity
 from reconstructors.sfm.alignment import moved
-from reconstructors.sfm.epipolar import Agreement, Pair, agreement, check_cameras, repeated, write_pairs
+from reconstructors.sfm.epipolar import (
+    Agreement,
+    VerifiedPair,
+    agreement,
+    ambiguity_warning,
+    check_cameras,
+    write_pairs,
+)
 from reconstructors.sfm.features import DATABASE
-from reconstructors.sfm.matches import without_pairs
-from reconstructors.sfm.solve import SolvedModel, better, differences
+from reconstructors.sfm.matches import remove_pairs
+from reconstructors.sfm.solve import SolvedModel, best_solution, describe_differences
 
 pycolmap = import_or_skip("pycolmap")
 
@@ -64,9 +71,9 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     # Of 2,200 true and 420 false matches; some of the false ones lie on their epipolar lines by chance.
     assert 0.84 < found.share < 0.87
     assert "73% of the 15 pairs" in said(found.describe("given"))
-    assert [pair.matches for pair in found.contradicting] == [150, 110, 120]  # that of 40 matches is weak
+    assert [pair.matches for pair in found.contradicting_pairs] == [150, 110, 120]  # that of 40 matches is weak
     assert not found.is_sound
-    (note,) = repeated(found, "solved")
+    (note,) = ambiguity_warning(found, "solved")
     for value in ("3 of 14 pairs", "000.png with 003.png (150), 005.png (110); 001.png with 004.png (120)"):
         assert value in note
     assert "6 (000.png to 005.png)" in said(note)
@@ -81,9 +88,9 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(know
     folder, cameras = known
     found = agreement(folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"})
     assert len(found.pairs) == 10
-    assert len(found.contradicting) == 1
+    assert len(found.contradicting_pairs) == 1
     assert found.is_sound
-    assert not repeated(found, "solved")
+    assert not ambiguity_warning(found, "solved")
     others = dict(zip(cameras, reversed(cameras.values()), strict=True))
     with refused(ReconstructionError, masked=True):
         check_cameras(folder / DATABASE, others)
@@ -92,7 +99,7 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(know
 def test_pairs_are_dropped_from_a_copy(known, tmp_path):
     folder, cameras = known
     before = agreement(folder / DATABASE, cameras)
-    kept = without_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], least=100)
+    kept = remove_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], min_matches=100)
     left = {(pair.a, pair.b) for pair in agreement(kept / DATABASE, cameras).pairs}
     dropped = {("000.png", "003.png"), ("002.png", "003.png")}
     assert left == {(pair.a, pair.b) for pair in before.pairs} - dropped
@@ -100,13 +107,20 @@ def test_pairs_are_dropped_from_a_copy(known, tmp_path):
 
 
 def test_groups_of_the_graph():
-    pairs = [Pair("a", "b", 200, 1.0), Pair("c", "d", 200, 1.0), Pair("d", "e", 200, 1.0), Pair("a", "c", 200, 0.1)]
-    assert "3 (c to e), 2 (a to b)" in said(Agreement(tuple(pairs)).graph())
+    pairs = [
+        VerifiedPair("a", "b", 200, 1.0),
+        VerifiedPair("c", "d", 200, 1.0),
+        VerifiedPair("d", "e", 200, 1.0),
+        VerifiedPair("a", "c", 200, 0.1),
+    ]
+    assert "3 (c to e), 2 (a to b)" in said(Agreement(tuple(pairs)).describe_graph())
 
 
-def solution(images, contradicting):
-    pairs = tuple(Pair("a", f"{n}", 150, 0.0 if n < contradicting else 1.0) for n in range(20))
-    return SolvedModel(f"{images}, {contradicting}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), [])
+def solution(images, contradicting_pairs):
+    pairs = tuple(VerifiedPair("a", f"{n}", 150, 0.0 if n < contradicting_pairs else 1.0) for n in range(20))
+    return SolvedModel(
+        f"{images}, {contradicting_pairs}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), []
+    )
 
 
 @pytest.mark.parametrize(
@@ -122,7 +136,7 @@ def solution(images, contradicting):
 )
 def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
     solutions = [solution(*numbers) for numbers in found]
-    assert better(solutions) is solutions[kept]
+    assert best_solution(solutions) is solutions[kept]
 
 
 def ring(seed, noise):
@@ -157,12 +171,12 @@ def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
 
     here = SolvedModel("incremental mapping", seen_by(kept), kept, Agreement(()), [])
     noisy = ring(1, 0.002)  # a pixel at 5 is 0.0116
-    assert differences(here, other(noisy)) == []
+    assert describe_differences(here, other(noisy)) == []
     pose = noisy["c"].cam_from_world
     noisy["c"] = replace(noisy["c"], cam_from_world=Similarity(pose.rotation, pose.translation + [0.1, 0, 0]))
-    (note,) = differences(here, other(noisy))
+    (note,) = describe_differences(here, other(noisy))
     apart = re.search(r" c ([0-9.]+) .* 0\.00", said(note))
     assert float(apart[1]) == pytest.approx(0.1, abs=0.01)
-    (note,) = differences(here, other(ring(2, 0.3)))
+    (note,) = describe_differences(here, other(ring(2, 0.3)))
     said(note)
-    assert differences(here, other({"a": kept["a"], "b": kept["b"]})) == []
+    assert describe_differences(here, other({"a": kept["a"], "b": kept["b"]})) == []

@@ -47,7 +47,7 @@ def _matched(features, scene, workspace):
 
 
 def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(matches, "_PAIRS_A_PROCESS", 4)
+    monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     made = []
     for count in (1, 3):
         monkeypatch.setattr(matches, "cpus", lambda count=count: count)
@@ -89,7 +89,7 @@ def test_matches_are_the_same_in_many_runs(features, scene, tmp_path):
 
 
 def test_a_process_that_breaks_down_is_said(features, scene, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(matches, "_PAIRS_A_PROCESS", 4)
+    monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     monkeypatch.setattr(matches, "cpus", lambda: 2)
     monkeypatch.setattr(matches, "_write_list", lambda file, pairs: file)
     with refused(ReconstructionError):
