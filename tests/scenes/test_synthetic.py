@@ -89,7 +89,7 @@ def test_a_symmetric_city_looks_the_same_after_half_a_turn():
     np.testing.assert_allclose(places[order], turned[other], atol=1e-9)
     np.testing.assert_allclose(plan.terrain.heights, plan.terrain.heights[::-1, ::-1], atol=1e-9)
     at = np.arange(400) + 0.5
-    ground = Painter(plan.settings).town(plan, Grid(at, at, 400.0, 400.0)).color
+    ground = Painter(plan.settings).paint_town(plan, Grid(at, at, 400.0, 400.0)).color
     np.testing.assert_array_equal(ground, ground[::-1, ::-1])
 
 
@@ -107,11 +107,11 @@ def test_textures_fade_to_plain_surfaces():
     at = np.arange(0.1, 120, 0.4)
     ground, wide = Grid(at, at, 120.0, 120.0), Grid(2 * at, 2 * at, 240.0, 240.0)
     for one, other in (
-        (painter.town(plan, ground), rich.town(plan, ground)),
-        (painter.country(wide), rich.country(wide)),
-        (painter.leaves(64), rich.leaves(64)),
+        (painter.paint_town(plan, ground), rich.paint_town(plan, ground)),
+        (painter.paint_countryside(wide), rich.paint_countryside(wide)),
+        (painter.paint_leaves(64), rich.paint_leaves(64)),
         *(
-            (painter.face(kind, side, 5, Grid(at[:60], at[:40], 24.0, 16.0)), None)
+            (painter.paint_face(kind, side, 5, Grid(at[:60], at[:40], 24.0, 16.0)), None)
             for kind in ("house", "block", "tower", "hall", "car", "clutter", "chimney")
             for side in ("wall0", "slope1", "roof")
         ),
@@ -120,14 +120,14 @@ def test_textures_fade_to_plain_surfaces():
         assert one.mirror is None
         if other is not None:
             assert other.color.std() > 0.05
-    half = Painter(replace(SMALL, texture=0.5)).town(plan, ground).color
-    both = painter.town(plan, ground).color, rich.town(plan, ground).color
+    half = Painter(replace(SMALL, texture=0.5)).paint_town(plan, ground).color
+    both = painter.paint_town(plan, ground).color, rich.paint_town(plan, ground).color
     np.testing.assert_allclose(half, np.mean(both, axis=0), atol=1e-6)
     # A lake is no texture: it stays, and mirrors.
     lakes = lay_out(replace(CitySettings(seed=1), texture=0.0, water=True))
     pond = next(block for block in lakes.blocks if block.kind == "lake")
     u, v = (np.arange(pond.low[a], pond.high[a], 0.5) + 200 for a in (0, 1))
-    shore = Painter(lakes.settings).town(lakes, Grid(u, v, 400.0, 400.0))
+    shore = Painter(lakes.settings).paint_town(lakes, Grid(u, v, 400.0, 400.0))
     assert len(np.unique(shore.color[..., 0])) == 2
     assert shore.mirror.max() == pytest.approx(0.02)
 
