@@ -1,4 +1,4 @@
-"""What a registration that failed recommends."""
+"""Advice of failed registrations."""
 
 import pytest
 import shapes

@@ -1,4 +1,4 @@
-"""How pairs of images agree with cameras: counted where every match is known, and what is said of those that do not."""
+"""Agreement of image pairs with cameras, with known matches, and messages about contradicting pairs."""
 
 import re
 from dataclasses import replace
@@ -29,12 +29,12 @@ from reconstructors.sfm.solve import SolvedModel, best_solution, describe_differ
 pycolmap = import_or_skip("pycolmap")
 
 K = corner.standard_intrinsics()
-WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # matches of features that are not of one point
+WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # false matches
 
 
 @pytest.fixture
 def known(tmp_path):
-    """A database of six images whose pairs have 200 true matches, but for those of `WRONG`; and the true cameras."""
+    """Create a database of six images whose pairs, except `WRONG`, have 200 true matches; and the true cameras."""
     rng = np.random.default_rng(3)
     cameras = corner.cameras(6, K)
     points = rng.uniform(0.1, 1.5, (200, 3))
@@ -84,7 +84,7 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     assert len(lines) == 16
 
 
-def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(known):
+def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_tolerated(known):
     folder, cameras = known
     found = agreement(folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"})
     assert len(found.pairs) == 10
@@ -126,12 +126,12 @@ def solution(images, contradicting_pairs):
 @pytest.mark.parametrize(
     "found, kept",
     [
-        ([(30, 0), (30, 0)], 0),  # what was asked for
+        ([(30, 0), (30, 0)], 0),  # the requested solution
         ([(25, 0), (30, 0)], 0),
         ([(12, 0), (30, 0)], 1),  # but not of less than half of the images
         ([(30, 9), (26, 0), (28, 0)], 2),
         ([(30, 9), (30, 5), (10, 0)], 1),
-        ([(30, 2), (30, 0)], 0),  # a few are borne
+        ([(30, 2), (30, 0)], 0),  # a few are tolerated
     ],
 )
 def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
@@ -140,7 +140,7 @@ def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
 
 
 def ring(seed, noise):
-    """Twelve cameras around points about the origin, 5 away, each put elsewhere by some noise."""
+    """Return twelve cameras on a circle of radius 5 about the origin, with position noise."""
     rng = np.random.default_rng(seed)
     found = {}
     for name, angle in zip("abcdefghijkl", np.linspace(0, 2 * np.pi, 12, endpoint=False), strict=True):
@@ -150,7 +150,7 @@ def ring(seed, noise):
 
 
 def seen_by(cameras):
-    """A model in which every camera sees the same points, about the origin."""
+    """Build a solved model in which all cameras observe the same points about the origin."""
     track = [SimpleNamespace(has_point3D=lambda: True, point3D_id=number) for number in range(20)]
     points = np.random.default_rng(4).uniform(-1, 1, (20, 3))
     return SimpleNamespace(
@@ -159,7 +159,7 @@ def seen_by(cameras):
     )
 
 
-def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
+def test_significantly_different_cameras_are_named():
     kept = ring(0, 0.0)
     turn = look_at([1, 2, 3], [0, 0, 0]).rotation
     elsewhere = Similarity(turn, np.array([10.0, 20.0, 30.0]), 2.5)

@@ -1,4 +1,4 @@
-"""Images that cannot be decoded: each is named with what is wrong, and the others are used."""
+"""Images that cannot be decoded: each is named with the reason, and the others are used."""
 
 import struct
 import zlib
@@ -20,7 +20,7 @@ def chunk(kind, data):
 
 
 def large(data):
-    """As long as the file is, it says that it has 60000 x 60000 pixels."""
+    """The file is complete, but its header states 60000 x 60000 pixels."""
     header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + data[data.index(b"IDAT") - 4 :]
 
@@ -47,7 +47,7 @@ def photos(tmp_path):
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_what_is_wrong_with_an_image_is_said(photos, tmp_path, what):
+def test_the_reason_is_reported(photos, tmp_path, what):
     (photos / "2.png").write_bytes(DAMAGE[what]((photos / "2.png").read_bytes()))
     scene = read_scene(photos)
     for _ in range(2):  # by looking, and from what was kept

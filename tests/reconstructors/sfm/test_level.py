@@ -1,4 +1,4 @@
-"""Levelling: up from the cameras of rigs whose up is known, seen in frames that are turned, scaled and shifted."""
+"""Levelling of rigs with known up direction in rotated, scaled and shifted frames."""
 
 import numpy as np
 import pytest
@@ -29,12 +29,12 @@ def about_axis(degrees, axis):
 
 
 def rolled(camera, degrees):
-    """The camera turned about its viewing direction."""
+    """Return the camera rotated about its viewing direction."""
     return Camera(camera.name, camera.intrinsics, about_axis(degrees, 2) @ camera.cam_from_world)
 
 
 def tilt_after_levelling(cameras, seed=1):
-    """Degrees between +z and what was up, after cameras in a frame of their own were levelled; and the note."""
+    """Level cameras in another frame; return the angle in degrees between +z and true up, and the note."""
     frame = random_frame(seed)
     turn, note = leveling_rotation({camera.name: moved(camera, frame) for camera in cameras})
     if turn is None:
@@ -110,7 +110,7 @@ def test_strips_flown_there_and_back():
     ],
     ids=["along a line", "too few", "climbing: nothing tells that it looks down", "looking every way"],
 )
-def test_what_cannot_be_told_is_not(cameras):
+def test_an_undetermined_up_direction_is_reported(cameras):
     tilt, note = tilt_after_levelling(cameras)
     assert tilt is None
     said(note)
