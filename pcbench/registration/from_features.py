@@ -133,8 +133,8 @@ def _no_pose_error(why: str, settings: FeatureSettings) -> RegistrationError:
 def _check_size(target: Target, points: FloatArray) -> None:
     if min(len(points), len(target.surface)) < _MIN_POINTS:
         raise RegistrationError(
-            f"expected at least {_MIN_POINTS} points in each cloud to register from nothing, got {len(points)} and"
             f"expected at least {_MIN_POINTS} points in each cloud to register from any pose, got {len(points)} and"
+            f" {len(target.surface)}: use --register points:FILE, matrix:FILE or none"
         )
     for name, part in (("reference", target.surface.points), ("candidate", points)):
         if len(cells(part, robust_extent(part) / 1000 or 1.0).first) < _MIN_POINTS:
@@ -313,6 +313,7 @@ class _PoseSearch:
         return self._distinct(ordered)[:count]
 
     def sort_by_evidence(self, poses: list[Similarity]) -> list[Similarity]:
+        """Return the different poses, those with the most evidence first."""
         return self._distinct(sorted(poses, key=lambda pose: -self.evidence(pose)))
 
     def refine_all(self, poses: list[Similarity]) -> list[Similarity]:

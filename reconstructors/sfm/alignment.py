@@ -59,7 +59,7 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: R
         "cameras": bool(scene.cameras),
         "gps": len(scene.measured_positions()[0]) >= 3,
     }
-    target = next((way for way in methods if available[way]), "none") if how == "auto" else how
+    target = next((name for name in methods if available[name]), "none") if how == "auto" else how
     if target == "none":
         return level_model(model, _unscored_note(survey))
     if not available[target]:
@@ -85,9 +85,9 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: R
 
 def level_model(model: Any, notes: Sequence[str]) -> AlignedModel:
     """Rotate a model in an arbitrary gauge so that +z is up, if its cameras show the up direction."""
-    relative_rotation, note = leveling_rotation(cameras_of(model))
-    if relative_rotation is not None:
-        _transform(model, relative_rotation)
+    rotation, note = leveling_rotation(cameras_of(model))
+    if rotation is not None:
+        _transform(model, rotation)
     return AlignedModel(model, "arbitrary", False, [*notes, note])
 
 

@@ -24,7 +24,7 @@ class LensGroup(NamedTuple):
     names: tuple[str, ...]
 
 
-def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool) -> Path:
+def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsample: bool) -> Path:
     """Extract features of all images; return the stage's folder with the database.
 
     Args:
@@ -48,7 +48,7 @@ def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool
         if masks is not None:
             reader.mask_path = str(masks)
         extraction = pycolmap.FeatureExtractionOptions()
-        extraction.sift.max_num_features = most
+        extraction.sift.max_num_features = max_features
         extraction.sift.first_octave = -1 if upsample else 0
         pycolmap.extract_features(
             database,
@@ -63,7 +63,7 @@ def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool
         "pycolmap": pycolmap.__version__,
         "scene": scene.fingerprint(cameras=False),
         "sharing a lens": [names for _, names in groups],
-        "features": most,
+        "features": max_features,
         "upsample": upsample,
     }
     return stage(workspace, "features", inputs, make)
@@ -74,8 +74,8 @@ def shared_intrinsics(scene: Scene) -> list[LensGroup]:
     found: dict[Any, list[str]] = {}
     for name in scene.images:
         camera = scene.cameras.get(name)
-        known = camera.intrinsics if camera else scene.intrinsics.get(name)
-        found.setdefault(known or scene.size(name), []).append(name)
+        known_intrinsics = camera.intrinsics if camera else scene.intrinsics.get(name)
+        found.setdefault(known_intrinsics or scene.size(name), []).append(name)
     return [LensGroup(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
 
 
@@ -122,15 +122,15 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
     Raises:
         ReconstructionError: Fewer than two images have enough features.
     """
-    poor = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
-    if not poor:
+    too_few = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
+    if not too_few:
         return []
-    if len(scene) - len(poor) < 2:
+    if len(scene) - len(too_few) < 2:
         raise ReconstructionError(
-            f"too few features: {len(poor)} of {len(scene)} images have fewer than {MIN_FEATURES}"
-            f" ({poor[0]}: {counts.get(poor[0], 0)}): the images are blank, blurred, masked or too small"
+            f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
+            f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )
-    return [f"{len(poor)} images have fewer than {MIN_FEATURES} features: {some(poor)}"]
+    return [f"{len(too_few)} images have fewer than {MIN_FEATURES} features: {some(too_few)}"]
 
 
 def some(names: list[str]) -> str:

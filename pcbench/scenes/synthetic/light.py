@@ -144,7 +144,7 @@ def _resample(
 
     Args:
         plane: (rows, columns) values, including border cells.
-        ring: Border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
+        border_cells: Border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
         shape: Rows and columns of the new grid.
         beyond: Cells of the new grid beyond each edge of the rectangle.
     """

@@ -64,7 +64,7 @@ def test_a_courtyard_that_cannot_be_solved_is_not_georeferenced(tmp_path):
     assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
     notes = " ".join(made.notes)
     assert "warning: " in notes
-    assert "contradict the solved cameras: places that look alike were taken for one" in notes
+    assert "contradict the solved cameras: places that look alike were confused" in notes
     assert "not aligned" in notes
     assert (tmp_path / "work/pairs.csv").is_file()
 
