@@ -35,7 +35,7 @@ class AlignedModel(NamedTuple):
     residuals: SurveyResiduals = SurveyResiduals()
 
 
-def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: Refine) -> AlignedModel:
+def align(model: Any, scene: Scene, survey: ControlSurvey, requested: Align, refine: Refine) -> AlignedModel:
     """Align the model to control points, cameras or GPS: the first available, or as requested.
 
     With control points, a bundle adjustment follows in which these are fixed. A model that is aligned to none is
@@ -59,7 +59,7 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: R
         "cameras": bool(scene.cameras),
         "gps": len(scene.measured_positions()[0]) >= 3,
     }
-    target = next((name for name in methods if available[name]), "none") if how == "auto" else how
+    target = next((name for name in methods if available[name]), "none") if requested == "auto" else requested
     if target == "none":
         return level_model(model, _unscored_note(survey))
     if not available[target]:
@@ -68,7 +68,7 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: R
     try:
         transform, note = methods[target]()
     except InputError as error:
-        if how != "auto":
+        if requested != "auto":
             raise ReconstructionError(f"cannot be aligned to {target}: {error}") from error
         return level_model(model, [f"not aligned to {target}: {error}", *_unscored_note(survey)])
     _transform(model, transform)
