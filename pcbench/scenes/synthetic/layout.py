@@ -91,16 +91,16 @@ def _streets(settings: CitySettings, axis: int, rng: np.random.Generator) -> lis
     """Return the streets along one axis, every 45 to 65 m, every third an avenue; the first and last bound the city."""
     half = settings.extent / 2
     if settings.symmetric:
-        places = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]
-        while places[-1] + 65 < half:
-            places.append(places[-1] + float(rng.uniform(45, 60)))
-        places = [p for p in places if p < half - 30] or [0.0]
-        places = sorted({-p for p in places} | set(places))
+        positions = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]
+        while positions[-1] + 65 < half:
+            positions.append(positions[-1] + float(rng.uniform(45, 60)))
+        positions = [p for p in positions if p < half - 30] or [0.0]
+        positions = sorted({-p for p in positions} | set(positions))
     else:
-        places = [-half + float(rng.uniform(45, 60))]
-        while places[-1] + 65 < half - 30:
-            places.append(places[-1] + float(rng.uniform(45, 65)))
-    inner = [Street(axis, p, 14.0 if (abs(i - len(places) // 2) % 3) == 0 else 9.0) for i, p in enumerate(places)]
+        positions = [-half + float(rng.uniform(45, 60))]
+        while positions[-1] + 65 < half - 30:
+            positions.append(positions[-1] + float(rng.uniform(45, 65)))
+    inner = [Street(axis, p, 14.0 if (abs(i - len(positions) // 2) % 3) == 0 else 9.0) for i, p in enumerate(positions)]
     return [Street(axis, -half + 3.5, 7.0), *inner, Street(axis, half - 3.5, 7.0)]
 
 
