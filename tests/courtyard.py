@@ -1,4 +1,4 @@
-"""Photographs of a courtyard whose four facades repeat one bay: what looks the same stands in several places."""
+"""Images of a courtyard whose four facades repeat one bay, so that different places look alike."""
 
 from functools import cache
 
@@ -8,13 +8,13 @@ from textured_corner import bilinear, texture
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 WIDTH, DEPTH, HEIGHT = 24.0, 16.0, 8.0  # metres, about the origin
-BAY = 4.0  # metres of a wall, after which it looks the same again
-_PIXELS = 40  # of a texture, to a metre
+BAY = 4.0  # metres, period of a facade
+_PIXELS = 40  # texture pixels per metre
 
 
 @cache
 def bay(seed=0):
-    """One bay of a facade (HEIGHT, BAY): plaster, and on each of two floors a window with panes and a sill."""
+    """Paint one bay of a facade (HEIGHT, BAY): plaster, and on each of two floors a window with panes and a sill."""
     plaster = texture(100 + seed, 512)[: int(HEIGHT * _PIXELS), : int(BAY * _PIXELS)]
     image = 0.35 + 0.45 * plaster
     for floor in (0.6, 4.6):
@@ -29,7 +29,7 @@ def bay(seed=0):
 
 @cache
 def wall(length, number, own, seed):
-    """A facade (HEIGHT, length): the same bay again and again, and a share `own` that no other place has."""
+    """Paint a facade (HEIGHT, length) of repeated bays, mixed with a share `own` of unique texture."""
     image = np.tile(bay(seed), (1, int(length / BAY), 1))
     mine = texture(1000 * seed + number, 1024)[: image.shape[0], : image.shape[1]]
     return (1 - own) * image + own * mine
@@ -44,7 +44,7 @@ def floor(own, seed):
 
 
 def cameras(count, intrinsics, inwards=False):
-    """All around the courtyard: from near its middle at the walls, or along the walls at those across."""
+    """Place cameras around the courtyard: near its centre facing outwards, or along the walls facing inwards."""
     found = []
     for number, a in enumerate(2 * np.pi * np.arange(count) / count):
         direction = np.array([np.cos(a), np.sin(a), 0])
@@ -55,7 +55,7 @@ def cameras(count, intrinsics, inwards=False):
 
 
 def photograph(camera, own=0.15, seed=0):
-    """(height, width, 3) uint8: what the camera sees from within; above the walls is a plain sky."""
+    """Render the camera's image (height, width, 3), uint8, from inside; above the walls is a plain sky."""
     k = camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
@@ -72,7 +72,7 @@ def photograph(camera, own=0.15, seed=0):
             plane, u, v = floor(own, seed), px + WIDTH / 2, py + DEPTH / 2
         else:
             along, length = (py, DEPTH) if axis == 0 else (px, WIDTH)
-            # Seen from within, every wall runs from left to right.
+            # u runs from left to right when seen from inside.
             u = (along * (-side if axis == 0 else side)) + length / 2
             plane, v = wall(length, number, own, seed), HEIGHT - pz
         image[seen] = bilinear(plane, u[seen] * _PIXELS - 0.5, v[seen] * _PIXELS - 0.5)

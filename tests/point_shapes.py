@@ -1,4 +1,4 @@
-"""Arrangements of n points (n, 3) that are hard on a search. Imports nothing from pcbench."""
+"""Arrangements of n points (n, 3) that are difficult for searches. Imports nothing from pcbench."""
 
 import numpy as np
 

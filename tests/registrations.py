@@ -1,4 +1,4 @@
-"""Known motions of clouds, and how far a registration that was found is from them."""
+"""Known motions of clouds, and errors of estimated registrations."""
 
 import numpy as np
 import shapes
@@ -7,16 +7,16 @@ from pcbench import Similarity
 
 
 def motion(angle_deg=2.0, shift=(0.6, -0.4, 0.3), scale=1.0):
-    """A motion candidate -> reference as large as ICP meets after a rough alignment."""
+    """Return a motion candidate -> reference of a size typical after rough alignment."""
     return Similarity(shapes.rotation([0.3, -0.5, 0.8], angle_deg), np.array(shift), scale)
 
 
 def error(found, true, points):
-    """RMS distance between where the true and the found pose put the candidate; points in the reference's frame."""
+    """Return the RMS distance between points (N, 3), in the reference, under the true and the estimated pose."""
     moved = true.inverse().apply(points)
     return float(np.sqrt(np.mean(np.square(found.apply(moved) - points).sum(axis=1))))
 
 
 def codes(registration):
-    """The codes of a registration's warnings."""
+    """Return the codes of a registration's warnings."""
     return {notice.code for notice in registration.warnings}

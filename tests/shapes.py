@@ -1,35 +1,35 @@
-"""Surfaces with closed-form answers, as numpy arrays; whatever is random is seeded by the caller."""
+"""Surfaces with closed-form properties, as numpy arrays; the caller seeds all random numbers."""
 
 import numpy as np
 
-# Coordinates as surveys have them: on a grid of quarters, with decimals that no binary number has, and whole.
+# Projected coordinates: multiples of a quarter, decimals without a binary representation, and integers.
 UTM = np.array([468_012.25, 5_428_771.5, 312.0])
 UTM_DECIMAL = np.array([512_345.678, 5_612_345.678, 123.456])
 UTM_WHOLE = np.array([500_000.0, 4_800_000.0, 0.0])
 
 
 def plane_grid(n=20, spacing=1.0, height=0.0):
-    """(n * n, 3) points of a square grid in the plane z = height, x fastest, from the origin on."""
+    """Return (n * n, 3) points of a square grid in the plane z = height from the origin, x fastest."""
     x, y = np.meshgrid(np.arange(n) * spacing, np.arange(n) * spacing)
     return np.column_stack([x.ravel(), y.ravel(), np.full(n * n, float(height))])
 
 
 def plane_samples(n, size=10.0, seed=0):
-    """(n, 3) uniform random points of the square [0, size]^2 in z = 0."""
+    """Return (n, 3) uniform random points of the square [0, size]^2 in z = 0."""
     points = np.zeros((n, 3))
     points[:, :2] = np.random.default_rng(seed).uniform(0, size, (n, 2))
     return points
 
 
 def sphere(n, radius=1.0, centre=(0.0, 0.0, 0.0), seed=0):
-    """(n, 3) uniform random points of a sphere and their outward unit normals (n, 3)."""
+    """Return (n, 3) uniform random points of a sphere and their outward unit normals (n, 3)."""
     directions = np.random.default_rng(seed).normal(size=(n, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return np.asarray(centre) + radius * directions, directions
 
 
 def fibonacci_sphere(n, radius=1.0):
-    """(n, 3) evenly spread points of a sphere about the origin, and their outward unit normals; nothing random."""
+    """Return (n, 3) evenly spread points of a sphere about the origin, and their unit normals; deterministic."""
     z = 1 - (2 * np.arange(n) + 1) / n
     angle = np.arange(n) * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - z**2)
@@ -38,12 +38,12 @@ def fibonacci_sphere(n, radius=1.0):
 
 
 def terrain_height(x, y):
-    """z = 2 sin(x / 5) + 1.5 cos(y / 7) + 0.5 sin((x + y) / 3): no symmetry that registration could slip along."""
+    """Return z = 2 sin(x / 5) + 1.5 cos(y / 7) + 0.5 sin((x + y) / 3), which has no symmetry to slip along."""
     return 2 * np.sin(x / 5) + 1.5 * np.cos(y / 7) + 0.5 * np.sin((x + y) / 3)
 
 
 def terrain_normals(points):
-    """Upward unit normals (N, 3) of the terrain at points (N, 3) on it."""
+    """Return upward unit normals (N, 3) of the terrain at points (N, 3) on it."""
     x, y = points[:, 0], points[:, 1]
     shared = 0.5 / 3 * np.cos((x + y) / 3)
     slope_x, slope_y = 2 / 5 * np.cos(x / 5) + shared, -1.5 / 7 * np.sin(y / 7) + shared
@@ -52,13 +52,13 @@ def terrain_normals(points):
 
 
 def terrain(n, size=40.0, seed=0):
-    """(n, 3) points of the bumpy terrain over [0, size]^2 and their upward unit normals (n, 3)."""
+    """Return (n, 3) points of the bumpy terrain over [0, size]^2 and their upward unit normals (n, 3)."""
     x, y = np.random.default_rng(seed).uniform(0, size, (2, n))
     points = np.column_stack([x, y, terrain_height(x, y)])
     return points, terrain_normals(points)
 
 
-# (x, y) of the lower corner, width along x, depth along y, height: no two alike, so that no motion maps the city
+# (x, y) of the lower corner, width along x, depth along y, height: all different, so that no motion maps the city
 # onto itself.
 CITY_BOXES = (
     ((5.0, 6.0), 8.0, 6.0, 12.0),
@@ -71,9 +71,9 @@ CITY_SIZE = 50.0
 
 
 def city_faces():
-    """The faces of a small city as (corner (3,), edge (3,), edge (3,), outward unit normal (3,)): ground, then boxes.
+    """Return faces of a city as (corner (3,), edge (3,), edge (3,), outward unit normal (3,)): ground, then boxes.
 
-    The ground is whole: it runs on under the boxes, as an exact plane z = 0.
+    The ground continues under the boxes, as an exact plane z = 0.
     """
     size = CITY_SIZE
     faces = [((0.0, 0.0, 0.0), (size, 0.0, 0.0), (0.0, size, 0.0), (0.0, 0.0, 1.0))]
@@ -90,7 +90,7 @@ def city_faces():
 
 
 def city(n, noise=0.0, seed=0):
-    """A small city of ground and boxes, sampled evenly by area.
+    """Sample a small city of ground and boxes uniformly by area.
 
     Returns:
         points (n, 3), outward unit normals (n, 3), index (n,) of the face in `city_faces()`. `noise` is the standard
@@ -106,7 +106,7 @@ def city(n, noise=0.0, seed=0):
 
 
 def rotation(axis, angle_deg):
-    """Rotation matrix (3, 3) by Rodrigues' formula."""
+    """Return the rotation matrix (3, 3) by Rodrigues' formula."""
     x, y, z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.deg2rad(angle_deg)

@@ -1,4 +1,4 @@
-"""Analytic surfaces to draw independent, error-free samples of, evenly or with a density that falls over the scene."""
+"""Analytic surfaces with independent, error-free samples of uniform or decreasing density."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Draw = Callable[[int, np.random.Generator], tuple[Floats, Floats]]
 
 
 class Surface(NamedTuple):
-    """A surface about 1 long: `draw(n, rng)` gives independent places (n, 3), even by area, and unit normals (n, 3)."""
+    """Surface of size 1: `draw(n, rng)` samples points (n, 3) uniformly by area, with unit normals (n, 3)."""
 
     name: str
     draw: Draw
 
     def sample(self, count: int, rng: np.random.Generator, falling: float = 1.0) -> tuple[Floats, Floats]:
-        """Places and normals; `falling` times denser at one end of the x axis than at the other."""
+        """Sample points and normals, `falling` times denser at one end of the x axis than at the other."""
         if falling == 1:
             return self.draw(count, rng)
         places, normals = self.draw(int(count * falling), rng)
@@ -58,7 +58,7 @@ def cylinder(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 
 def buildings(along: int, seed: int) -> Draw:
-    """Boxes in a square of `along` by `along` on the ground: five faces each, and the ground between them."""
+    """Return the sampler of `along` by `along` boxes of five faces, and the ground between them."""
     layout = np.random.default_rng(seed)
     pitch = 1 / along
     widths = layout.uniform(0.4, 0.7, (along * along, 2)) * pitch
@@ -94,7 +94,7 @@ def buildings(along: int, seed: int) -> Draw:
 
 @cache
 def surface(name: str) -> Surface:
-    """plane, torus, sphere, cylinder, boxes (3 by 3) or city (12 by 12)."""
+    """Return a surface: plane, torus, sphere, cylinder, boxes (3 by 3) or city (12 by 12)."""
     draws: dict[str, Draw] = {
         "plane": plane,
         "torus": torus,

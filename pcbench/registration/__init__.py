@@ -1,4 +1,4 @@
-"""Bringing a candidate onto the reference, and saying how far that can be trusted."""
+"""Registration of a candidate to the reference, with an assessment of how far the pose can be trusted."""
 
 from pcbench.registration.control_points import ControlPoints
 from pcbench.registration.from_features import FeatureSettings

@@ -1,10 +1,10 @@
-"""Advice for registrations that fail: only methods that can run on this machine, or how to install them."""
+"""Advice for failed registrations: methods that can run on this machine, or how to install them."""
 
 from __future__ import annotations
 
 from pcbench.extras import unavailable
 
-_BY_HAND = "--register points:FILE or matrix:FILE"
+_COARSE_ALIGNMENT = "--register points:FILE or matrix:FILE"
 _INSTALL = "pip install 'pcbench[global]'"
 
 
@@ -12,10 +12,10 @@ def align_coarsely() -> str:
     """Return advice for a pose that is far from the right one."""
     if has_global():
         return (
-            "align them from any pose (--register global, or global-similarity where the scale may differ) or coarsely"
-            f" first ({_BY_HAND})"
+            "align them from any pose (--register global, or global-similarity if the scale may differ) or coarsely"
+            f" first ({_COARSE_ALIGNMENT})"
         )
-    return f"align them coarsely first ({_BY_HAND}), or from any pose (--register global, after {_INSTALL})"
+    return f"align them coarsely first ({_COARSE_ALIGNMENT}), or from any pose (--register global, after {_INSTALL})"
 
 
 def find_any_scale() -> str:

@@ -1,15 +1,15 @@
-"""Is a pose right? What moving away from it costs, held against what moving away costs the reference itself.
+"""Contrast of a pose: how much a displacement worsens the fit, compared with the same displacement of the reference.
 
-A wrong pose may fit well: flat ground lies on flat ground, and where points fill a volume something is always near. But
-it fits little better than its surroundings do. So the candidate is displaced to both sides along every motion, and the
-growth of its distances to the reference is compared with the growth for the reference's own points at the same places,
-each searched among the others. For two samples of one surface or of one wood the two are alike, whatever the scene and
-the density. At a wrong pose the first falls far behind, if not along all motions then along those that the pose is
-wrong by: hence the least share of them is what counts.
+A wrong pose may fit well: flat ground fits flat ground, and in a cloud that fills a volume some point is always near.
+But a wrong pose fits little better than its surroundings. So the candidate is displaced in both directions along each
+motion. The growth of its distances to the reference is compared with the growth for the reference's own points at the
+same positions, each queried against the others. For two samples of the same surface or forest the two growths are
+similar, whatever the scene and the density. At a wrong pose the candidate's growth is much smaller, at least along the
+motions in which the pose is wrong. The smallest ratio over all motions is therefore the contrast.
 
-A scanner samples lines. What is displaced by less than the lines lie apart meets its own line again or none, whether
-the pose is right or not: so the displacement spans several gaps between lines, and the reference's own points stand for
-those of another scan, which lie anywhere between its lines.
+A scanner samples lines. A displacement smaller than the gap between lines meets the same line again or none, whether
+the pose is right or not. So the displacement spans several gaps, and the reference's own points are shifted at random
+between their line and the next, as the points of another scan would be.
 """
 
 from __future__ import annotations
@@ -22,25 +22,28 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 
-LEAST = 0.75  # below this share a pose is doubtful
-SURE = 0.85  # above it a pose is right, however little of the candidate meets the reference
+DOUBTFUL_CONTRAST = 0.75  # below this contrast a pose is doubtful
+CONFIDENT_CONTRAST = 0.85  # above it a pose is right, however small the overlap
 
-_MAX_PLACES = 600  # of the reference that are looked at: the share is then good to some per cent
-_MIN_PLACES = 50  # for less the share is chance
-_MIN_SPACINGS, _MAX_SPACINGS, _MAX_OF_EXTENT = 3.0, 12.0, 0.1  # that the candidate is displaced by
-_GAPS = 5.0  # and at least so many times what lies between a scanner's lines, for most of the places
-_SIGMAS = 8.0  # and at least so many times what the residuals are, where those are larger than the spacing
-# Motions that the reference's own points feel by less tell nothing: of the displacement, and in standard errors.
+_MAX_POSITIONS = 600  # reference points evaluated: the contrast is then accurate to a few per cent
+_MIN_POSITIONS = 50  # with fewer, the contrast is mostly noise
+# The displacement, in point spacings and as a share of the extent.
+_MIN_SPACINGS, _MAX_SPACINGS, _MAX_EXTENT_SHARE = 3.0, 12.0, 0.1
+_MIN_LINE_GAPS = 5.0  # the displacement spans at least this multiple of the gap between scan lines at most positions
+_MIN_SIGMAS = 8.0  # and at least this multiple of the residuals' standard deviation
+# Motions that change the distances of the reference's own points less are ignored: share of the displacement, and
+# multiple of the standard error.
 _MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 8.0
-_FEW, _MANY, _MORE = 12, 512, 1.5  # points of a scanner's line that are looked through for the next line
-_MIN_BREADTH = 0.1  # variance across over variance along, from which on points are no line
+# Neighbours searched for the next scan line.
+_MIN_LINE_NEIGHBORS, _MAX_LINE_NEIGHBORS, _LINE_NEIGHBOR_GROWTH = 12, 512, 1.5
+_MIN_VARIANCE_RATIO = 0.1  # variance across over variance along: above it, points are not a single line
 
 
 class Contrast(NamedTuple):
-    """What a pose is better than its surroundings by."""
+    """Contrast of a pose, and how sensitive the reference itself is to displacement."""
 
-    share: float  # of the reference's own, the least of all motions that its own points feel
-    felt: float  # by the reference's own points along the motion that they feel least, of the displacement
+    share: float  # growth of the candidate over that of the reference: minimum over the motions it is sensitive to
+    min_sensitivity: float  # smallest growth of the reference's own distances over all motions, over the displacement
 
 
 def contrast(
@@ -54,117 +57,135 @@ def contrast(
     extent: float,
     with_scale: bool,
 ) -> Contrast | None:
-    """The candidate's growth of distances by displacement as a share of the reference's own: about 1 at a right pose.
+    """Return the growth of the candidate's distances by displacement over that of the reference: about 1 if right.
 
     Args:
-        surface: the reference.
+        surface: Reference surface.
         moved: (M, 3) candidate points at the pose.
-        nearest: the reference's points that are nearest to them.
-        near: (K,) rows of those that may have a counterpart.
-        sigma: robust standard deviation of the residuals of those that lie on the reference.
-        spacing, extent: of the reference.
-        with_scale: whether the scale is one of the motions.
+        nearest: Reference points closest to them.
+        near: (K,) rows of `moved` that may have a counterpart.
+        sigma: Robust standard deviation of the residuals of the points on the reference.
+        spacing: Point spacing of the reference.
+        extent: Extent of the reference.
+        with_scale: Whether the scale is one of the motions.
 
     Returns:
-        None where too few points meet.
+        None if the clouds overlap in too few points.
     """
     near = np.random.default_rng(0).permutation(near)
-    # One candidate point a place of the reference: what lies beyond the reference's end is nearest to its last points
-    # only, and would otherwise count for as much as it is large.
-    places, first = np.unique(nearest.indices[near], return_index=True)
-    if len(places) < _MIN_PLACES or spacing <= 0:
+    # One candidate point per reference point: all points beyond the end of the reference have its last points as their
+    # closest points, and would otherwise dominate by their number.
+    positions, first = np.unique(nearest.indices[near], return_index=True)
+    if len(positions) < _MIN_POSITIONS or spacing <= 0:
         return None
     rows = near[first]
-    some = slice(None, None, max(1, len(places) // _MAX_PLACES))
-    own, ours, theirs = places[some], moved[rows[some]], surface.points[places[some]]
-    across = _to_next_line(surface.index, theirs)
-    gap = float(np.percentile(np.linalg.norm(across, axis=1), 75))
-    distance = max(_MAX_SPACINGS * spacing, _GAPS * gap, _SIGMAS * sigma)
-    distance = min(distance, max(_MAX_OF_EXTENT * extent, _MIN_SPACINGS * spacing))
-    center = ours.mean(axis=0)
-    radius = float(np.sqrt(np.square(ours - center).sum(axis=1).mean())) or 1.0
+    subset = slice(None, None, max(1, len(positions) // _MAX_POSITIONS))
+    reference_rows, candidate_points = positions[subset], moved[rows[subset]]
+    reference_points = surface.points[reference_rows]
+    line_gaps = _line_gaps(surface.index, reference_points)
+    gap = float(np.percentile(np.linalg.norm(line_gaps, axis=1), 75))
+    distance = max(_MAX_SPACINGS * spacing, _MIN_LINE_GAPS * gap, _MIN_SIGMAS * sigma)
+    distance = min(distance, max(_MAX_EXTENT_SHARE * extent, _MIN_SPACINGS * spacing))
+    center = candidate_points.mean(axis=0)
+    radius = float(np.sqrt(np.square(candidate_points - center).sum(axis=1).mean())) or 1.0
     size = 7 if with_scale else 6
 
-    def grown(distances: FloatArray) -> FloatArray:
-        """(size, P) growth of each point's distance to both sides; none counts for more than the displacement."""
+    def mean_growth(distances: FloatArray) -> FloatArray:
+        """(size, P) mean growth of each point's distance over both directions, clamped to the displacement."""
         bounded = (np.minimum(distances, distance) / distance).reshape(1 + 2 * size, -1)
         growth: FloatArray = (bounded[1::2] + bounded[2::2]) / 2 - bounded[0]
         return growth
 
-    def felt_by_reference(points: FloatArray) -> FloatArray:
-        displaced = _displaced(points, center, distance, radius, size)
-        found = surface.index.query(displaced, 2)
-        is_own = found.indices[:, 0] == np.tile(own, 1 + 2 * size)  # what a point itself was does not count
-        return grown(np.where(is_own, found.distances[:, 1], found.distances[:, 0]))
+    def reference_growth(points: FloatArray) -> FloatArray:
+        displaced = _displaced_points(points, center, distance, radius, size)
+        matches = surface.index.query(displaced, 2)
+        is_own = matches.indices[:, 0] == np.tile(reference_rows, 1 + 2 * size)  # a point does not match itself
+        return mean_growth(np.where(is_own, matches.distances[:, 1], matches.distances[:, 0]))
 
-    felt = grown(surface.index.query(_displaced(ours, center, distance, radius, size)).distances).mean(axis=1)
-    growth = felt_by_reference(theirs)
-    mean, error = growth.mean(axis=1), growth.std(axis=1) / np.sqrt(len(own))
-    telling = mean > np.maximum(_MIN_GROWTH, _MIN_SIGNIFICANCE * error)
-    if not telling.any():
+    displaced = _displaced_points(candidate_points, center, distance, radius, size)
+    candidate_growth = mean_growth(surface.index.query(displaced).distances).mean(axis=1)
+    growth = reference_growth(reference_points)
+    mean, error = growth.mean(axis=1), growth.std(axis=1) / np.sqrt(len(reference_rows))
+    is_sensitive = mean > np.maximum(_MIN_GROWTH, _MIN_SIGNIFICANCE * error)
+    if not is_sensitive.any():
         return None
-    share = float((felt[telling] / mean[telling]).min())
-    if share < SURE:
-        noise = _added_noise(moved[rows], surface.points[places])
+    share = float((candidate_growth[is_sensitive] / mean[is_sensitive]).min())
+    if share < CONFIDENT_CONTRAST:
+        noise = _added_noise(moved[rows], surface.points[positions])
         rng = np.random.default_rng(0)
-        theirs = theirs + rng.normal(0, noise, theirs.shape) + rng.uniform(-0.5, 0.5, (len(theirs), 1)) * across
-        blurred = np.minimum(mean, felt_by_reference(theirs).mean(axis=1))[telling]
-        # Where the noise would leave nothing to feel, the plain share stands.
-        share = float((felt[telling] / np.where(blurred > _MIN_GROWTH, blurred, mean[telling])).min())
+        reference_points = (
+            reference_points
+            + rng.normal(0, noise, reference_points.shape)
+            + rng.uniform(-0.5, 0.5, (len(reference_points), 1)) * line_gaps
+        )
+        blurred = np.minimum(mean, reference_growth(reference_points).mean(axis=1))[is_sensitive]
+        # If the noise leaves no sensitivity, compare with the growth without noise.
+        expected = np.where(blurred > _MIN_GROWTH, blurred, mean[is_sensitive])
+        share = float((candidate_growth[is_sensitive] / expected).min())
     return Contrast(share, float(mean.min()))
 
 
 def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:
-    """Standard deviation that the candidate (N, 3) has more than the reference at the same N places."""
-    own, other = _roughness(candidate), _roughness(reference)
-    return float(np.sqrt(max(0.0, own**2 - other**2)))
+    """Return the standard deviation of the candidate's (N, 3) noise beyond the reference's at the same N positions."""
+    reference_rows, other = _roughness(candidate), _roughness(reference)
+    return float(np.sqrt(max(0.0, reference_rows**2 - other**2)))
 
 
 def _roughness(points: FloatArray) -> float:
-    """Robust standard deviation of points about the tangent planes of the points nearest to them."""
+    """Return the robust standard deviation of points from the tangent planes of their closest points."""
     surface = Surface(Index(points))
-    some = points[:: max(1, len(points) // _MAX_PLACES)]
-    nearest = surface.index.query(some, 2).indices[:, 1]
-    steps = np.einsum("ni,ni->n", some - points[nearest], surface.normals(nearest))
+    subset = points[:: max(1, len(points) // _MAX_POSITIONS)]
+    nearest = surface.index.query(subset, 2).indices[:, 1]
+    steps = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
     return 1.4826 * float(np.median(np.abs(steps)))
 
 
-def _to_next_line(index: Index, places: FloatArray) -> FloatArray:
-    """What lies between the line that each of P places of an index is on and the next line, (P, 3) along the surface.
+def _line_gaps(index: Index, positions: FloatArray) -> FloatArray:
+    """Return the vectors (P, 3) along the surface from the scan line of each position to the next scan line.
 
-    More and more neighbours are looked at until they are no line; the widest step across is the gap. Where points are
-    even, it is about their spacing; zero where no other line is found.
+    The number of neighbours grows until they are no longer a single line. The widest gap across the line is the result.
+    For evenly spread points it is about their spacing. It is zero if no other line is found.
     """
-    gaps, alone, count = np.zeros(places.shape), np.arange(len(places)), _FEW
-    while len(alone) and count <= min(_MANY, len(index)):
-        arms = index.points[index.query(places[alone], count).indices] - places[alone, None]
-        variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", arms, arms, optimize=False) / count)
-        broad = variances[:, 1] > _MIN_BREADTH * variances[:, 2]
-        axis = axes[broad, :, 1]
-        apart = np.sort(np.abs(np.einsum("pki,pi->pk", arms[broad], axis, optimize=False)), axis=1)
-        gaps[alone[broad]] = np.diff(apart, axis=1).max(axis=1, initial=0.0)[:, None] * axis
-        alone, count = alone[~broad], int(_MORE * count)
+    gaps, pending, count = np.zeros(positions.shape), np.arange(len(positions)), _MIN_LINE_NEIGHBORS
+    while len(pending) and count <= min(_MAX_LINE_NEIGHBORS, len(index)):
+        offsets = index.points[index.query(positions[pending], count).indices] - positions[pending, None]
+        variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets, optimize=False) / count)
+        is_broad = variances[:, 1] > _MIN_VARIANCE_RATIO * variances[:, 2]
+        axis = axes[is_broad, :, 1]
+        distances_across = np.sort(np.abs(np.einsum("pki,pi->pk", offsets[is_broad], axis, optimize=False)), axis=1)
+        gaps[pending[is_broad]] = np.diff(distances_across, axis=1).max(axis=1, initial=0.0)[:, None] * axis
+        pending, count = pending[~is_broad], int(_LINE_NEIGHBOR_GROWTH * count)
     return gaps
 
 
-def _displaced(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:
-    """Points (N, 3) as they are, moved by `distance` to either side along the axes, about them (at `radius`), by scale.
+def _displaced_points(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:
+    """Return points (N, 3) unchanged, then displaced in both directions along each axis, about each axis and in scale.
+
+    Args:
+        points: (N, 3) points.
+        center: (3,) centre of the rotations and the scale.
+        distance: Displacement; rotations and the scale displace by it at `radius`.
+        radius: RMS radius of the points.
+        size: 7 with the scale, else 6.
 
     Returns:
-        (N + 2 size N, 3); the scale only where `size` is 7.
+        (N + 2 size N, 3) points.
     """
-    ways = [points]
-    arms = points - center
+    displacements = [points]
+    offsets = points - center
     for shift in distance * np.eye(3):
-        ways += [points + shift, points - shift]
+        displacements += [points + shift, points - shift]
     cos, sin = np.cos(distance / radius), np.sin(distance / radius)
     for axis in range(3):
         b, c = (axis + 1) % 3, (axis + 2) % 3
         for s in (sin, -sin):
-            turned = arms.copy()
-            turned[:, b], turned[:, c] = cos * arms[:, b] - s * arms[:, c], s * arms[:, b] + cos * arms[:, c]
-            ways.append(turned + center)
+            rotated = offsets.copy()
+            rotated[:, b], rotated[:, c] = (
+                cos * offsets[:, b] - s * offsets[:, c],
+                s * offsets[:, b] + cos * offsets[:, c],
+            )
+            displacements.append(rotated + center)
     if size == 7:
         factor = np.exp(distance / radius)
-        ways += [center + factor * arms, center + arms / factor]
-    return np.concatenate(ways)
+        displacements += [center + factor * offsets, center + offsets / factor]
+    return np.concatenate(displacements)

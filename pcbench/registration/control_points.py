@@ -15,24 +15,25 @@ from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.regular_files import read_text
 
-_MIN_CONTROL_POINTS = 3  # that fix a similarity
+_MIN_CONTROL_POINTS = 3  # needed to determine a similarity
 
 
 @dataclass(frozen=True, eq=False)
 class ControlPoints:
-    """A registration method: pairs of points that are the same place in both clouds.
+    """Registration method: pairs of points at the same place in both clouds.
 
     Attributes:
-        candidate, reference: (N, 3) the places in the candidate's and in the reference's coordinates, in one order.
-        names: of the pairs; their numbers from 1 on if none are given.
-        is_check: (N,) which pairs take no part in the fit and are reported as check points; none if not given.
-        with_scale: whether the scale is solved for too.
-        z_is_up: whether z is height in the reference; where it is not known to be, no horizontal and vertical errors
-            are given. A reference with a map grid as its coordinate system needs no such statement.
-        text: for reports; for pairs from the command line what stood there.
+        candidate: (N, 3) points in candidate coordinates.
+        reference: (N, 3) the same points in reference coordinates, in the same order.
+        names: Names of the pairs; 1, 2, ... if none are given.
+        is_check: (N,) whether a pair is a check point, which is left out of the fit; none is, if not given.
+        with_scale: Whether the scale is solved for.
+        z_is_up: Whether z is height in the reference. If not, horizontal and vertical errors are not reported. Not
+            needed if the reference has a projected coordinate system.
+        text: Method text for reports; for pairs from the command line, the text given there.
 
     Raises:
-        InputError: the arrays do not fit together, two pairs have one name, or the control points do not determine the
+        InputError: The array shapes disagree, two pairs have the same name, or the control points do not determine the
             pose (see `fit_similarity`).
     """
 
@@ -55,21 +56,24 @@ class ControlPoints:
                 f" names ({len(names)}) and is_check {is_check.shape}"
             )
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
-            raise InputError(f"expected a name of its own for each pair of points, got {twice!r} twice")
+            raise InputError(f"expected a different name for each pair of points, got {twice!r} twice")
         values = {"candidate": candidate, "reference": reference, "names": names, "is_check": is_check}
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        fit_pairs(self)  # a pose that they do not determine is said now and not after clouds were read
+        fit_pairs(self)  # fail now, before clouds are read, if the pairs do not determine the pose
 
     @classmethod
     def read(cls, path: str | Path) -> ControlPoints:
-        """From a text file: the method `points:FILE`.
+        """Read pairs from a text file: the method `points:FILE`.
 
-        A line is a name, x y z in the candidate and x y z in the reference. Names that end in * are check points. A
-        comment `# z is up` states that the reference's z is height.
+        Each line has a name, x y z in the candidate and x y z in the reference. Names that end in * are check points.
+        The comment `# z is up` states that the reference's z is height.
+
+        Args:
+            path: Text file.
 
         Raises:
-            InputError: the file is not such a list, or does not determine the pose.
+            InputError: The file has another format, or its pairs do not determine the pose.
         """
         names, rows, z_is_up = _read_rows(path)
         pairs = np.array(rows).reshape(-1, 6)
@@ -82,10 +86,13 @@ class ControlPoints:
 
 
 def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
-    """The similarity candidate -> reference (Umeyama 1991) of the control points, and the residuals of all pairs.
+    """Fit the similarity candidate -> reference (Umeyama 1991) to the control points; return it and all residuals.
+
+    Args:
+        pairs: Control and check points.
 
     Raises:
-        InputError: fewer than three control points beside the check points, or all on one line.
+        InputError: There are fewer than three control points besides the check points, or all lie on one line.
     """
     is_check = np.zeros(len(pairs.candidate), bool) if pairs.is_check is None else pairs.is_check
     if is_check.any() and (left := int((~is_check).sum())) < _MIN_CONTROL_POINTS:
@@ -99,7 +106,7 @@ def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
 
 
 def states_z_is_up(line: str) -> bool:
-    """Whether a line of a file of points is the comment `# z is up`."""
+    """Return whether a line of a points file is the comment `# z is up`."""
     before, hash_sign, text = line.partition("#")
     return bool(hash_sign) and not before.strip() and text.lower().strip(" .").split() == ["z", "is", "up"]
 
@@ -112,7 +119,7 @@ def _points(values: ArrayLike, name: str) -> FloatArray:
 
 
 def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
-    """Names, the six numbers of each, and whether a comment states that z is up."""
+    """Return the names, the six coordinates per name, and whether a comment states that z is up."""
     try:
         lines = read_text(path).splitlines()
     except (InputError, OSError) as error:

@@ -1,8 +1,9 @@
-"""Registration from nothing: poses from features, each refined and then compared with everything both clouds show.
+"""Registration from any pose: poses from features, each refined and then compared with all of both clouds.
 
-A wrong pose reported with confidence is the failure that counts. Flat ground fits flat ground in a thousand poses, so
-overlap and residuals say little. What counts is agreement: where the clouds meet, do surfaces of *all* directions lie
-on each other, seen from both sides? And does no clearly different pose fit about as well?
+A wrong pose reported with confidence is the failure to avoid. Flat ground fits flat ground in a thousand poses, so
+overlap and residuals are weak evidence. The evidence is agreement: where the clouds overlap, surfaces of *all*
+directions must coincide, tested from candidate to reference and back. And no clearly different pose may fit about as
+well.
 """
 
 from __future__ import annotations
@@ -20,38 +21,38 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
-from pcbench.registration.contrast import SURE, contrast
-from pcbench.registration.correspondences import RUNG, FeaturePairs, apart, likely_poses, matched
+from pcbench.registration.contrast import CONFIDENT_CONTRAST, contrast
+from pcbench.registration.correspondences import SCALE_STEP, FeaturePairs, likely_poses, match_features, pose_distance
 from pcbench.registration.icp import IcpSettings, align, refine
 from pcbench.registration.quality import Fit, assess_given
 from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE
 from pcbench.registration.target import Target, local_origin
 
-_CELLS = 15_000  # of the larger cloud, when features are compared: a second's work
-_COARSER = 1.6  # what finer cells do not find, coarser ones may
-# Rungs up and down, the likeliest first: what either cloud covers may differ by 3.6 times a side.
-_LADDER = ((0, -1, 1), (-2, 2, -3, 3), (-4, 4, -5, 5, -6, 6, -7, 7))
-_MAX_POSES = 8  # from each comparison of features
-_MAX_REFINED, _MAX_TURNED = 6, 3  # the most promising ones of those, and of the best one turned around
-_MAX_POINTS = 300_000  # of a cloud that are looked at
-_MAX_VARIATION = 0.12  # surface variation of what lies on a surface; edges have less, strays in the air more
-_MIN_FLAT = 0.6  # share of a cloud on surfaces, for it to be taken for strays and edges what is not
-_MAX_SAMPLE = 3_000  # points that a pose is refined and judged by
-_MIN_POINTS = 100  # of either cloud
-_MIN_MET = 0.05  # share of either cloud that has to meet the other, and
-_MIN_MET_POINTS = 20  # of its sample
+_FEATURE_CELL_COUNT = 15_000  # cells of the larger cloud for feature matching: about one second
+_COARSE_CELL_FACTOR = 1.6  # coarser cells may find poses that finer cells miss
+# Exponents of the scale steps tried, the likeliest first: the clouds' extents may differ by a factor of 3.6.
+_SCALE_EXPONENTS = ((0, -1, 1), (-2, 2, -3, 3), (-4, 4, -5, 5, -6, 6, -7, 7))
+_MAX_POSES = 8  # per feature comparison
+_MAX_REFINED, _MAX_SYMMETRIC = 6, 3  # poses refined: the most promising, and turns of the best about its symmetry axes
+_MAX_POINTS = 300_000  # points used of each cloud
+_MAX_VARIATION = 0.12  # surface variation of points on a surface; edges and floating outliers have more
+_MIN_SURFACE_SHARE = 0.6  # share of a cloud on surfaces, above which the other points are dropped as outliers and edges
+_MAX_SAMPLE_POINTS = 3_000  # points for refining and evaluating a pose
+_MIN_POINTS = 100  # in each cloud
+_MIN_OVERLAP = 0.05  # share of a cloud's sample that must overlap the other cloud
+_MIN_OVERLAP_POINTS = 20  # points of the sample that must overlap the other cloud
 _MIN_COSINE = 0.85  # between normals that agree
-_ENOUGH_MET = 0.2  # share of a cloud that meets the other: more of it is no more evidence
-_MIN_CONTRAST = 0.7  # below it a pose is refused
-_MIN_RIVAL = 0.9  # of the best pose's evidence
+_SUFFICIENT_OVERLAP = 0.2  # share of a cloud that overlaps the other: a larger share is no stronger evidence
+_MIN_CONTRAST = 0.7  # poses with less are refused
+_MIN_RIVAL_SHARE = 0.9  # share of the best pose's evidence that makes another pose a rival
 
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """A registration method: from any pose, by matching features; then ICP. `global` on the command line.
+    """Registration method: from any pose by feature matching, then ICP. `global` on the command line.
 
     Attributes:
-        with_scale: whether the scale is found too (`global-similarity`).
+        with_scale: Whether the scale is solved for too (`global-similarity`).
     """
 
     with_scale: bool = False
@@ -62,61 +63,64 @@ class FeatureSettings:
 
     @property
     def text(self) -> str:
-        """As on the command line."""
+        """Method name as on the command line."""
         return "global-similarity" if self.with_scale else "global"
 
 
 def align_by_features(target: Target, points: FloatArray, settings: FeatureSettings, origin: FloatArray) -> Fit:
-    """The pose of points (N, 3), which may lie anywhere, on a target; both are about one local origin.
+    """Register points (N, 3) in any pose to a target; both are relative to one local origin.
 
     Args:
-        target: the reference.
-        points: (N, 3) of the candidate, minus the reference's local origin.
-        settings: whether the scale is found too.
-        origin: (3,) the local origin, which messages add again.
+        target: Reference.
+        points: (N, 3) candidate points minus the reference's local origin.
+        settings: Whether the scale is solved for too.
+        origin: (3,) local origin, added again in messages.
 
     Raises:
         MissingExtra: KISS-Matcher is not installed.
-        RegistrationError: there are too few points, or no pose has the evidence.
+        RegistrationError: There are too few points, or no pose has enough evidence.
     """
     _check_size(target, points)
     icp = IcpSettings(with_scale=settings.with_scale)
-    middle = local_origin(Cloud(points))  # turning what is far away costs digits
-    local = points - middle
-    seen = _on_surfaces(target.surface.points, local)
-    judge = _Judge(_View(seen[0]), _View(seen[1]), icp)
-    poses = judge.found()
+    shift = local_origin(Cloud(points))  # rotating points far from the origin loses precision
+    local = points - shift
+    reference_part, candidate_part = _surface_points(target.surface.points, local)
+    search = _PoseSearch(_CellCloud(reference_part), _CellCloud(candidate_part), icp)
+    poses = search.search()
     if not poses:
-        raise _nothing_fits("none could be refined", settings)
-    # Full resolution may end elsewhere than the views: the pose that is returned is the one that is compared.
-    start, fit = poses[0], judge.finished(poses[0], target, local)
-    if len(poses) > 1 and judge.evidence(fit.T_local) < judge.evidence(poses[1]):
-        other = judge.finished(poses[1], target, local)
-        if judge.evidence(other.T_local) > judge.evidence(fit.T_local):
+        raise _no_pose_error("none could be refined", settings)
+    # Full resolution may end at another pose than the cells: compare the pose that is returned.
+    start, fit = poses[0], search.refine_full(poses[0], target, local)
+    if len(poses) > 1 and search.evidence(fit.T_local) < search.evidence(poses[1]):
+        other = search.refine_full(poses[1], target, local)
+        if search.evidence(other.T_local) > search.evidence(fit.T_local):
             start, fit = poses[1], other
     pose = fit.T_local
-    # The whole candidate is judged, not only the part that ICP was given.
-    quality = assess_given(target, points, _unshifted(pose, middle), origin, settings.text).quality
+    # Assess the complete candidate, not only the part that ICP used.
+    quality = assess_given(target, points, _undo_shift(pose, shift), origin, settings.text).quality
     if quality.contrast is None or quality.contrast < _MIN_CONTRAST:
-        raise _nothing_fits(
-            f"moving away from the best one costs {max(quality.contrast or 0, 0):.0%} of what it should", settings
+        raise _no_pose_error(
+            f"displacing the best one worsens its fit by only {max(quality.contrast or 0, 0):.0%} of what the same"
+            " displacement costs the reference itself",
+            settings,
         )
     warnings = [notice for notice in fit.quality.warnings if notice.code == NO_CONVERGENCE]
-    rivals = [p for p in poses if p is not start and judge.differ(p, pose)]
-    rivals = [p for p in rivals if judge.evidence(p) > _MIN_RIVAL * judge.evidence(pose)]
+    rivals = [p for p in poses if p is not start and search.are_different(p, pose)]
+    rivals = [p for p in rivals if search.evidence(p) > _MIN_RIVAL_SHARE * search.evidence(pose)]
     if rivals:
-        away = apart(rivals[0], pose, judge.candidate.sample)
-        rows = _unshifted(rivals[0], middle).about(origin).matrix[:3]
+        distance = pose_distance(rivals[0], pose, search.candidate.sample)
+        rows = _undo_shift(rivals[0], shift).about(origin).matrix[:3]
         text = (
-            f"ambiguous: {judge.evidence(pose):.0%} speaks for this pose, but {judge.evidence(rivals[0]):.0%} for the"
-            f" candidate {away:.3g} away ({'; '.join(' '.join(f'{v:.6g}' for v in row) for row in rows)})"
+            f"ambiguous: this pose has evidence {search.evidence(pose):.0%}, but another pose, which moves the"
+            f" candidate by {distance:.3g}, has {search.evidence(rivals[0]):.0%}"
+            f" ({'; '.join(' '.join(f'{v:.6g}' for v in row) for row in rows)})"
         )
         warnings.append(Notice(AMBIGUOUS, text))
     quality = quality._replace(warnings=(*quality.warnings, *warnings))
-    return Fit(_unshifted(pose, middle), quality, fit.iterations, fit.converged)
+    return Fit(_undo_shift(pose, shift), quality, fit.iterations, fit.converged)
 
 
-def _nothing_fits(why: str, settings: FeatureSettings) -> RegistrationError:
+def _no_pose_error(why: str, settings: FeatureSettings) -> RegistrationError:
     reasons = ["they show different scenes", "overlap too little"]
     if not settings.with_scale:
         reasons.append("differ in scale (--register global-similarity)")
@@ -129,221 +133,241 @@ def _nothing_fits(why: str, settings: FeatureSettings) -> RegistrationError:
 def _check_size(target: Target, points: FloatArray) -> None:
     if min(len(points), len(target.surface)) < _MIN_POINTS:
         raise RegistrationError(
-            f"expected at least {_MIN_POINTS} points in each cloud to register from nothing, got {len(points)} and"
+            f"expected at least {_MIN_POINTS} points in each cloud to register from any pose, got {len(points)} and"
             f" {len(target.surface)}: use --register points:FILE, matrix:FILE or none"
         )
-    for name, some in (("reference", target.surface.points), ("candidate", points)):
-        if len(cells(some, robust_extent(some) / 1000 or 1.0).first) < _MIN_POINTS:
+    for name, part in (("reference", target.surface.points), ("candidate", points)):
+        if len(cells(part, robust_extent(part) / 1000 or 1.0).first) < _MIN_POINTS:
             raise RegistrationError(
-                f"expected the {name}'s points at {_MIN_POINTS} places at least to register from nothing: use"
-                " --register points:FILE, matrix:FILE or none"
+                f"expected the {name}'s points at {_MIN_POINTS} or more distinct positions to register from any pose:"
+                " use --register points:FILE, matrix:FILE or none"
             )
 
 
-def _on_surfaces(reference: FloatArray, candidate: FloatArray) -> list[FloatArray]:
-    """At most 300,000 points of each cloud, those on surfaces; all where much of a cloud is none, such as a wood."""
+def _surface_points(reference: FloatArray, candidate: FloatArray) -> list[FloatArray]:
+    """Return at most 300,000 points per cloud: those on surfaces, or all if much of a cloud is not, as in a forest."""
     clouds = [points[:: max(1, len(points) // _MAX_POINTS)] for points in (reference, candidate)]
-    flat = [estimate_normals(Index(points)).variation < _MAX_VARIATION for points in clouds]
-    if any(some.mean() < _MIN_FLAT or np.count_nonzero(some) < _MIN_POINTS for some in flat):
+    is_surface = [estimate_normals(Index(points)).variation < _MAX_VARIATION for points in clouds]
+    if any(part.mean() < _MIN_SURFACE_SHARE or np.count_nonzero(part) < _MIN_POINTS for part in is_surface):
         return clouds
-    return [points[some] for points, some in zip(clouds, flat, strict=True)]
+    return [points[part] for points, part in zip(clouds, is_surface, strict=True)]
 
 
-class _View:
-    """A cloud as means over small cells, where noise and density hardly show; and an even sample of those.
+class _CellCloud:
+    """Cloud as means over small cells, which hide noise and density, and an even sample of these.
 
     Attributes:
-        points: those that are looked at.
-        side: of the cells that features are compared with, such that there are about 15,000.
-        surface, target: the means over cells of a third of that.
-        sample, normals, weights: (S, 3), (S, 3), (S,) of the surface; every direction of normals weighs about the same.
-        reach: distance up to which another cloud meets it: 24 times how rough the surface is, 1 to 2.5 cells.
+        points: Points used.
+        side: Side of the cells for feature matching; about 15,000 cells are occupied.
+        surface: Means over cells of a third of that side.
+        target: The same as a registration target.
+        sample: (S, 3) even sample of the surface.
+        normals: (S, 3) its normals.
+        weights: (S,) its weights, such that all directions of normals have about the same weight.
+        overlap_distance: Distance up to which another cloud overlaps this one: 24 times the roughness, clamped to 1 to
+            2.5 cell sides.
     """
 
     def __init__(self, points: FloatArray) -> None:
         self.points = points
-        self.side = _cell_side(points, min(_CELLS, len(points) // 2))
+        self.side = _cell_side(points, min(_FEATURE_CELL_COUNT, len(points) // 2))
         self.surface = Surface(Index(cell_means(points, self.side / 3)))
         self.target = Target(self.surface)
-        which = voxel_downsample_to(self.surface.points, _MAX_SAMPLE, start=self.side)
+        which = voxel_downsample_to(self.surface.points, _MAX_SAMPLE_POINTS, start=self.side)
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
         nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
         steps = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
-        rough = 1.4826 * float(np.median(np.abs(steps)))
-        self.reach = float(np.clip(24 * rough, self.side, 2.5 * self.side))  # farther off, anything meets anything
-        # Flat ground is most of many scenes, and fits itself anywhere: it must not outvote the walls.
+        roughness = 1.4826 * float(np.median(np.abs(steps)))
+        # At larger distances any two clouds would overlap.
+        self.overlap_distance = float(np.clip(24 * roughness, self.side, 2.5 * self.side))
+        # Flat ground dominates many scenes and fits itself anywhere: it must not outweigh the walls.
         directions = cells(self.normals, 0.5, np.full(3, -1.25))
         self.weights: FloatArray = 1 / (directions.counts[directions.of_point] + len(which) / 20)
 
 
-class _Judge:
-    """What two views say about a pose. Lengths are in the reference's unit unless they are counted in cells."""
+class _PoseSearch:
+    """Search for the pose of a candidate on a reference.
 
-    def __init__(self, reference: _View, candidate: _View, icp: IcpSettings) -> None:
+    Lengths are in the reference's unit unless counted in cells.
+    """
+
+    def __init__(self, reference: _CellCloud, candidate: _CellCloud, icp: IcpSettings) -> None:
         self.reference, self.candidate, self.icp = reference, candidate, icp
         self._evidence: dict[bytes, float] = {}
 
-    def found(self) -> list[Similarity]:
-        """The different poses with evidence, the best first; no more are looked for where one leaves no doubt."""
-        ratio = 1.0
-        batches: list[list[tuple[int, float]]] = [[(0, _COARSER)], [(0, 1.0)]]
+    def search(self) -> list[Similarity]:
+        """Return the different poses with evidence, the best first; stop early at a pose that is confident."""
+        scale_ratio = 1.0
+        batches: list[list[tuple[int, float]]] = [[(0, _COARSE_CELL_FACTOR)], [(0, 1.0)]]
         if self.icp.with_scale:
-            ratio = robust_extent(self.reference.points) / robust_extent(self.candidate.points)
-            batches = [[(rung, _COARSER) for rung in rungs] for rungs in _LADDER]
+            scale_ratio = robust_extent(self.reference.points) / robust_extent(self.candidate.points)
+            batches = [[(exponent, _COARSE_CELL_FACTOR) for exponent in exponents] for exponents in _SCALE_EXPONENTS]
         poses: list[Similarity] = []
         for batch in batches:
-            rough = self.hypotheses([(ratio * RUNG**rung, coarser) for rung, coarser in batch])
-            poses = self.best_first(poses + self.refined(self.promising(rough, _MAX_REFINED)))
-            if poses and self.is_sure(poses[0]):
+            proposed = self.propose_poses([(scale_ratio * SCALE_STEP**k, factor) for k, factor in batch])
+            poses = self.sort_by_evidence(poses + self.refine_all(self.select_promising(proposed, _MAX_REFINED)))
+            if poses and self.is_confident(poses[0]):
                 break
-        if poses:  # what is symmetric looks the same turned around
-            turned = [poses[0] @ turn for turn in _turns(self.candidate.sample)]
-            poses = self.best_first(poses + self.refined(self.promising(turned, _MAX_TURNED)))
+        if poses:  # a symmetric cloud looks the same in turned poses
+            symmetric_poses = [poses[0] @ turn for turn in _symmetry_turns(self.candidate.sample)]
+            poses = self.sort_by_evidence(
+                poses + self.refine_all(self.select_promising(symmetric_poses, _MAX_SYMMETRIC))
+            )
         return [pose for pose in poses if self.evidence(pose) > 0]
 
-    def hypotheses(self, tried: list[tuple[float, float]]) -> list[Similarity]:
-        """Poses that features speak for, at each of some scales with cells that are coarser by a factor."""
-        sides = [coarser * self.side(scale) for scale, coarser in tried]
+    def propose_poses(self, scales_and_factors: list[tuple[float, float]]) -> list[Similarity]:
+        """Return poses supported by features, per scale and cell factor."""
+        sides = [cell_factor * self.side(scale) for scale, cell_factor in scales_and_factors]
         clouds = [
             FeaturePairs(
                 cell_means(self.candidate.points, side / scale) * (scale / side),
                 cell_means(self.reference.points, side) / side,
             )
-            for (scale, _), side in zip(tried, sides, strict=True)
+            for (scale, _), side in zip(scales_and_factors, sides, strict=True)
         ]
         poses = []
-        for (scale, _), side, pairs in zip(tried, sides, matched(clouds), strict=True):
+        for (scale, _), side, pairs in zip(scales_and_factors, sides, match_features(clouds), strict=True):
             for pose in likely_poses(pairs, _MAX_POSES, with_scale=self.icp.with_scale):
                 poses.append(Similarity(pose.rotation, side * pose.translation, scale * pose.scale))
         return poses
 
-    def finished(self, pose: Similarity, target: Target, points: FloatArray) -> Fit:
-        """ICP at full resolution. What does not meet the reference would only pull at a pose that starts right."""
-        return align(target, points[self.meets(pose, points)], self.icp, pose, may_be_far=False)
+    def refine_full(self, pose: Similarity, target: Target, points: FloatArray) -> Fit:
+        """Run ICP at full resolution on the overlapping points; the others would only bias a pose that starts right."""
+        return align(target, points[self.is_near(pose, points)], self.icp, pose, may_be_far=False)
 
     def side(self, scale: float) -> float:
-        """Of cells that are as coarse as either cloud needs."""
+        """Return the side of cells that are coarse enough for both clouds."""
         return max(self.reference.side, scale * self.candidate.side)
 
-    def reach(self, scale: float) -> float:
-        return max(self.reference.reach, scale * self.candidate.reach)
+    def overlap_distance(self, scale: float) -> float:
+        """Return the distance up to which points of the two clouds overlap, in the reference's unit."""
+        return max(self.reference.overlap_distance, scale * self.candidate.overlap_distance)
 
-    def meets(self, pose: Similarity, points: FloatArray, reaches: float = 2.0) -> NDArray[np.bool_]:
-        """Which of the candidate's points (N, 3) have the reference within some reaches."""
-        return self.reference.surface.index.query(pose.apply(points)).distances < reaches * self.reach(pose.scale)
+    def is_near(self, pose: Similarity, points: FloatArray, factor: float = 2.0) -> NDArray[np.bool_]:
+        """Return which candidate points (N, 3) have the reference within `factor` overlap distances."""
+        max_distance = factor * self.overlap_distance(pose.scale)
+        return self.reference.surface.index.query(pose.apply(points)).distances < max_distance
 
-    def agreement(self, pose: Similarity, reaches: float = 1.0) -> float:
-        """Share of what lies within `reaches` of the other cloud that also lies in its surface, the mean of both ways.
+    def agreement(self, pose: Similarity, factor: float = 1.0) -> float:
+        """Share of overlapping points that lie in the other cloud's surface, averaged over both directions.
 
-        In it: within an eighth of that of the tangent plane, and of its direction. 0 where the clouds hardly meet.
+        A point overlaps within `factor` overlap distances. It lies in the surface if it is within an eighth of that
+        from the tangent plane and its normal agrees. 0 if the clouds hardly overlap.
         """
-        reach = reaches * self.reach(pose.scale)
-        back = pose.inverse()
+        overlap_distance = factor * self.overlap_distance(pose.scale)
+        inverse_pose = pose.inverse()
         moved = pose.apply(self.candidate.sample), pose.apply_normals(self.candidate.normals)
-        forth = _agreement(*moved, self.candidate.weights, self.reference.surface, reach)
-        moved = back.apply(self.reference.sample), back.apply_normals(self.reference.normals)
-        return (forth + _agreement(*moved, self.reference.weights, self.candidate.surface, reach / pose.scale)) / 2
+        candidate_to_reference = _agreement(*moved, self.candidate.weights, self.reference.surface, overlap_distance)
+        moved = inverse_pose.apply(self.reference.sample), inverse_pose.apply_normals(self.reference.normals)
+        distance = overlap_distance / pose.scale
+        reference_to_candidate = _agreement(*moved, self.reference.weights, self.candidate.surface, distance)
+        return (candidate_to_reference + reference_to_candidate) / 2
 
     def contrast(self, pose: Similarity) -> float:
-        """Of the candidate's sample on the reference's surface, see `contrast`; 0 where hardly anything meets."""
+        """Contrast of the candidate's sample on the reference (see `contrast`), in 0 to 1; 0 if hardly any overlap."""
         surface, target = self.reference.surface, self.reference.target
-        moved, reach = pose.apply(self.candidate.sample), self.reach(pose.scale)
+        moved, overlap_distance = pose.apply(self.candidate.sample), self.overlap_distance(pose.scale)
         nearest = surface.index.query(moved)
-        near = np.flatnonzero(nearest.distances < 2 * reach)
+        near = np.flatnonzero(nearest.distances < 2 * overlap_distance)
         if not len(near):
             return 0.0
-        off = np.einsum("ni,ni->n", moved - surface.points[nearest.indices], surface.normals(nearest.indices))[near]
-        sharp = contrast(
+        offsets = moved - surface.points[nearest.indices]
+        plane_distances = np.einsum("ni,ni->n", offsets, surface.normals(nearest.indices))[near]
+        pose_contrast = contrast(
             surface,
             moved,
             nearest,
             near,
-            sigma=1.4826 * float(np.median(np.abs(off))),
+            sigma=1.4826 * float(np.median(np.abs(plane_distances))),
             spacing=target.spacing,
             extent=target.extent,
             with_scale=self.icp.with_scale,
         )
-        return min(max(sharp.share, 0.0), 1.0) if sharp else 0.0
+        return min(max(pose_contrast.share, 0.0), 1.0) if pose_contrast else 0.0
 
     def evidence(self, pose: Similarity) -> float:
-        """How much speaks for a pose, 0 to 1: agreement, for as much as the pose is better than its surroundings.
+        """Evidence for a pose, 0 to 1: agreement times contrast, reduced if the overlap is below a fifth.
 
-        The least of 0 to 1 that meets counts, up to a fifth: a corner that agrees is no agreement of two clouds.
+        Agreement of a small corner is weak evidence for the alignment of the two clouds.
         """
         key = pose.matrix.tobytes()
         if key not in self._evidence:
-            met = min(self.met(pose) / _ENOUGH_MET, 1.0)
-            self._evidence[key] = met * self.agreement(pose) * self.contrast(pose)
+            overlap = min(self.overlap(pose) / _SUFFICIENT_OVERLAP, 1.0)
+            self._evidence[key] = overlap * self.agreement(pose) * self.contrast(pose)
         return self._evidence[key]
 
-    def met(self, pose: Similarity) -> float:
-        """Share of the candidate's sample, or of the reference's where that is larger, within a reach of the other."""
-        forth = self.meets(pose, self.candidate.sample, 1.0).mean()
-        back = self.candidate.surface.index.query(pose.inverse().apply(self.reference.sample)).distances
-        return float(max(forth, (back < self.reach(pose.scale) / pose.scale).mean()))
+    def overlap(self, pose: Similarity) -> float:
+        """Share of either sample, the larger, that lies within the overlap distance of the other cloud."""
+        of_candidate = self.is_near(pose, self.candidate.sample, 1.0).mean()
+        distances = self.candidate.surface.index.query(pose.inverse().apply(self.reference.sample)).distances
+        return float(max(of_candidate, (distances < self.overlap_distance(pose.scale) / pose.scale).mean()))
 
-    def is_sure(self, pose: Similarity) -> bool:
-        return self.contrast(pose) > SURE and self.met(pose) > _ENOUGH_MET
+    def is_confident(self, pose: Similarity) -> bool:
+        """Return whether contrast and overlap leave no doubt about a pose."""
+        return self.contrast(pose) > CONFIDENT_CONTRAST and self.overlap(pose) > _SUFFICIENT_OVERLAP
 
-    def promising(self, poses: list[Similarity], count: int) -> list[Similarity]:
-        """The `count` different poses that agree best while they are still rough."""
-        agreement = [self.agreement(pose, reaches=4.0) for pose in poses]
+    def select_promising(self, poses: list[Similarity], count: int) -> list[Similarity]:
+        """Return the `count` different poses that agree best before refinement."""
+        agreement = [self.agreement(pose, factor=4.0) for pose in poses]
         ordered = [poses[k] for k in np.argsort(np.negative(agreement), kind="stable")]
-        return self._different(ordered)[:count]
+        return self._distinct(ordered)[:count]
 
-    def best_first(self, poses: list[Similarity]) -> list[Similarity]:
-        return self._different(sorted(poses, key=lambda pose: -self.evidence(pose)))
+    def sort_by_evidence(self, poses: list[Similarity]) -> list[Similarity]:
+        """Return the different poses, those with the most evidence first."""
+        return self._distinct(sorted(poses, key=lambda pose: -self.evidence(pose)))
 
-    def refined(self, poses: list[Similarity]) -> list[Similarity]:
-        """What ICP makes of poses; those that it refuses are left out."""
+    def refine_all(self, poses: list[Similarity]) -> list[Similarity]:
+        """Refine poses by ICP; drop those for which it fails."""
         results = []
         for pose in poses:
             try:
-                for reaches in (4.0, 2.0):
-                    near = self.candidate.sample[self.meets(pose, self.candidate.sample, reaches)]
+                for factor in (4.0, 2.0):
+                    near = self.candidate.sample[self.is_near(pose, self.candidate.sample, factor)]
                     pose = refine(self.reference.target, near, self.icp, pose)
-            except (InputError, RegistrationError):  # nothing to fit there
+            except (InputError, RegistrationError):  # too few points to fit
                 continue
             results.append(pose)
         return results
 
-    def differ(self, a: Similarity, b: Similarity) -> bool:
-        """Whether two poses put the candidate clearly elsewhere: by 3 reaches."""
-        return apart(a, b, self.candidate.sample) > 3 * self.reach(max(a.scale, b.scale))
+    def are_different(self, a: Similarity, b: Similarity) -> bool:
+        """Return whether two poses move the candidate's points more than 3 overlap distances apart."""
+        return pose_distance(a, b, self.candidate.sample) > 3 * self.overlap_distance(max(a.scale, b.scale))
 
-    def _different(self, poses: Iterable[Similarity]) -> list[Similarity]:
+    def _distinct(self, poses: Iterable[Similarity]) -> list[Similarity]:
         kept: list[Similarity] = []
         for pose in poses:
-            if all(self.differ(pose, other) for other in kept):
+            if all(self.are_different(pose, other) for other in kept):
                 kept.append(pose)
         return kept
 
 
-def _agreement(points: FloatArray, normals: FloatArray, weights: FloatArray, surface: Surface, reach: float) -> float:
-    """Share, by weight, of points within reach of a surface that lie in it and have its direction."""
+def _agreement(
+    points: FloatArray, normals: FloatArray, weights: FloatArray, surface: Surface, overlap_distance: float
+) -> float:
+    """Return the weighted share of points near a surface that lie in it and whose normals agree."""
     distances, closest = surface.index.query(points)
-    near = distances < reach
-    if np.count_nonzero(near) < max(_MIN_MET_POINTS, _MIN_MET * len(points)):
+    near = distances < overlap_distance
+    if np.count_nonzero(near) < max(_MIN_OVERLAP_POINTS, _MIN_OVERLAP * len(points)):
         return 0.0
     tangent = surface.normals(closest)
-    off = np.abs(np.einsum("ni,ni->n", points - surface.points[closest], tangent))
-    level = np.abs(np.einsum("ni,ni->n", normals, tangent)) > _MIN_COSINE
-    return float(weights[near & level & (off < reach / 8)].sum() / weights[near].sum())
+    plane_distances = np.abs(np.einsum("ni,ni->n", points - surface.points[closest], tangent))
+    is_parallel = np.abs(np.einsum("ni,ni->n", normals, tangent)) > _MIN_COSINE
+    return float(weights[near & is_parallel & (plane_distances < overlap_distance / 8)].sum() / weights[near].sum())
 
 
 def _cell_side(points: FloatArray, count: int) -> float:
-    """Side of the cells of which points (N, 3) on surfaces fill about `count`."""
+    """Return the side of cells of which points (N, 3) on surfaces occupy about `count`."""
     side = robust_extent(points) / np.sqrt(count)
     for _ in range(5):
         side *= np.sqrt(len(voxel_downsample(points, side)) / count)
     return float(side)
 
 
-def _turns(points: FloatArray) -> list[Similarity]:
-    """Quarter and half turns about the principal axes of points (N, 3): the axes of whatever symmetry they have."""
+def _symmetry_turns(points: FloatArray) -> list[Similarity]:
+    """Return quarter and half turns about the principal axes of points (N, 3), which include their symmetry axes."""
     center = points.mean(axis=0)
-    arms = points - center
-    _, axes = np.linalg.eigh(np.einsum("ni,nj->ij", arms, arms))  # no BLAS: the same bits from any number of threads
+    offsets = points - center
+    _, axes = np.linalg.eigh(np.einsum("ni,nj->ij", offsets, offsets))  # no BLAS: independent of the thread count
     turns = []
     for axis in axes.T:
         x, y, z = axis
@@ -353,6 +377,6 @@ def _turns(points: FloatArray) -> list[Similarity]:
     return turns
 
 
-def _unshifted(pose: Similarity, middle: FloatArray) -> Similarity:
-    """The pose for points from which `middle` was not subtracted."""
-    return Similarity(pose.rotation, pose.translation - pose.linear @ middle, pose.scale)
+def _undo_shift(pose: Similarity, shift: FloatArray) -> Similarity:
+    """Return the pose for points from which `shift` was not subtracted."""
+    return Similarity(pose.rotation, pose.translation - pose.linear @ shift, pose.scale)

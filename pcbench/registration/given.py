@@ -1,4 +1,4 @@
-"""Poses from elsewhere: what may be handed in where a pose is expected, and the method that takes one as it is."""
+"""Given poses: the types accepted where a pose is expected, and the method that uses a given pose unchanged."""
 
 from __future__ import annotations
 
@@ -14,44 +14,50 @@ from pcbench.geometry.transform import Similarity, read_matrix
 
 @dataclass(frozen=True, eq=False)
 class GivenPose:
-    """A registration method: the candidate is placed by a pose that is known already, and the fit is only assessed.
+    """Registration method: a known pose is used unchanged, and only its fit is assessed.
 
     Attributes:
-        T_reference_candidate: a `Similarity`, or the 4x4 array of one; maps candidate to reference coordinates.
-        text: for reports; for a pose from the command line what stood there.
+        T_reference_candidate: Transform from candidate to reference coordinates, as a `Similarity` or a 4x4 array.
+        text: Method text for reports; for a pose from the command line, the text given there.
 
     Raises:
-        InputError: the array is not a rotation with a positive scale and a translation.
+        InputError: The array is not a rotation with a positive scale and a translation.
     """
 
     T_reference_candidate: Similarity
     text: str = "matrix"
 
-    with_scale: ClassVar[bool] = False  # a scale that is given is not solved for
+    with_scale: ClassVar[bool] = False  # a given scale is not solved for
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_reference_candidate", as_similarity(self.T_reference_candidate))
 
     @classmethod
     def identity(cls) -> GivenPose:
-        """The candidate as it stands: the method `none`."""
+        """Return the identity pose: the method `none`."""
         return cls(Similarity.identity(), "none")
 
     @classmethod
     def read(cls, path: str | Path) -> GivenPose:
-        """From a text file with the 4x4 matrix: the method `matrix:FILE`.
+        """Read a text file with the 4x4 matrix: the method `matrix:FILE`.
+
+        Args:
+            path: Text file.
 
         Raises:
-            InputError: the file is not such a matrix.
+            InputError: The file does not contain such a matrix.
         """
         return cls(read_matrix(path), f"matrix:{path}")
 
 
 def as_similarity(pose: Similarity | ArrayLike) -> Similarity:
-    """A pose as a `Similarity`; a 4x4 array has to be one.
+    """Convert a pose, a `Similarity` or a 4x4 array, to a `Similarity`.
+
+    Args:
+        pose: Similarity transform.
 
     Raises:
-        InputError: it has another shape, is a reflection, shears, or holds what is no number.
+        InputError: The array has another shape, is a reflection, shears, or contains non-finite or non-numeric values.
     """
     if isinstance(pose, Similarity):
         return pose

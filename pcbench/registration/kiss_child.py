@@ -1,7 +1,7 @@
-"""Matches features of clouds with KISS-Matcher in a process of its own: `kiss_child.py PAIRS.npz MATCHES.npz`.
+"""Matches features of clouds with KISS-Matcher in a separate process: `kiss_child.py PAIRS.npz MATCHES.npz`.
 
-The library writes remarks to standard output, where they go nowhere, and takes as many threads as there are CPUs: it is
-started on one. Nothing of pcbench is imported.
+The library writes messages to standard output, which is discarded, and uses one thread per CPU: the process is started
+on a single CPU. It imports nothing of pcbench.
 """
 
 import sys
@@ -9,13 +9,14 @@ from typing import Any
 
 
 def main(pairs: str, matches: str) -> None:
+    """Match the features of all pairs of clouds in a file and write the correspondences."""
     import numpy as np
     from kiss_matcher import KISSMatcher, KISSMatcherConfig
 
     clouds = np.load(pairs)
     found: dict[str, Any] = {}
     for k in range(len(clouds.files) // 2):
-        # Lengths come in cells: the library's own bounds are made for cells of about one unit.
+        # Lengths are in cells: the library's default thresholds assume cells of about one unit.
         matcher = KISSMatcher(KISSMatcherConfig(voxel_size=1.0, use_voxel_sampling=False))
         matcher.match(clouds[f"candidate{k}"].T, clouds[f"reference{k}"].T)
         candidate, reference = (np.array(part).reshape(-1, 3) for part in matcher.get_keypoints_from_faster_pfh())

@@ -1,7 +1,7 @@
-"""The registration methods: their texts, the objects that these stand for, and `register`, which carries them out.
+"""Registration methods: their texts, their settings objects, and `register`, which runs them.
 
-To add a method: write a module with a frozen dataclass of its settings (`text` and `with_scale` among them) and a
-function that returns a `Fit`, and give it a line in `Method`, `_NAMED` (or `parse_method`) and `register` here.
+To add a method: write a module with a frozen dataclass of its settings (including `text` and `with_scale`) and a
+function that returns a `Fit`. Then add it to `Method`, `_NAMED` (or `parse_method`) and `register` here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import IcpSettings, align
-from pcbench.registration.mismatch import before_failure, unit_warnings
+from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import assess_given
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
@@ -47,28 +47,34 @@ def register(
     initial: Similarity | ArrayLike | None = None,
     target: Target | None = None,
 ) -> Registration:
-    """The pose of a candidate on a reference, and how far it can be trusted.
+    """Register a candidate to a reference, and assess how far the pose can be trusted.
 
     Args:
-        reference, candidate: clouds, (N, 3) arrays, or paths of files with clouds.
-        method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (from any pose, then ICP) or
-            `ControlPoints` (pairs of points); a `Similarity`, a 4x4 array or a `GivenPose` is taken as it is. Or a
-            text, see `parse_method`.
-        initial: the pose candidate -> reference that ICP starts from, a `Similarity` or a 4x4 array; the identity if
-            not given. Its scale stays unless ICP solves for the scale.
-        target: `Target.of(reference)`, if the caller has it already.
+        reference: Reference cloud: a cloud, an (N, 3) array, or the path of a cloud file.
+        candidate: Candidate cloud, in any of these forms.
+        method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (any pose, then ICP) or
+            `ControlPoints` (pairs of points). A `Similarity`, a 4x4 array or a `GivenPose` is used unchanged. A string
+            is parsed by `parse_method`.
+        initial: Initial pose candidate -> reference for ICP, a `Similarity` or a 4x4 array; the identity if not given.
+            Its scale stays unless ICP solves for the scale.
+        target: `Target.of(reference)`, if already computed.
+
+    Returns:
+        The pose with its quality and warnings.
 
     Raises:
-        InputError: an argument is not usable, a file cannot be read, or the target is another reference's.
-        RegistrationError: the clouds do not overlap, or the scale collapsed; other units or coordinate systems that
-            both clouds state, or their sizes let suspect, are said first.
+        InputError: An argument is not usable, a file cannot be read, or the target belongs to another reference.
+        RegistrationError: The clouds do not overlap, or the scale collapsed. Different units or coordinate systems,
+            stated or suspected from the sizes, come first in the message.
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
     method = as_method(method)
     reference, candidate = to_cloud(reference), to_cloud(candidate)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
-        raise InputError(f"an initial pose is where ICP starts: `{method.text}` takes none")
+        raise InputError(
+            f"expected no initial pose with `{method.text}`, got one: only ICP starts from an initial pose"
+        )
     origin = local_origin(reference)
     if target is None:
         target = Target.of(reference, origin)
@@ -78,7 +84,7 @@ def register(
         raise InputError(f"expected the target as a Target, got {type(target).__name__}")
     points = candidate.points - origin
     residuals = SurveyResiduals()
-    ratio = robust_extent(points) / (target.extent or np.inf)  # of sizes
+    ratio = robust_extent(points) / (target.extent or np.inf)
 
     try:
         if isinstance(method, IcpSettings):
@@ -96,8 +102,8 @@ def register(
             fit = assess_given(target, points, T.about(-origin), origin, method.text)
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
-        said = before_failure(reference, candidate, ratio, any_scale=any_scale)
-        raise RegistrationError(f"{said}{error}") from error
+        explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
+        raise RegistrationError(f"{explanation}{error}") from error
 
     quality, scale = fit.quality, fit.T_local.scale
     return Registration(
@@ -118,17 +124,17 @@ def register(
 
 
 def parse_method(text: str) -> Method:
-    """The method that a text of the command line stands for.
+    """Return the method for a command-line text.
 
     Args:
         text: `icp` (point to plane), `icp-point`, `similarity` (point to plane with scale: a refinement), `global` or
-            `global-similarity` (from nothing, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or `none`.
+            `global-similarity` (from any pose, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or `none`.
 
     Returns:
-        An object whose `text` is that text.
+        A method object whose `text` is the given text.
 
     Raises:
-        InputError: there is no such method, or the file cannot be read.
+        InputError: There is no such method, or the file cannot be read.
     """
     kind, colon, path = text.partition(":")
     if kind == "points" and path:
@@ -141,10 +147,13 @@ def parse_method(text: str) -> Method:
 
 
 def as_method(method: Method | Similarity | ArrayLike | str) -> Method:
-    """A method as `register` takes it, as one of the types in `Method`.
+    """Convert a method in any form that `register` accepts to one of the types in `Method`.
+
+    Args:
+        method: Settings object, pose or text.
 
     Raises:
-        InputError: it is none, or an array that is no similarity.
+        InputError: The value is none of these, or an array that is not a similarity.
     """
     if isinstance(method, str):
         return parse_method(method)

@@ -1,4 +1,4 @@
-"""Residuals of surveyed points: control points, which a fit used, and check points, which it did not."""
+"""Residuals of surveyed points: control points, which the fit used, and check points, which it did not."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 
 
 class PointResidual(NamedTuple):
-    """The residual of a named point: where it was measured minus where it was surveyed, along x, y and z."""
+    """Residual of a named point, measured minus surveyed position, along x, y and z."""
 
     name: str
     dx: float
@@ -26,9 +26,9 @@ class PointResidual(NamedTuple):
 
 
 class PointRmse(NamedTuple):
-    """Root mean square errors of some points: of the 3D distances, and of their parts across z and along z.
+    """Root mean square errors of a set of points: 3D, horizontal and vertical.
 
-    The last two are None where z is not known to be up.
+    The last two are None if z is not known to be up.
     """
 
     points: int
@@ -39,12 +39,12 @@ class PointRmse(NamedTuple):
 
 @dataclass(frozen=True)
 class SurveyResiduals:
-    """Residuals of control and check points, in coordinates of the survey.
+    """Residuals of control and check points, in the coordinates of the survey.
 
     Attributes:
-        control: of the points that the pose was fitted to: they understate its errors.
-        check: of the points that were measured and took no part in the fit.
-        z_is_up: whether z is known to be height, so that horizontal and vertical errors can be told apart.
+        control: Residuals of points that the pose was fitted to; they underestimate its errors.
+        check: Residuals of points that were left out of the fit.
+        z_is_up: Whether z is known to be height, so that horizontal and vertical errors can be separated.
     """
 
     control: tuple[PointResidual, ...] = ()
@@ -55,7 +55,7 @@ class SurveyResiduals:
     def of(
         cls, names: Sequence[str], residuals: FloatArray, is_check: Sequence[bool], *, z_is_up: bool
     ) -> SurveyResiduals:
-        """The residuals (N, 3) of named points, sorted into control and check points."""
+        """Sort the residuals (N, 3) of named points into control and check points."""
         points = [PointResidual(name, *map(float, row)) for name, row in zip(names, residuals, strict=True)]
         control = tuple(point for point, check in zip(points, is_check, strict=True) if not check)
         checks = tuple(point for point, check in zip(points, is_check, strict=True) if check)
@@ -63,10 +63,13 @@ class SurveyResiduals:
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> SurveyResiduals:
-        """The inverse of `plain`.
+        """Restore residuals from the values of `plain`.
+
+        Args:
+            values: Values as `plain` returns them.
 
         Raises:
-            KeyError, TypeError, ValueError: the values are something else.
+            KeyError, TypeError, ValueError: The values have another form.
         """
         control, check = (
             tuple(PointResidual(str(row["name"]), *(float(row[axis]) for axis in ("dx", "dy", "dz"))) for row in rows)
@@ -78,7 +81,7 @@ class SurveyResiduals:
         return bool(self.control or self.check)
 
     def rmse(self, points: Sequence[PointResidual]) -> PointRmse | None:
-        """Root mean square errors of the control or of the check points; None where there are none."""
+        """Root mean square errors of a set of points, such as `control` or `check`; None if it is empty."""
         if not points:
             return None
         squares = np.square([point[1:] for point in points]).mean(axis=0)
@@ -87,7 +90,7 @@ class SurveyResiduals:
         return PointRmse(len(points), total, *((horizontal, vertical) if self.z_is_up else (None, None)))
 
     def plain(self) -> dict[str, Any]:
-        """JSON-ready values: every point, the root mean square errors of both kinds, and whether z is up."""
+        """JSON-ready values: all points, the root mean square errors per kind, and whether z is up."""
 
         def rows(points: Sequence[PointResidual]) -> list[dict[str, Any]]:
             return [{"name": point.name, "error": point.error, **point._asdict()} for point in points]
@@ -101,7 +104,7 @@ class SurveyResiduals:
         }
 
     def point_lines(self) -> Iterator[str]:
-        """One line per point, for people."""
+        """Yield one line per point for printing."""
         for kind, points in (("control", self.control), ("check", self.check)):
             for point in points:
                 yield (
@@ -110,7 +113,7 @@ class SurveyResiduals:
                 )
 
     def rmse_lines(self, unit: str | None = None) -> Iterator[str]:
-        """One line per kind of point with its root mean square errors, for people."""
+        """Yield one line per kind of point with its root mean square errors for printing."""
         of_unit = f" {unit}" if unit else ""
         for kind, points in (("control", self.control), ("check", self.check)):
             found = self.rmse(points)
@@ -121,4 +124,4 @@ class SurveyResiduals:
                 parts = [f"H {found.horizontal:.4g}{of_unit}", f"Z {found.vertical:.4g}{of_unit}", *parts]
             yield f"{found.points} {kind} point{'s' if found.points > 1 else ''}: RMSE {', '.join(parts)}"
         if self and not self.z_is_up:
-            yield "no H and Z: z is not known to be up (a line `# z is up` in the file of points states it)"
+            yield "no H and Z: z is not known to be up (state it by a line `# z is up` in the points file)"

@@ -1,8 +1,7 @@
-"""What a registration returns: the transform, how well it fits, and what speaks against trusting it.
+"""Result of a registration: the transform, its quality, and reasons not to trust it.
 
-A registration is a result and never a bare matrix. A matrix cannot say whether the iteration converged, how much of
-the candidate lies on the reference, or along which motion the geometry does not determine the pose; all scores that are
-computed after it depend on that.
+The result is more than a matrix. A matrix does not show whether the iteration converged, how much of the candidate lies
+on the reference, or along which motions the geometry does not determine the pose. All later scores depend on these.
 """
 
 from __future__ import annotations
@@ -13,47 +12,50 @@ from pcbench.errors import Notice
 from pcbench.geometry.transform import Similarity
 from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
-# The codes of a registration's warnings: programs decide by these, never by the texts.
-FEW_POINTS = "few-points"  # too few points to say what the geometry fixes
-UNOBSERVABLE = "unobservable"  # the geometry does not fix some motion at all
-WEAKLY_OBSERVABLE = "weakly-observable"  # it hardly fixes some motion
-SCALE_MISSING = "scale-missing"  # the residuals ask for a scale that was not solved for
-LOW_OVERLAP = "low-overlap"  # little of the candidate lies on the reference
-OFF_SURFACE = "off-surface"  # much of what is near the reference floats beside its surface
-FAR_OFF = "far-off"  # even the best quarter is far from the reference
+# Warning codes of a registration: programs use these, not the texts.
+FEW_POINTS = "few-points"  # too few points to determine what the geometry fixes
+UNOBSERVABLE = "unobservable"  # the geometry does not fix some motion
+WEAKLY_OBSERVABLE = "weakly-observable"  # the geometry hardly fixes some motion
+SCALE_MISSING = "scale-missing"  # the residuals indicate a scale that was not solved for
+LOW_OVERLAP = "low-overlap"  # only a small part of the candidate lies on the reference
+OFF_SURFACE = "off-surface"  # many points near the reference float beside its surface
+FAR_OFF = "far-off"  # even the nearest quarter is far from the reference
 NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were small
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
-UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a factor that looks like a unit
-DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than those about it
+UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a ratio of units
+DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surroundings
 
-# Those that say that the pose may be wrong. The others speak of how well a right one is known.
-_OF_A_WRONG_POSE = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE))
+# Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
+_DOUBT_CODES = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Registration:
-    """How the candidate was brought onto the reference, and how far that can be trusted.
+    """Pose of the candidate on the reference, with its quality and warnings.
 
     Attributes:
-        method: the method's text, such as `icp`.
-        T_reference_candidate: maps candidate to reference coordinates.
-        T_local: the same motion between coordinates from which the reference's local origin was subtracted (see
-            `local_origin`); free of the rounding that large translations bring.
-        rmse: root mean square of the residuals (to the tangent plane; for `icp-point` to the point) of an even sample
-            of the candidate's points that lie on the reference, Tukey-weighted, in the clouds' unit.
-        overlap: share of the voxel-downsampled candidate that lies on the reference: within 5 of its median spacings.
-        iterations: of both stages; 0 where nothing was iterated.
-        converged: whether the last update was below the noise; None where nothing was iterated.
-        information_eigenvalues: of the information matrix of the inliers' point-to-plane pairs per pair, ascending;
-            points are centred and divided by their RMS radius, so that rotation and translation share a unit.
-        weakest_sigma: predicted standard deviation of the motion that the geometry fixes worst, as a displacement at
-            the RMS radius in the clouds' unit, by a bootstrap over tiles of an eighth of the scene; too small by up to
-            two thirds where errors are alike over more than half a tile. None where the geometry does not fix it.
-        residuals: of the control points and the check points; empty unless the pose was fitted to such pairs.
-        warnings: what the user should know before reading any score, as codes (those of this module) with texts.
-        solved_scale: whether the scale was estimated from the data. A scale that was given is none of these.
-        contrast: what moving the candidate away from the pose costs, as a share of what moving the reference away from
-            itself costs: about 1 at a right pose, whatever the scene. None where too few points meet to say.
+        method: Method text, such as `icp`.
+        T_reference_candidate: Transform from candidate to reference coordinates.
+        T_local: The same transform between coordinates minus the reference's local origin (see `local_origin`); free of
+            the rounding errors of large translations.
+        rmse: Tukey-weighted root mean square of the residuals, in the clouds' unit, over an even sample of the
+            candidate points on the reference. Residuals are distances to the tangent plane, for `icp-point` to the
+            point.
+        overlap: Share of the voxel-downsampled candidate that lies on the reference, within 5 of its median spacings.
+        iterations: Number of iterations of both stages; 0 if the method does not iterate.
+        converged: Whether the last update was below the noise; None if the method does not iterate.
+        information_eigenvalues: Eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
+            ascending. Points are centred and divided by their RMS radius, so that rotation and translation share a
+            unit.
+        weakest_sigma: Predicted standard deviation of the motion that the geometry fixes worst, in the clouds' unit, as
+            a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene; too small
+            by up to two thirds if errors are correlated over more than half a tile. None if the geometry does not fix
+            it.
+        residuals: Residuals of control and check points; empty unless the pose was fitted to such pairs.
+        warnings: Warnings to read before any score, as codes (those of this module) with texts.
+        solved_scale: Whether the scale was estimated from the data. A given scale is not.
+        contrast: How much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
+            at a right pose, whatever the scene. None if the clouds overlap in too few points.
     """
 
     method: str
@@ -72,21 +74,21 @@ class Registration:
 
     @property
     def check_points(self) -> tuple[PointResidual, ...]:
-        """The pairs that were measured and not used for the fit."""
+        """Residuals of the pairs that were left out of the fit."""
         return self.residuals.check
 
     @property
     def doubtful(self) -> bool:
-        """Whether any warning says that the pose may be wrong: then no score that is computed after it can be trusted.
+        """Whether any warning says that the pose may be wrong: then no later score can be trusted.
 
-        What the geometry does not fix, a scale that is missing and a small overlap are warned of too; they speak of how
-        well a right pose is known, and do not make it doubtful. Nor do points beside the surface: strays and changes
-        lie there under a right pose, and what else a wrong one shows is warned of by itself.
+        Unobservable motions, a missing scale and a small overlap do not make a pose doubtful: they limit how accurately
+        a right pose is known. Neither do points beside the surface: outliers and changes cause them under a right pose,
+        and a wrong pose causes other warnings too.
         """
         codes = {notice.code for notice in self.warnings}
         if UNOBSERVABLE in codes:
-            codes.discard(NO_CONVERGENCE)  # the iteration wanders along what the geometry does not fix
-        return bool(codes & _OF_A_WRONG_POSE)
+            codes.discard(NO_CONVERGENCE)  # the iteration drifts along unobservable motions
+        return bool(codes & _DOUBT_CODES)
 
     def __repr__(self) -> str:
         state = {True: "converged", False: "NOT converged", None: "not iterated"}[self.converged]

@@ -1,4 +1,4 @@
-"""The reference as registrations need it: computed once, used for every candidate."""
+"""Reference data for registration, computed once and used for all candidates."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cell_means, robust_extent
 
-_MAX_ROWS = 65_536  # compared at a time: what fits into a processor's cache
+_BLOCK_ROWS = 65_536  # rows compared at a time: fits into the processor's cache
 
 
 class Target:
-    """A reference to register candidates to: what does not depend on the candidate is computed once.
+    """Reference for registration: precomputed data that do not depend on the candidate.
 
     Args:
-        surface: of the reference's points minus `local_origin(reference)`.
+        surface: Surface of the reference's points minus `local_origin(reference)`.
     """
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
-        self._known: Cloud | None = None  # the reference that this was compared with already
+        self._checked_reference: Cloud | None = None  # reference that is known to match this target
 
     @classmethod
     def of(cls, reference: Cloud, origin: FloatArray | None = None) -> Target:
-        """The target of a reference, with its normals where it has some; `origin` is its local origin, if known."""
+        """Build the target of a reference, with its normals if it has any; `origin` is its local origin, if known."""
         origin = local_origin(reference) if origin is None else origin
         target = cls(Surface(Index(reference.points - origin), given=reference.normals))
-        target._known = reference
+        target._checked_reference = reference
         return target
 
     @cached_property
@@ -52,36 +52,41 @@ class Target:
 
     @cached_property
     def coarse(self) -> Surface:
-        """The surface, one mean point a voxel of edge `coarse_side`."""
+        """Surface of one mean point per voxel of edge `coarse_side`."""
         return Surface(Index(cell_means(self.surface.points, self.coarse_side)))
 
     def check_belongs_to(self, reference: Cloud, origin: FloatArray) -> None:
-        """Raise InputError unless this target holds the reference's points, minus its local origin (3,), bit for bit.
+        """Raise InputError unless this target has exactly the reference's points minus its local origin (3,).
 
-        A target of another cloud, or about another origin, would give a transform that looks right and is not.
+        A target of another cloud or about another origin would give a plausible but wrong transform.
+
+        Args:
+            reference: Reference cloud.
+            origin: (3,) its local origin.
         """
-        if reference is self._known:
+        if reference is self._checked_reference:
             return
         ours, theirs = self.surface.points, reference.points
         if len(ours) != len(theirs):
             raise InputError(
-                f"expected a target made from this reference's {len(theirs)} points, got one of {len(ours)} points"
+                f"expected a target made from this reference's {len(theirs)} points, got a target of {len(ours)} points"
             )
-        for start in range(0, len(ours), _MAX_ROWS):
-            rows = slice(start, start + _MAX_ROWS)
+        for start in range(0, len(ours), _BLOCK_ROWS):
+            rows = slice(start, start + _BLOCK_ROWS)
             if not np.array_equal(ours[rows], theirs[rows] - origin):
                 raise InputError(
-                    "expected a target made from this reference's points minus local_origin(reference), got one of"
+                    "expected a target made from this reference's points minus local_origin(reference), got a target of"
                     " other points or about another origin"
                 )
-        self._known = reference
+        self._checked_reference = reference
 
 
 def local_origin(cloud: Cloud) -> FloatArray:
-    """The round point (3,) near a cloud's centre that is subtracted before anything is computed.
+    """Return a rounded point (3,) near a cloud's centre, which is subtracted before all computations.
 
-    Whole numbers, because subtracting them from coordinates on any binary grid is exact: a cloud at UTM coordinates
-    and the same cloud at the origin become the same bits. For a cloud smaller than 1, multiples of a power of two.
+    It has integer coordinates, because subtracting integers from coordinates on any binary grid is exact: a cloud at
+    UTM coordinates and the same cloud at the origin get identical coordinates. For a cloud smaller than 1, it has
+    multiples of a power of two.
     """
     lower, upper = cloud.bounds
     extent = float((upper - lower).max())

@@ -1,4 +1,4 @@
-"""Correspondences of candidate points with reference points, their residuals, and how much each of them counts."""
+"""Correspondences of candidate points with reference points, their residuals and weights."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pcbench.native import _core
 
 
 class WeightedPairs(NamedTuple):
-    """Weighted correspondences at one pose; the residuals are what ICP minimises."""
+    """Weighted correspondences at one pose; ICP minimises their residuals."""
 
     moved: FloatArray  # (M, 3) candidate points in the reference frame
-    indices: IntArray  # (M,) of the reference points they are matched with
+    indices: IntArray  # (M,) of the matched reference points
     distances: FloatArray  # (M,) point to point
     residuals: FloatArray  # (M,) signed, along the reference's normals
     weights: FloatArray  # (M,) in [0, 1]
-    near: int  # of them lie within the maximum correspondence distance; the others weigh nothing
+    near_count: int  # pairs within the maximum correspondence distance; the others have weight zero
     sigma: float  # robust standard deviation of the residuals of those
 
     def take(self, which: NDArray[np.bool_] | slice) -> WeightedPairs:
-        """The pairs of some rows, with `near` and `sigma` as they were."""
+        """Return the pairs of some rows, with `near_count` and `sigma` unchanged."""
         return self._replace(
             moved=self.moved[which],
             indices=self.indices[which],
@@ -36,22 +36,22 @@ class WeightedPairs(NamedTuple):
 
 
 def weigh(
-    target: Surface, moved: FloatArray, nearest: Matches, max_distance: float, *, robust: bool, kept: float = 1.0
+    target: Surface, moved: FloatArray, nearest: Matches, max_distance: float, *, robust: bool, kept_share: float = 1.0
 ) -> WeightedPairs:
-    """Weights of pairs that lie within the maximum correspondence distance, and residuals to the tangent planes.
+    """Weight pairs within the maximum correspondence distance, and compute residuals to the tangent planes.
 
     Args:
-        target: what the points are matched with.
+        target: Surface that the points are matched with.
         moved: (M, 3) candidate points in the target's frame.
-        nearest: the target's points that are nearest to them.
-        max_distance: the maximum correspondence distance, in the target's unit: pairs beyond it weigh nothing.
-        robust: Tukey's biweight, whose width follows the residuals; else 1 for the nearest pairs.
-        kept: the share of the pairs within reach that counts where the weights are not robust.
+        nearest: Target points closest to them.
+        max_distance: Maximum correspondence distance in the target's unit; pairs beyond it have weight zero.
+        robust: Whether to use Tukey's biweight, whose width follows the residuals; else the nearest pairs weigh 1.
+        kept_share: Share of the pairs within the maximum distance that are used if the weights are not robust.
     """
     distances, indices = nearest
     normals = target.with_normals_at(indices)
     residuals, weights = np.empty(len(moved)), np.empty(len(moved))
-    near, sigma = _core.weigh(
-        moved, distances, target.points, indices, normals, max_distance, robust, kept, residuals, weights
+    near_count, sigma = _core.weigh(
+        moved, distances, target.points, indices, normals, max_distance, robust, kept_share, residuals, weights
     )
-    return WeightedPairs(moved, indices, distances, residuals, weights, near, sigma)
+    return WeightedPairs(moved, indices, distances, residuals, weights, near_count, sigma)

@@ -1,4 +1,4 @@
-"""Brings an arbitrary gauge into the world: onto control points, known cameras or GPS positions, else level."""
+"""Alignment of a model to the world: to control points, known cameras or GPS positions; otherwise it is levelled."""
 
 from __future__ import annotations
 
@@ -15,20 +15,18 @@ from pcbench.plugins import Gauge
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from reconstructors.sfm.control import ControlSurvey, adjust, measure
-from reconstructors.sfm.level import level
+from reconstructors.sfm.level import leveling_rotation
 from reconstructors.sfm.model import Refine, cameras_of, quality
 
 Align = Literal["auto", "cameras", "control", "gps", "none"]
 
-_MAX_MISFIT = (
-    0.1  # of the cameras' spread: GPS of hand-held cameras is as bad, and then says nothing about pose or scale
-)
+# Largest median position error as a share of the cameras' spread. GPS of hand-held cameras exceeds it, and is then
+# useless for pose and scale.
+_MAX_MISFIT_SHARE = 0.1
 
 
-class Aligned(NamedTuple):
-    """A model, what its coordinates mean, whether they are metres, notes on how it was brought there, and the residuals
-    of control and check points in its frame.
-    """
+class AlignedModel(NamedTuple):
+    """Model with the meaning of its frame, whether its unit is metres, notes, and residuals of survey points."""
 
     model: Any
     gauge: Gauge
@@ -37,109 +35,125 @@ class Aligned(NamedTuple):
     residuals: SurveyResiduals = SurveyResiduals()
 
 
-def align(model: Any, scene: Scene, survey: ControlSurvey, how: Align, refine: Refine) -> Aligned:
-    """The model in the world of control points, cameras or GPS, in this order or as asked for. Control points are held
-    fast while everything is adjusted once more. A model that is brought to none of these is levelled.
+def align(model: Any, scene: Scene, survey: ControlSurvey, requested: Align, refine: Refine) -> AlignedModel:
+    """Align the model to control points, cameras or GPS: the first available, or as requested.
 
-    Check points alone are no control points: the model is aligned to something else, and they are measured there. Not
-    with the GPS of EXIF, whose frame begins at the first image and is no survey's.
+    With control points, a bundle adjustment follows in which these are fixed. A model that is aligned to none is
+    levelled.
+
+    Check points are not used for the alignment: the model is aligned to something else, and they are measured in the
+    result. They are not scored after an alignment to EXIF GPS, whose frame starts at the first image.
 
     Raises:
-        InputError: what was asked for is not in the scene, or a control point lies outside its image.
-        ReconstructionError: the model does not fit what was asked for.
+        InputError: The requested data are not in the scene, or a control point lies outside its image.
+        ReconstructionError: The model does not fit the requested data.
     """
     registered = cameras_of(model)
-    ways: dict[str, Callable[[], tuple[Similarity, str]]] = {
+    methods: dict[str, Callable[[], tuple[Similarity, str]]] = {
         "control": lambda: _onto_control(registered, survey, scene.image_scale),
         "cameras": lambda: _onto_cameras(registered, scene.cameras),
         "gps": lambda: _onto_gps(registered, scene),
     }
-    there = {
+    available = {
         "control": bool(survey.control),
         "cameras": bool(scene.cameras),
         "gps": len(scene.measured_positions()[0]) >= 3,
     }
-    chosen = next((way for way in ways if there[way]), "none") if how == "auto" else how
-    if chosen == "none":
-        return levelled(model, _unscored(survey))
-    if not there[chosen]:
-        needed = {"gps": "three positions", "control": "control points that are no check points"}.get(chosen, chosen)
-        raise InputError(f"align={chosen} needs {needed} in the scene")
+    target = next((name for name in methods if available[name]), "none") if requested == "auto" else requested
+    if target == "none":
+        return level_model(model, _unscored_note(survey))
+    if not available[target]:
+        requirement = {"gps": "three positions", "control": "control points besides check points"}.get(target, target)
+        raise InputError(f"align={target} needs {requirement} in the scene")
     try:
-        transform, note = ways[chosen]()
+        transform, note = methods[target]()
     except InputError as error:
-        if how != "auto":
-            raise ReconstructionError(f"cannot be aligned to {chosen}: {error}") from error
-        return levelled(model, [f"not aligned to {chosen}: {error}", *_unscored(survey)])
+        if requested != "auto":
+            raise ReconstructionError(f"cannot be aligned to {target}: {error}") from error
+        return level_model(model, [f"not aligned to {target}: {error}", *_unscored_note(survey)])
     _transform(model, transform)
     notes = [note]
-    if chosen == "control":
+    if target == "control":
         model = adjust(model, survey.control, scene.image_scale, refine)
-        notes.append(f"adjusted with the control points held fast; {quality(model)}")
-    in_metres = chosen == "gps" or (chosen == "cameras" and scene.origin is not None)
-    if chosen == "gps" and not scene.positions:
-        return Aligned(model, "georeferenced", in_metres, [*notes, *_unscored(survey)])
+        notes.append(f"adjusted with fixed control points; {quality(model)}")
+    in_metres = target == "gps" or (target == "cameras" and scene.origin is not None)
+    if target == "gps" and not scene.positions:
+        return AlignedModel(model, "georeferenced", in_metres, [*notes, *_unscored_note(survey)])
     residuals = survey.residuals(cameras_of(model), scene.image_scale)
-    return Aligned(model, "georeferenced", in_metres, notes, residuals)
+    return AlignedModel(model, "georeferenced", in_metres, notes, residuals)
 
 
-def levelled(model: Any, notes: Sequence[str]) -> Aligned:
-    """The model in an arbitrary gauge, turned so that +z is up where its cameras tell what is up."""
-    turn, note = level(cameras_of(model))
-    if turn is not None:
-        _transform(model, turn)
-    return Aligned(model, "arbitrary", False, [*notes, note])
+def level_model(model: Any, notes: Sequence[str]) -> AlignedModel:
+    """Rotate a model in an arbitrary gauge so that +z is up, if its cameras show the up direction."""
+    rotation, note = leveling_rotation(cameras_of(model))
+    if rotation is not None:
+        _transform(model, rotation)
+    return AlignedModel(model, "arbitrary", False, [*notes, note])
 
 
-def _unscored(survey: ControlSurvey) -> list[str]:
-    """A note on control and check points whose frame is not that of the cloud."""
+def _unscored_note(survey: ControlSurvey) -> list[str]:
+    """Return a note on control and check points if the cloud is not in their frame."""
     if not survey.points:
         return []
     return ["control and check points are not scored: the cloud is not in their frame"]
 
 
 def moved(camera: Camera, transform: Similarity) -> Camera:
-    """The same camera in the world that `transform` leads to."""
+    """Return the same camera after `transform` of the world."""
     rotation = camera.cam_from_world.rotation @ transform.rotation.T
     position = transform.apply(camera.position[None])[0]
     return Camera(camera.name, camera.intrinsics, Similarity(rotation, -rotation @ position))
 
 
 def camera_errors(cameras: Mapping[str, Camera], truth: Mapping[str, Camera]) -> tuple[FloatArray, FloatArray]:
-    """Distances of the centres in the unit of the truth, and angles in degrees between the orientations, for the images
-    that are in both, in the order of their names.
+    """Compute camera errors for the images in both sets, in the order of their names.
+
+    Returns:
+        Distances between the centres, in the unit of the truth, and angles between the orientations, in degrees.
     """
     positions, angles = [], []
     for name in sorted(set(cameras) & set(truth)):
         a, b = cameras[name], truth[name]
         positions.append(float(np.linalg.norm(a.position - b.position)))
-        turn = a.cam_from_world.rotation @ b.cam_from_world.rotation.T
+        relative_rotation = a.cam_from_world.rotation @ b.cam_from_world.rotation.T
         # The sine is exact for small angles, where the cosine is flat.
-        sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-        angles.append(float(np.degrees(np.arctan2(sine, (np.trace(turn) - 1) / 2))))
+        sine = (
+            np.linalg.norm(
+                [
+                    relative_rotation[2, 1] - relative_rotation[1, 2],
+                    relative_rotation[0, 2] - relative_rotation[2, 0],
+                    relative_rotation[1, 0] - relative_rotation[0, 1],
+                ]
+            )
+            / 2
+        )
+        angles.append(float(np.degrees(np.arctan2(sine, (np.trace(relative_rotation) - 1) / 2))))
     return np.array(positions), np.array(angles)
 
 
-def _onto_control(found: Mapping[str, Camera], survey: ControlSurvey, scale: float) -> tuple[Similarity, str]:
-    """By the control points that two or more registered images show; check points take no part."""
-    used = measure(found, survey.control, scale)
-    if len(used) < 3:
+def _onto_control(solved_cameras: Mapping[str, Camera], survey: ControlSurvey, scale: float) -> tuple[Similarity, str]:
+    """Align to the control points that two or more registered images observe, without check points."""
+    measured_points = measure(solved_cameras, survey.control, scale)
+    if len(measured_points) < 3:
         raise InputError(
-            f"expected three control points in two registered images each, check points aside, got {len(used)}"
+            "expected three control points, check points excluded, each in two registered images, got"
+            f" {len(measured_points)}"
         )
-    surveyed = np.stack([m.point.position for m in used])
-    fit = fit_similarity(np.stack([m.at for m in used]), surveyed)
-    errors = fit.apply(np.stack([m.at for m in used])) - surveyed
+    surveyed = np.stack([m.point.position for m in measured_points])
+    fit = fit_similarity(np.stack([m.estimated_position for m in measured_points]), surveyed)
+    errors = fit.apply(np.stack([m.estimated_position for m in measured_points])) - surveyed
     rmse = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
-    return fit, f"aligned to {len(used)} control points: RMSE 3D {rmse:.3g} before the adjustment"
+    return fit, f"aligned to {len(measured_points)} control points: RMSE 3D {rmse:.3g} before the adjustment"
 
 
-def _onto_cameras(found: Mapping[str, Camera], given: Mapping[str, Camera]) -> tuple[Similarity, str]:
-    names = sorted(set(found) & set(given))
-    candidate = np.array([found[name].position for name in names]).reshape(-1, 3)
-    reference = np.array([given[name].position for name in names]).reshape(-1, 3)
+def _onto_cameras(solved_cameras: Mapping[str, Camera], given_cameras: Mapping[str, Camera]) -> tuple[Similarity, str]:
+    names = sorted(set(solved_cameras) & set(given_cameras))
+    candidate = np.array([solved_cameras[name].position for name in names]).reshape(-1, 3)
+    reference = np.array([given_cameras[name].position for name in names]).reshape(-1, 3)
     fit = robust_similarity(candidate, reference)
-    positions, angles = camera_errors({name: moved(camera, fit) for name, camera in found.items()}, given)
+    positions, angles = camera_errors(
+        {name: moved(camera, fit) for name, camera in solved_cameras.items()}, given_cameras
+    )
     _check_fit(positions, reference)
     return fit, (
         f"aligned to {len(names)} cameras: position errors {np.median(positions):.3g} (median), {positions.max():.3g}"
@@ -147,10 +161,10 @@ def _onto_cameras(found: Mapping[str, Camera], given: Mapping[str, Camera]) -> t
     )
 
 
-def _onto_gps(found: Mapping[str, Camera], scene: Scene) -> tuple[Similarity, str]:
+def _onto_gps(solved_cameras: Mapping[str, Camera], scene: Scene) -> tuple[Similarity, str]:
     measured, frame = scene.measured_positions()
-    names = sorted(set(found) & set(measured))
-    candidate = np.array([found[name].position for name in names]).reshape(-1, 3)
+    names = sorted(set(solved_cameras) & set(measured))
+    candidate = np.array([solved_cameras[name].position for name in names]).reshape(-1, 3)
     reference = np.array([measured[name] for name in names]).reshape(-1, 3)
     fit = robust_similarity(candidate, reference)
     errors = fit.apply(candidate) - reference
@@ -162,13 +176,13 @@ def _onto_gps(found: Mapping[str, Camera], scene: Scene) -> tuple[Similarity, st
 
 
 def _check_fit(errors: FloatArray, positions: FloatArray) -> None:
-    """Raise an InputError where solved cameras are so far from the known positions (N, 3) that one of both is wrong."""
+    """Raise InputError if solved cameras are so far from known positions (N, 3) that either must be wrong."""
     spread = float(np.sqrt(np.square(positions - positions.mean(axis=0)).sum(axis=1).mean()))
     error = float(np.median(errors))
-    if error > _MAX_MISFIT * spread:
+    if error > _MAX_MISFIT_SHARE * spread:
         raise InputError(
-            f"solved positions are off by {error:.3g} (median) where the known ones spread over {spread:.3g}: the"
-            " solution is wrong, or they are"
+            f"the median error of the solved positions is {error:.3g}, the known positions spread over {spread:.3g}:"
+            " the solution or the known positions are wrong"
         )
 
 

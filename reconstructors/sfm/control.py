@@ -1,4 +1,4 @@
-"""Control points: read from a file, measured in a model, and held fast while the model is adjusted."""
+"""Control points: read from a file, measured in a model, and fixed in a bundle adjustment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pcbench.regular_files import read_text
 from reconstructors.sfm.features import some
 from reconstructors.sfm.model import Refine
 
-# Points beyond either are left out after the adjustment: COLMAP's own limits.
+# Points beyond either limit are removed after the adjustment: COLMAP's defaults.
 _MAX_ERROR_PX, _MIN_ANGLE_DEG = 4.0, 1.5
 
 
 class Observation(NamedTuple):
-    """A control point in an image: pixels with the first one's centre at (0.5, 0.5)."""
+    """Observation of a control point in an image, in pixels; the first pixel's centre is at (0.5, 0.5)."""
 
     image: str
     x: float
@@ -30,7 +30,7 @@ class Observation(NamedTuple):
 
 
 class ControlPoint(NamedTuple):
-    """A point that was surveyed and marked in images. Check points are measured, not used."""
+    """Surveyed point with its observations in images. Check points are measured, but not used for the fit."""
 
     name: str
     position: FloatArray
@@ -38,43 +38,49 @@ class ControlPoint(NamedTuple):
 
     @property
     def is_check(self) -> bool:
+        """Whether the point is a check point, marked by a name that ends in *."""
         return self.name.endswith("*")
 
 
 class ControlSurvey(NamedTuple):
-    """Control and check points, and whether the z of their positions is stated to be height."""
+    """Control and check points, and whether the z of their positions is known to be height."""
 
     points: tuple[ControlPoint, ...] = ()
     z_is_up: bool = False
 
     @property
     def control(self) -> list[ControlPoint]:
-        """The points that are not check points."""
+        """Points that are not check points."""
         return [point for point in self.points if not point.is_check]
 
     def residuals(self, cameras: Mapping[str, Camera], scale: float) -> SurveyResiduals:
-        """The residuals of the points that two or more of the cameras show, in the frame of the cameras.
+        """Compute residuals of the points that two or more cameras observe, in the frame of the cameras.
 
         Args:
-            scale: of the working images against those that the points were marked in.
+            cameras: Cameras by image name.
+            scale: Size of the working images relative to those in which the points were marked.
 
         Raises:
-            InputError: a mark lies outside its image.
+            InputError: A mark lies outside its image.
         """
         measured = measure(cameras, self.points, scale)
         names = [m.point.name.rstrip("*") for m in measured]
-        differences = np.array([m.at - m.point.position for m in measured]).reshape(-1, 3)
+        describe_differences = np.array([m.estimated_position - m.point.position for m in measured]).reshape(-1, 3)
         is_check = [m.point.is_check for m in measured]
-        return SurveyResiduals.of(names, differences, is_check, z_is_up=self.z_is_up)
+        return SurveyResiduals.of(names, describe_differences, is_check, z_is_up=self.z_is_up)
 
 
 def read_control(path: Path) -> ControlSurvey:
-    """Control points: lines of name, x y z, image, and the point's pixel in it; one line per observation. Lines that
-    start with # are comments, of which `# z is up` states that z is height; names that end in * are check points.
+    """Read control points: lines of name, x y z, image, and the point's pixel in it; one line per observation.
+
+    Lines that start with # are comments; `# z is up` states that z is height. Names that end in * are check points.
+
+    Args:
+        path: Text file.
 
     Raises:
-        InputError: a line is something else, a point has two positions, fewer than two observations, two marks in one
-            image, or is both a control and a check point.
+        InputError: A line has another format, or a point has two positions, fewer than two observations, two marks in
+            one image, or is both a control and a check point.
     """
     try:
         lines = read_text(path).splitlines()
@@ -97,25 +103,31 @@ def read_control(path: Path) -> ControlSurvey:
         if not (np.isfinite(position).all() and np.isfinite(pixel).all()):
             raise InputError(f"{path}: line {number}: expected finite numbers, got {line.strip()[:60]!r}")
         if not np.array_equal(positions.setdefault(name, position), position):
-            raise InputError(f"{path}: line {number}: {name} has another position here than above")
+            raise InputError(f"{path}: line {number}: {name} has a different position than in an earlier line")
         marks = observations.setdefault(name, [])
         if any(mark.image == image for mark in marks):
-            raise InputError(f"{path}: line {number}: {name} is marked in {image} above: expected one mark per image")
+            raise InputError(f"{path}: line {number}: expected one mark of {name} in {image}, got a second one")
         marks.append(Observation(image, *pixel))
     for name, seen in observations.items():
         if len({o.image for o in seen}) < 2:
-            raise InputError(f"{path}: {name} is marked in one image only: expected two or more")
+            raise InputError(f"{path}: expected marks of {name} in two or more images, got one image")
         if name.endswith("*") and name.rstrip("*") in observations:
-            raise InputError(f"{path}: {name.rstrip('*')} is a control point and, with a *, a check point: choose one")
+            raise InputError(
+                f"{path}: {name.rstrip('*')} is both a control point and, with a *, a check point: choose one"
+            )
     points = tuple(ControlPoint(name, positions[name], tuple(seen)) for name, seen in observations.items())
     return ControlSurvey(points, any(map(states_z_is_up, lines)))
 
 
 def check_names(survey: ControlSurvey, images: Collection[str]) -> list[str]:
-    """A note on the marks in images that are not in the scene.
+    """Return a note on marks in images that are not in the scene.
+
+    Args:
+        survey: Control and check points.
+        images: Names of the scene's images.
 
     Raises:
-        InputError: all marks are.
+        InputError: None of the marked images is in the scene.
     """
     marked = dict.fromkeys(mark.image for point in survey.points for mark in point.observations)
     unknown = [name for name in marked if name not in images]
@@ -130,20 +142,22 @@ def check_names(survey: ControlSurvey, images: Collection[str]) -> list[str]:
 
 
 class MeasuredPoint(NamedTuple):
-    """A control point and where a model has it (3,)."""
+    """Control point and its position (3,) estimated from a model."""
 
     point: ControlPoint
-    at: FloatArray
+    estimated_position: FloatArray
 
 
 def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scale: float) -> list[MeasuredPoint]:
-    """The control points that two or more of the cameras show, as their rays meet.
+    """Triangulate the control points that two or more cameras observe.
 
     Args:
-        scale: of the working images against those that the points were marked in.
+        cameras: Cameras by image name.
+        control: Control points.
+        scale: Size of the working images relative to those in which the points were marked.
 
     Raises:
-        InputError: a mark lies outside its image.
+        InputError: A mark lies outside its image.
     """
     measured = []
     for point in control:
@@ -163,32 +177,33 @@ def measure(cameras: Mapping[str, Camera], control: Sequence[ControlPoint], scal
 
 
 def triangulate(rays: FloatArray, centres: FloatArray) -> FloatArray:
-    """The point (3,) nearest to lines through centres (N, 3) along unit rays (N, 3), in least squares."""
+    """Return the point (3,) closest to lines through centres (N, 3) along unit rays (N, 3), in least squares."""
     planes = np.eye(3) - np.einsum("ni,nj->nij", rays, rays)
     point: FloatArray = np.linalg.solve(planes.sum(axis=0), np.einsum("nij,nj->i", planes, centres))
     return point
 
 
 def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Refine) -> Any:
-    """The model after a bundle adjustment in which control points stay where they were surveyed.
+    """Return the model after a bundle adjustment with fixed control points.
 
-    A mark in an image counts as much as a feature. Positions and images decide together: an alignment alone moves the
-    model as a whole, and leaves it as bent as it was.
+    A mark in an image has the weight of a feature. The adjustment can remove deformation, which an alignment alone
+    cannot.
 
     Args:
-        model: a pycolmap.Reconstruction in the control points' world; three of them fix it.
-        scale: of the working images against those that the points were marked in.
-        refine: which intrinsics are solved for.
+        model: pycolmap.Reconstruction in the control points' frame, which three control points define.
+        control: Control points.
+        scale: Size of the working images relative to those in which the points were marked.
+        refine: Intrinsics to solve for.
 
     Raises:
-        ReconstructionError: the adjustment fails.
+        ReconstructionError: The adjustment fails.
     """
     import pycolmap
 
-    # Map coordinates are large: about their middle nothing is lost.
-    middle = np.mean([point.position for point in control], axis=0)
-    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), -middle))
-    marked, fixed = _with_marks(model, control, scale, middle)
+    # Map coordinates are large: centre them to keep precision.
+    center = np.mean([point.position for point in control], axis=0)
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), -center))
+    marked, fixed = _add_control_points(model, control, scale, center)
     config = pycolmap.BundleAdjustmentConfig()
     for image in marked.images.values():
         config.add_image(image.image_id)
@@ -198,7 +213,7 @@ def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Re
     options.print_summary = False
     options.refine_focal_length = refine in ("all", "focal")
     options.refine_extra_params = refine in ("all", "distortion")
-    options.ceres.solver_options.num_threads = 1  # sums in one order
+    options.ceres.solver_options.num_threads = 1  # reproducible order of summation
     summary = pycolmap.create_default_bundle_adjuster(options, config, marked).solve()
     if not summary.is_solution_usable():
         raise ReconstructionError(f"the adjustment to control points fails: {summary.brief_report()}")
@@ -206,25 +221,28 @@ def adjust(model: Any, control: Sequence[ControlPoint], scale: float, refine: Re
         marked.delete_point3D(point)
     pycolmap.ObservationManager(marked).filter_all_points3D(_MAX_ERROR_PX, _MIN_ANGLE_DEG)
     marked.update_point_3d_errors()
-    marked.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), middle))
+    marked.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), center))
     return marked
 
 
-def _with_marks(model: Any, control: Sequence[ControlPoint], scale: float, origin: FloatArray) -> tuple[Any, list[int]]:
-    """A copy of a model with the control points and their marks, and the points' numbers: an image's features cannot
-    be changed in place.
+def _add_control_points(
+    model: Any, control: Sequence[ControlPoint], scale: float, origin: FloatArray
+) -> tuple[Any, list[int]]:
+    """Return a copy of a model with the control points and their marks, and the control points' ids.
+
+    pycolmap cannot change an image's features in place.
     """
     import pycolmap
 
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: int(image.image_id))
     features = {str(image.name): [point.xy for point in image.points2D] for image in images}
-    numbers = {str(image.name): int(image.image_id) for image in images}
+    image_ids = {str(image.name): int(image.image_id) for image in images}
     tracks = []
     for point in control:
         track = pycolmap.Track()
         for mark in point.observations:
-            if mark.image in numbers:
-                track.add_element(numbers[mark.image], len(features[mark.image]))
+            if mark.image in image_ids:
+                track.add_element(image_ids[mark.image], len(features[mark.image]))
                 features[mark.image].append(scale * np.array([mark.x, mark.y]))
         tracks.append(track)
     copy = pycolmap.Reconstruction()
@@ -245,11 +263,11 @@ def _with_marks(model: Any, control: Sequence[ControlPoint], scale: float, origi
 
 
 def _ray(camera: Camera, x: float, y: float) -> FloatArray:
-    """The unit direction (3,) in the world of a pixel, without the camera's distortion."""
+    """Return the undistorted unit direction (3,) of a pixel in world coordinates."""
     import pycolmap
 
     k = camera.intrinsics
-    numbers = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
-    colmap = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=numbers)
+    parameters = [k.fx, k.fy, k.cx, k.cy, *k.distortion]
+    colmap = pycolmap.Camera(model="OPENCV", width=k.width, height=k.height, params=parameters)
     direction: FloatArray = camera.cam_from_world.rotation.T @ [*colmap.cam_from_img(np.array([x, y])), 1.0]
     return direction / np.linalg.norm(direction)

@@ -13,23 +13,25 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 
-DATABASE = "database.db"  # in the folder of every stage that has one
-MIN_FEATURES = 50  # of an image: with fewer, hardly any pair has enough matches after ratio test and RANSAC
+DATABASE = "database.db"  # file name in each stage's folder
+MIN_FEATURES = 50  # per image: with fewer, hardly any pair has enough matches after ratio test and RANSAC
 
 
-class Shared(NamedTuple):
-    """Images that share their intrinsics, which are None where they are not known."""
+class LensGroup(NamedTuple):
+    """Images with the same intrinsics, which are None if unknown."""
 
     intrinsics: Intrinsics | None
     names: tuple[str, ...]
 
 
-def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool) -> Path:
-    """The stage with the features of every image in a database.
+def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsample: bool) -> Path:
+    """Extract features of all images; return the stage's folder with the database.
 
     Args:
-        most: features an image, at most.
-        upsample: find them at twice the size too.
+        scene: Images and known cameras.
+        workspace: Folder of the stages.
+        max_features: Maximum number of features per image.
+        upsample: Whether to detect features at twice the image size too.
     """
     import pycolmap
 
@@ -39,14 +41,14 @@ def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool
         images, database = working_images(scene, workspace), folder / DATABASE
         masks = _write_masks(scene, folder)
         pycolmap.Database.open(database).close()
-        # Importing first fixes the images' numbers: extraction on several threads would shuffle them.
+        # Import first, which fixes the image ids: extraction on several threads would shuffle them.
         for _, names in groups:
             pycolmap.import_images(database, images, camera_mode=pycolmap.CameraMode.SINGLE, image_names=list(names))
         reader = pycolmap.ImageReaderOptions()
         if masks is not None:
             reader.mask_path = str(masks)
         extraction = pycolmap.FeatureExtractionOptions()
-        extraction.sift.max_num_features = most
+        extraction.sift.max_num_features = max_features
         extraction.sift.first_octave = -1 if upsample else 0
         pycolmap.extract_features(
             database,
@@ -61,24 +63,24 @@ def extract_features(scene: Scene, workspace: Path, most: int, *, upsample: bool
         "pycolmap": pycolmap.__version__,
         "scene": scene.fingerprint(cameras=False),
         "sharing a lens": [names for _, names in groups],
-        "features": most,
+        "features": max_features,
         "upsample": upsample,
     }
     return stage(workspace, "features", inputs, make)
 
 
-def shared_intrinsics(scene: Scene) -> list[Shared]:
-    """The images in groups of the same intrinsics, or of the same size where these are not known."""
+def shared_intrinsics(scene: Scene) -> list[LensGroup]:
+    """Group the images by their intrinsics, or by their size if these are unknown."""
     found: dict[Any, list[str]] = {}
     for name in scene.images:
         camera = scene.cameras.get(name)
-        known = camera.intrinsics if camera else scene.intrinsics.get(name)
-        found.setdefault(known or scene.size(name), []).append(name)
-    return [Shared(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
+        known_intrinsics = camera.intrinsics if camera else scene.intrinsics.get(name)
+        found.setdefault(known_intrinsics or scene.size(name), []).append(name)
+    return [LensGroup(key if isinstance(key, Intrinsics) else None, tuple(names)) for key, names in found.items()]
 
 
 def working_images(scene: Scene, workspace: Path) -> Path:
-    """The folder of the images at the working size: their own, or a stage with smaller ones."""
+    """Return the folder of the images at the working size: the originals, or a stage with smaller ones."""
     if scene.image_scale == 1:
         return scene.folder
     inputs = {"scene": scene.fingerprint(cameras=False), "exif": True}
@@ -86,14 +88,14 @@ def working_images(scene: Scene, workspace: Path) -> Path:
 
 
 def _write_masks(scene: Scene, folder: Path) -> Path | None:
-    """The masks at the working size, under the names that COLMAP looks for; None where no image has one."""
+    """Write the masks at the working size under the names that COLMAP expects; None if no image has a mask."""
     from PIL import Image
 
     for name in scene.images if scene.masks else ():
         path = folder / "masks" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         mask = scene.read_mask(name)
-        if mask is None:  # COLMAP finds no features in an image whose mask is not there
+        if mask is None:  # COLMAP finds no features in an image whose mask is missing
             width, height = scene.size(name)
             mask = np.ones((height, width), dtype=bool)
         Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(path)
@@ -101,7 +103,7 @@ def _write_masks(scene: Scene, folder: Path) -> Path | None:
 
 
 def count_features(features: Path) -> dict[str, int]:
-    """The number of features by image name."""
+    """Return the number of features by image name."""
     import pycolmap
 
     database = pycolmap.Database.open(features / DATABASE)
@@ -111,22 +113,26 @@ def count_features(features: Path) -> dict[str, int]:
 
 
 def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
-    """Notes on the images that have too few features.
+    """Return notes on images with too few features.
+
+    Args:
+        counts: Number of features by image name.
+        scene: Images.
 
     Raises:
-        ReconstructionError: fewer than two images have enough of them.
+        ReconstructionError: Fewer than two images have enough features.
     """
-    poor = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
-    if not poor:
+    too_few = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
+    if not too_few:
         return []
-    if len(scene) - len(poor) < 2:
+    if len(scene) - len(too_few) < 2:
         raise ReconstructionError(
-            f"too few features: {len(poor)} of {len(scene)} images have fewer than {MIN_FEATURES}"
-            f" ({poor[0]}: {counts.get(poor[0], 0)}): the images are blank, blurred, masked or too small"
+            f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
+            f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )
-    return [f"{len(poor)} images have fewer than {MIN_FEATURES} features: {some(poor)}"]
+    return [f"{len(too_few)} images have fewer than {MIN_FEATURES} features: {some(too_few)}"]
 
 
 def some(names: list[str]) -> str:
-    """The first of some names, for a note."""
+    """Join the first three names for a note."""
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -1,4 +1,4 @@
-"""Which images of a scene can be decoded: one that cannot is left out and named, and does not end the run."""
+"""Images of a scene that can be decoded: unreadable ones are dropped with a warning instead of ending the run."""
 
 from __future__ import annotations
 
@@ -13,24 +13,30 @@ from pcbench.scenes.decode import why_unreadable
 _FAULTS = "faults.json"
 
 
-def readable(scene: Scene, workspace: Path) -> tuple[Scene, list[str]]:
-    """The scene without the images that cannot be decoded, and a warning on each of these.
+def drop_unreadable(scene: Scene, workspace: Path) -> tuple[Scene, list[str]]:
+    """Drop the images that cannot be decoded, with a warning on each.
+
+    Args:
+        scene: Images.
+        workspace: Folder of the stages.
 
     Raises:
-        ReconstructionError: fewer than two are left.
+        ReconstructionError: Fewer than two images can be decoded.
     """
 
     def make(folder: Path) -> None:
         faults = {name: why_unreadable(scene.folder / name) for name in scene.images}
-        (folder / _FAULTS).write_text(json.dumps({name: why for name, why in faults.items() if why}), encoding="utf-8")
+        (folder / _FAULTS).write_text(
+            json.dumps({name: reason for name, reason in faults.items() if reason}), encoding="utf-8"
+        )
 
     folder = stage(workspace, "readable", {"scene": scene.fingerprint(cameras=False)}, make)
     faults = json.loads((folder / _FAULTS).read_text(encoding="utf-8"))
-    warnings = [f"warning: {name} is left out: {why}" for name, why in faults.items()]
-    left = [name for name in scene.images if name not in faults]
-    if len(left) < 2:
+    warnings = [f"warning: {name} is left out: {reason}" for name, reason in faults.items()]
+    remaining = [name for name in scene.images if name not in faults]
+    if len(remaining) < 2:
         raise ReconstructionError(
             f"{len(faults)} of {len(scene)} images cannot be decoded: "
-            + "; ".join(f"{name}: {why}" for name, why in list(faults.items())[:3])
+            + "; ".join(f"{name}: {reason}" for name, reason in list(faults.items())[:3])
         )
-    return (scene.select(left) if faults else scene), warnings
+    return (scene.select(remaining) if faults else scene), warnings

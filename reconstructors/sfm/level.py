@@ -1,10 +1,10 @@
-"""Which way is up in a model whose frame is arbitrary, as far as its cameras tell.
+"""Finds the up direction of a model in an arbitrary frame from its cameras.
 
-People and most rigs hold a camera so that the rows of its images are horizontal, however it is pitched: up is
-orthogonal to the x axes of all cameras. A consensus finds it where fewer than half of the images are rolled.
-Photographs that were all turned by a quarter have horizontal columns instead. In a survey whose images all look the
-same way neither says anything. There up is against the mean viewing direction, if the cameras stand in a plane across
-it, as they do above the ground.
+People and most rigs hold a camera so that the image rows are horizontal, whatever its pitch: up is orthogonal to the x
+axes of all cameras. A consensus finds this direction if fewer than half of the images are rolled. If all photographs
+were rotated by 90 degrees, the image columns are horizontal instead. In a survey whose images all look in the same
+direction, neither determines up. Up is then opposite to the mean viewing direction, if the cameras lie in a plane
+across it, as they do above the ground.
 """
 
 from __future__ import annotations
@@ -19,83 +19,89 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity
 
-_MAX_ROLL_DEG = 12.0  # of an image whose rows count as horizontal: hand-held ones are off by a few
+_MAX_ROLL_DEG = 12.0  # of an image whose rows count as horizontal: hand-held cameras are off by a few degrees
 _MIN_YAW_DEG = 5.0  # RMS of the axes off their main direction: below, they hardly span the horizontal plane
-_MIN_SPREAD_RATIO = 2.0  # of that RMS to the RMS roll: below, the axes lie in no plane
-_MAX_STANDARD_ERROR_DEG = 5.0  # of up, predicted from rolls and yaws
-_MIN_CAMERAS = 3  # two always have a direction orthogonal to both
-_MAX_PAIRED = 48  # cameras whose pairs are tried: 1,128 directions
-_MIN_SIGN = 0.1  # mean cosine to up, of the images' upper sides or against the views, that decides which end is up
-_MAX_NADIR_DEG = 20.0  # between a view and the mean view of a survey, and between that and the cameras' plane
-_MIN_WIDTH_RATIO = 0.1  # of a survey's block to its length: of a single strip the plane is not known
+_MIN_SPREAD_RATIO = 2.0  # of that RMS to the RMS roll: below, the axes do not lie in a plane
+_MAX_STANDARD_ERROR_DEG = 5.0  # of the up direction, predicted from rolls and yaws
+_MIN_CAMERAS = 3  # two cameras always have a direction orthogonal to both
+_MAX_PAIRED_CAMERAS = 48  # cameras whose pairs are tried: 1,128 directions
+_MIN_UP_COSINE = 0.1  # mean cosine of the images' upper sides, or of the reversed views, with up that fixes its sign
+_MAX_NADIR_DEG = (
+    20.0  # between a view and a survey's mean view, and between the mean view and the cameras' plane normal
+)
+_MIN_WIDTH_RATIO = 0.1  # width over length of a survey's block: a single strip does not determine the plane
 
 
 class _Horizon(NamedTuple):
-    """A direction orthogonal to the axes of most cameras, which of them these are, and their RMS roll in degrees."""
+    """Direction orthogonal to the axes of most cameras, the cameras consistent with it, and RMS roll in degrees."""
 
     normal: FloatArray
-    agrees: NDArray[np.bool_]
+    is_consistent: NDArray[np.bool_]
     roll_deg: float
 
 
-def level(cameras: Mapping[str, Camera]) -> tuple[Similarity | None, str]:
-    """The rotation about the origin that makes +z up, and a note that says how up was found.
+def leveling_rotation(cameras: Mapping[str, Camera]) -> tuple[Similarity | None, str]:
+    """Return the rotation about the origin that makes +z up, and a note on how up was found.
+
+    Args:
+        cameras: Cameras by image name.
 
     Returns:
-        None and the reason where the cameras do not tell what is up.
+        None and the reason if the cameras do not determine the up direction.
     """
-    up, how = _find_up(cameras)
+    up, reason = _find_up(cameras)
     if up is None:
-        return None, f"not levelled, z is not up: {how}"
+        return None, f"not levelled, z is not up: {reason}"
     turn = Similarity(_rotation_to_z(up), np.zeros(3))
-    return turn, f"levelled, +z is up: {how}; origin and scale are as they were solved"
+    return turn, f"levelled, +z is up: {reason}; origin and scale are arbitrary"
 
 
 def _find_up(cameras: Mapping[str, Camera]) -> tuple[FloatArray | None, str]:
     if len(cameras) < _MIN_CAMERAS:
-        return None, f"{len(cameras)} cameras are too few to tell what is"
+        return None, f"{len(cameras)} cameras are too few to determine the up direction"
     axes = np.stack([camera.cam_from_world.rotation for camera in cameras.values()])
     right, down, forward = axes[:, 0], axes[:, 1], axes[:, 2]
-    if (rows := _horizon(right)) is not None:
-        # Of images that look straight down no side is the upper one.
-        sign = _sign(-down[rows.agrees], rows.normal) or _sign(-forward[rows.agrees], rows.normal)
+    if (rows := _find_horizon(right)) is not None:
+        # Images that look straight down have no upper side: use their reversed viewing directions.
+        sign = _up_sign(-down[rows.is_consistent], rows.normal) or _up_sign(-forward[rows.is_consistent], rows.normal)
         if sign:
-            return sign * rows.normal, _words("rows", rows)
+            return sign * rows.normal, _describe("rows", rows)
         return None, "as many photographs are upside down as are upright"
-    if (columns := _horizon(down)) is not None:
-        if sign := _sign(-forward[columns.agrees], columns.normal):
-            return sign * columns.normal, f"{_words('columns', columns)}, as of turned photographs that look down"
-        return None, "most photographs are turned by a quarter, and it is not known to which side"
-    return _against_view(forward, np.stack([camera.position for camera in cameras.values()]))
+    if (columns := _find_horizon(down)) is not None:
+        if sign := _up_sign(-forward[columns.is_consistent], columns.normal):
+            return sign * columns.normal, f"{_describe('columns', columns)}, as of rotated photographs that look down"
+        return None, "most photographs are rotated by 90 degrees, and the direction of rotation is unknown"
+    return _up_from_nadir_views(forward, np.stack([camera.position for camera in cameras.values()]))
 
 
-def _horizon(axes: FloatArray) -> _Horizon | None:
-    """The direction orthogonal to most unit axes (N, 3); None where there is none, or many."""
+def _find_horizon(axes: FloatArray) -> _Horizon | None:
+    """Return the direction orthogonal to most unit axes (N, 3); None if there is none, or it is not unique."""
     normal = _consensus(axes)
     if normal is None:
         return None
     limit = np.sin(np.radians(_MAX_ROLL_DEG))
     for _ in range(10):
-        agrees = np.abs(_dots(axes, normal)) < limit
-        if agrees.sum() < max(_MIN_CAMERAS, len(axes) // 2 + 1):
+        is_consistent = np.abs(_dots(axes, normal)) < limit
+        if is_consistent.sum() < max(_MIN_CAMERAS, len(axes) // 2 + 1):
             return None
-        scatter = np.einsum("ni,nj->ij", axes[agrees], axes[agrees]) / agrees.sum()
+        scatter = np.einsum("ni,nj->ij", axes[is_consistent], axes[is_consistent]) / is_consistent.sum()
         squares, directions = np.linalg.eigh(scatter)
         normal = directions[:, 0]
     roll, yaw = np.sqrt(np.maximum(squares[:2], 0))
-    error = roll / (yaw * np.sqrt(agrees.sum())) if yaw > 0 else np.inf
+    error = roll / (yaw * np.sqrt(is_consistent.sum())) if yaw > 0 else np.inf
     if yaw < max(np.sin(np.radians(_MIN_YAW_DEG)), _MIN_SPREAD_RATIO * roll):
         return None
     if error > np.tan(np.radians(_MAX_STANDARD_ERROR_DEG)):
         return None
-    return _Horizon(normal, agrees, float(np.degrees(roll)))
+    return _Horizon(normal, is_consistent, float(np.degrees(roll)))
 
 
 def _consensus(axes: FloatArray) -> FloatArray | None:
-    """Of the directions orthogonal to two of the axes (N, 3), the one that is nearest to orthogonal to all; an axis
-    that is off by more than the limit counts as off by the limit.
+    """Return the direction most nearly orthogonal to all axes (N, 3), among those orthogonal to two of them.
+
+    Deviations are clamped to the roll limit.
     """
-    some = axes[np.unique(np.linspace(0, len(axes) - 1, min(len(axes), _MAX_PAIRED)).round().astype(int))]
+    some = axes[np.unique(np.linspace(0, len(axes) - 1, min(len(axes), _MAX_PAIRED_CAMERAS)).round().astype(int))]
     first, second = np.triu_indices(len(some), 1)
     normals = np.cross(some[first], some[second])
     lengths = np.linalg.norm(normals, axis=1)
@@ -109,36 +115,39 @@ def _consensus(axes: FloatArray) -> FloatArray | None:
     return best
 
 
-def _against_view(forward: FloatArray, positions: FloatArray) -> tuple[FloatArray | None, str]:
-    """Up of images that all look straight down, as far as their positions (N, 3) agree."""
+def _up_from_nadir_views(forward: FloatArray, positions: FloatArray) -> tuple[FloatArray | None, str]:
+    """Return the up direction of images that look straight down, if their positions (N, 3) are consistent with it."""
     mean = forward.mean(axis=0)
     mean /= max(float(np.linalg.norm(mean)), 1e-12)
     limit = np.cos(np.radians(_MAX_NADIR_DEG))
     if np.median(_dots(forward, mean)) < limit:
-        return None, "the photographs are rolled and look every way"
+        return None, "the photographs are rolled and look in all directions"
     offsets = positions - positions.mean(axis=0)
     squares, directions = np.linalg.eigh(np.einsum("ni,nj->ij", offsets, offsets))
     if squares[1] < _MIN_WIDTH_RATIO**2 * squares[2]:
-        return None, "the photographs all look one way from along a line: this may be a strip from above or a facade"
-    apart = float(np.degrees(np.arccos(min(abs(float(_dots(mean[None], directions[:, 0])[0])), 1.0))))
-    if apart > _MAX_NADIR_DEG:
-        return None, "the photographs all look one way, and their places do not tell whether it is down"
+        return (
+            None,
+            "the photographs all look in one direction from a line of positions: a strip from above or a facade",
+        )
+    angle_deg = float(np.degrees(np.arccos(min(abs(float(_dots(mean[None], directions[:, 0])[0])), 1.0))))
+    if angle_deg > _MAX_NADIR_DEG:
+        return None, "the photographs all look in one direction, and their positions do not show whether it is down"
     return -mean, (
-        f"against the mean viewing direction of {len(forward)} cameras, taken to look straight down (the plane of their"
-        f" places is across it within {apart:.1f} degrees)"
+        f"opposite to the mean viewing direction of {len(forward)} cameras, assumed to look straight down (it is within"
+        f" {angle_deg:.1f} degrees of the normal of the plane of their positions)"
     )
 
 
-def _sign(ups: FloatArray, normal: FloatArray) -> int:
-    """Which end of a direction is up by the mean of some directions (N, 3) that are: 1, -1, or 0 for neither."""
+def _up_sign(ups: FloatArray, normal: FloatArray) -> int:
+    """Return the sign of a direction that points up according to the mean of directions (N, 3); 0 if undecided."""
     mean = float(_dots(ups, normal).mean())
-    return 0 if abs(mean) < _MIN_SIGN else 1 if mean > 0 else -1
+    return 0 if abs(mean) < _MIN_UP_COSINE else 1 if mean > 0 else -1
 
 
-def _words(what: str, horizon: _Horizon) -> str:
+def _describe(what: str, horizon: _Horizon) -> str:
     return (
-        f"the image {what} of {int(horizon.agrees.sum())} of {len(horizon.agrees)} cameras are horizontal within"
-        f" {horizon.roll_deg:.1f} degrees RMS"
+        f"the image {what} of {int(horizon.is_consistent.sum())} of {len(horizon.is_consistent)} cameras are horizontal"
+        f" within {horizon.roll_deg:.1f} degrees RMS"
     )
 
 
@@ -148,7 +157,7 @@ def _dots(vectors: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def _rotation_to_z(up: FloatArray) -> FloatArray:
-    """The smallest rotation (3, 3) that turns a unit vector to +z (Rodrigues)."""
+    """Return the smallest rotation (3, 3) that maps a unit vector to +z (Rodrigues)."""
     x, y, z = up
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])

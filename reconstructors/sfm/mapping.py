@@ -1,4 +1,4 @@
-"""From verified matches to cameras and points: solved (incremental or global), or triangulated from given cameras."""
+"""Cameras and points from verified matches: solved (incremental or global), or triangulated from given cameras."""
 
 from __future__ import annotations
 
@@ -18,10 +18,16 @@ Mapper = Literal["incremental", "global"]
 def map_images(
     verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int, name: str = ""
 ) -> Path:
-    """The stage with cameras and points, each component in a folder and an arbitrary gauge of its own.
+    """Solve for cameras and points; return the stage's folder with a model per component, each in an arbitrary gauge.
 
     Args:
-        name: of the stage, which is that of the mapper if not given.
+        verified: Stage with the verified matches.
+        scene: Images.
+        workspace: Folder of the stages.
+        mapper: Incremental or global mapping.
+        refine: Intrinsics to solve for.
+        seed: Random seed.
+        name: Name of the stage; that of the mapper if empty.
     """
     import pycolmap
 
@@ -30,7 +36,7 @@ def map_images(
         if mapper == "incremental":
             pycolmap.incremental_mapping(verified / DATABASE, images, folder, _incremental_options(refine, seed))
         else:
-            # The global mapper changes two-view geometries in the database.
+            # The global mapper changes two-view geometries in the database: use a copy.
             database = folder / DATABASE
             shutil.copyfile(verified / DATABASE, database)
             pycolmap.global_mapping(database, images, folder, _global_options(refine, seed))
@@ -43,10 +49,14 @@ def map_images(
 
 
 def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
-    """The model of the most images, and notes on the components and images that are left out.
+    """Return the model with the most images, and notes on the components and images that are left out.
+
+    Args:
+        mapped: Folder of the models.
+        scene: Images.
 
     Raises:
-        ReconstructionError: there is none of two images with points.
+        ReconstructionError: No model has two images and points.
     """
     import pycolmap
 
@@ -54,23 +64,23 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
     models = [model for model in models if model.num_reg_images() >= 2 and model.num_points3D() > 0]
     if not models:
         raise ReconstructionError(
-            "nothing registers: pairs were verified, but no two images start a model; take more images with more"
-            " overlap and sideways motion, or give cameras"
+            "no image registers: pairs were verified, but no two images could start a model; take more images with"
+            " more overlap and sideways motion, or give cameras"
         )
     largest = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
     names = {image.name for image in largest.images.values() if image.has_pose}
     notes = []
-    left = [name for name in scene.images if name not in names]
-    if left and len(models) > 1:  # other components of the same images say nothing
+    unregistered = [name for name in scene.images if name not in names]
+    if unregistered and len(models) > 1:  # other components may have the same images
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
-    if left:
-        notes.append(f"{len(left)} of {len(scene)} images are not registered: {some(left)}")
+    if unregistered:
+        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {some(unregistered)}")
     return largest, notes
 
 
 def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Path:
-    """The stage with the model of the scene's cameras as they are, and the points that they see, in its folder 0."""
+    """Triangulate points from the scene's given cameras; return the stage's folder, with the model in its folder 0."""
     import pycolmap
 
     def make(folder: Path) -> None:
@@ -119,7 +129,7 @@ def _global_options(refine: Refine, seed: int) -> Any:
 
 
 def _posed_model(database_file: Path, scene: Scene) -> Any:
-    """A model of the database's images with the scene's cameras, without points."""
+    """Return a model of the database's images with the scene's cameras and no points."""
     import pycolmap
 
     model = pycolmap.Reconstruction()

@@ -1,5 +1,6 @@
-"""Matching in a process of its own: `match_child DATABASE PAIRS` adds to a database the matches of the pairs that a
-file lists, by the names of the images, as COLMAP reads it.
+"""Feature matching in a separate process: `match_child DATABASE PAIRS`.
+
+Adds to a database the matches of the image pairs listed by name in a file in COLMAP's format.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from pathlib import Path
 
 
 def match(database: Path, pairs: Path) -> None:
-    """On one thread: where two of COLMAP's build the indices of two images' features at the same time, they now and
-    then spoil each other's (pycolmap 4.2.1), and the matches of whole images are others than in the next run.
+    """Match on one thread.
+
+    If two of COLMAP's threads build feature indices at the same time, they sometimes corrupt each other's (pycolmap
+    4.2.1), and the matches of entire images differ from run to run.
     """
     import pycolmap
 

@@ -1,4 +1,4 @@
-"""What a model of COLMAP holds, in pcbench's types: cameras, a cloud, and how well it fits the images."""
+"""Converts a COLMAP model to pcbench's types: cameras, a cloud, and its quality."""
 
 from __future__ import annotations
 
@@ -15,59 +15,62 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import intrinsics_from_colmap
 
-Refine = Literal["all", "focal", "distortion", "none"]  # which intrinsics are solved for
+Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics to solve for
 
 
 def check_written(folder: Path) -> None:
-    """Refuse a binary model that COLMAP could not write whole: it ignores a full disk and goes on.
+    """Check that a binary model was written completely: COLMAP ignores a full disk.
+
+    Args:
+        folder: Folder of the model.
 
     Raises:
-        ReconstructionError: a file is missing or was cut short.
+        ReconstructionError: A file is missing or truncated.
     """
     try:
-        for name, read_entry in _ENTRIES.items():
+        for name, read_entry in _ENTRY_ENDS.items():
             data = (folder / name).read_bytes()
             (count,) = struct.unpack_from("<Q", data)
-            place = 8
+            offset = 8
             for _ in range(count):
-                place = read_entry(data, place)
-            if place > len(data):
+                offset = read_entry(data, offset)
+            if offset > len(data):
                 raise ValueError("truncated")
     except (OSError, ValueError, struct.error) as error:
         raise not_written(folder) from error
 
 
-def _end_of_image(data: bytes, place: int) -> int:
-    """Number, pose and camera; the name, which ends with a zero; x, y and point of each feature."""
-    name_end = data.index(b"\0", place + 64) + 1
+def _end_of_image(data: bytes, offset: int) -> int:
+    """Return the end of an image: id, pose and camera; zero-terminated name; x, y and point of each feature."""
+    name_end = data.index(b"\0", offset + 64) + 1
     return name_end + 8 + 24 * int(struct.unpack_from("<Q", data, name_end)[0])
 
 
-def _end_of_point(data: bytes, place: int) -> int:
-    """Number, place, colour and error; image and feature of each element of the track."""
-    return place + 51 + 8 * int(struct.unpack_from("<Q", data, place + 43)[0])
+def _end_of_point(data: bytes, offset: int) -> int:
+    """Return the end of a point: id, position, colour and error; image and feature of each track element."""
+    return offset + 51 + 8 * int(struct.unpack_from("<Q", data, offset + 43)[0])
 
 
-# Where an entry of a file of a model ends. Every camera is a rig of its own here, and has three parameters at least.
-_ENTRIES: dict[str, Callable[[bytes, int], int]] = {
-    "cameras.bin": lambda data, place: place + 24 + 8 * 3,
+# End of an entry of each file of a model. Each camera is its own rig here, and has at least three parameters.
+_ENTRY_ENDS: dict[str, Callable[[bytes, int], int]] = {
+    "cameras.bin": lambda data, offset: offset + 24 + 8 * 3,
     "images.bin": _end_of_image,
     "points3D.bin": _end_of_point,
-    "rigs.bin": lambda data, place: place + 16,
-    "frames.bin": lambda data, place: place + 84,
+    "rigs.bin": lambda data, offset: offset + 16,
+    "frames.bin": lambda data, offset: offset + 84,
 }
 
 
 def not_written(path: Path) -> ReconstructionError:
-    """The error for a file or folder that COLMAP has cut short without a word."""
+    """Return the error for a file or folder that COLMAP truncated without an error."""
     return ReconstructionError(
-        f"{path.name} could not be written whole: the disk is full or the size of files is limited; make room and run"
-        " it again"
+        f"{path.name} could not be written completely: the disk is full or the file size is limited; free some space"
+        " and run it again"
     )
 
 
 def cameras_of(model: Any) -> dict[str, Camera]:
-    """The registered cameras by image name, sorted."""
+    """Return the registered cameras by image name, sorted."""
     cameras = {}
     for image in sorted(model.images.values(), key=lambda image: str(image.name)):
         if image.has_pose:
@@ -81,24 +84,30 @@ def cameras_of(model: Any) -> dict[str, Camera]:
 
 
 def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[str]]:
-    """The points that enough images show, in the order of their numbers, and a note on those left out.
+    """Return the points observed by at least `min_views` images, in the order of their ids, and a note on the others.
+
+    Args:
+        model: pycolmap.Reconstruction.
+        min_views: Minimum number of images per point.
+        unit: Unit of the coordinates.
 
     Raises:
-        ReconstructionError: there are none.
+        ReconstructionError: There are none.
     """
-    everything = [point for _, point in sorted(model.points3D.items())]
-    views = np.array([_views(point) for point in everything], dtype=np.int32)
-    points = [point for point, n in zip(everything, views, strict=True) if n >= min_views]
-    if not everything:
+    all_points = [point for _, point in sorted(model.points3D.items())]
+    views = np.array([_view_count(point) for point in all_points], dtype=np.int32)
+    points = [point for point, n in zip(all_points, views, strict=True) if n >= min_views]
+    if not all_points:
         raise ReconstructionError(
-            "no point is triangulated: no three images show the same from places so far apart that depths can be told"
-            " (1.5 degrees): take more images, from different places"
+            "no point is triangulated: no three images show the same place from positions that are far enough apart"
+            " (1.5 degrees): take more images, from different positions"
         )
     if not points:
         raise ReconstructionError(
-            f"none of {len(everything)} points is shown by {min_views} images: take more images, or --set min_views=2"
+            f"none of {len(all_points)} points is observed by {min_views} images: take more images, or use --set"
+            " min_views=2"
         )
-    left_out = len(everything) - len(points)
+    left_out = len(all_points) - len(points)
     cloud = Cloud(
         np.array([point.xyz for point in points]),
         colors=np.array([point.color for point in points], dtype=np.uint8),
@@ -108,22 +117,22 @@ def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[
         },
         unit=unit,
     )
-    return cloud, [f"{left_out} points of fewer than {min_views} images are left out"] if left_out else []
+    return cloud, [f"{left_out} points observed by fewer than {min_views} images are left out"] if left_out else []
 
 
-def _views(point: Any) -> int:
-    """The number of images that show a point: a track may have two features in one image."""
+def _view_count(point: Any) -> int:
+    """Return the number of images that observe a point; a track may have two features in one image."""
     return len({element.image_id for element in point.track.elements})
 
 
 def quality(model: Any) -> str:
-    """Reprojection error and track length, for a note."""
+    """Return reprojection error and track length for a note."""
     error, length = model.compute_mean_reprojection_error(), model.compute_mean_track_length()
     return f"mean reprojection error {error:.3f} px, mean track length {length:.2f}"
 
 
 def largest_angle_deg(cameras: Mapping[str, Camera]) -> float:
-    """Between any camera's direction and the mean of them, in degrees."""
+    """Return the largest angle between a camera's viewing direction and the mean of all, in degrees."""
     directions = np.stack([camera.direction for camera in cameras.values()])
     mean = directions.mean(axis=0)
     cosines = directions @ mean / max(float(np.linalg.norm(mean)), 1e-12)

@@ -1,5 +1,6 @@
-"""Cameras that are solved for, and whether they can be believed: both mappers where that is cheap, and without pairs
-that take one place for another where structure repeats.
+"""Solves for cameras and checks whether they are reliable.
+
+Few images are solved by both mappers. If structure repeats, cameras are solved again without pairs that confuse places.
 """
 
 from __future__ import annotations
@@ -16,27 +17,28 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import robust_similarity
 from pcbench.scenes import Scene
-from reconstructors.sfm.epipolar import STRONG, Agreement, agreement, repeated
+from reconstructors.sfm.epipolar import MIN_STRONG_MATCHES, Agreement, agreement, ambiguity_warning
 from reconstructors.sfm.features import DATABASE, some
 from reconstructors.sfm.mapping import Mapper, largest_component, map_images
-from reconstructors.sfm.matches import without_pairs
+from reconstructors.sfm.matches import remove_pairs
 from reconstructors.sfm.model import Refine, cameras_of
 
-_MAX_BOTH = 30  # images that are solved in both ways
-# Of the pairs; where fewer agree, wrong ones may have moved a camera, and the strong pairs alone are asked.
-_FEW_PAIRS = 0.9
-# A camera's two places are apart by more than their errors where they are so many pixels of its view from each other,
-# and so many times as far as the cameras' places are by the median.
-_MAX_APART_PX, _MAX_APART_MEDIANS = 2.0, 5.0
+_MAX_IMAGES_BOTH_MAPPERS = 30  # scenes of up to so many images are solved by both mappers
+# Share of the pairs: if fewer agree, wrong ones may have moved a camera, and the strong pairs are also solved alone.
+_MIN_AGREEING_PAIRS_SHARE = 0.9
+# A camera's two positions differ significantly if their distance exceeds this many pixels of its view, and this
+# multiple of the median distance of all cameras.
+_MAX_SEPARATION_PX, _MAX_SEPARATION_MEDIANS = 2.0, 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedModel:
-    """A model of the images, how all verified pairs agree with it, whichever it was solved from, and notes on what is
-    left out.
+    """Model of the images, its agreement with all verified pairs, and notes on what is left out.
+
+    The agreement counts all verified pairs, whichever pairs the model was solved from.
     """
 
-    how: str
+    method: str
     model: Any
     cameras: Mapping[str, Camera]
     agreement: Agreement
@@ -44,102 +46,124 @@ class SolvedModel:
 
     @property
     def is_sound(self) -> bool:
+        """Whether hardly any strong pair contradicts the cameras."""
         return self.agreement.is_sound
 
     def describe(self) -> str:
-        bad, strong = len(self.agreement.contradicting), len(self.agreement.strong)
-        return f"{self.how} registers {len(self.cameras)} images and is contradicted by {bad} of {strong} strong pairs"
+        """Return one line on the method, the number of registered images and the contradicting pairs."""
+        contradicting, strong = len(self.agreement.contradicting_pairs), len(self.agreement.strong_pairs)
+        return (
+            f"{self.method} registers {len(self.cameras)} images and is contradicted by {contradicting} of {strong}"
+            " strong pairs"
+        )
 
 
 def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine: Refine, seed: int) -> SolvedModel:
-    """The cameras and points of the largest component.
+    """Solve for the cameras and points of the largest component.
 
-    Few images are solved in both ways, and from strong pairs alone where many pairs are wrong; it is said where these
-    differ. Where strong pairs contradict the cameras, images of any number are solved again without these pairs, and
-    from strong pairs alone: most pairs that repeated structure makes are weak. What is kept says `better`.
+    Few images are solved by both mappers, and from strong pairs alone if many pairs are wrong; differences are
+    reported. If strong pairs contradict the cameras, scenes of any size are solved again without these pairs, and from
+    strong pairs alone: most wrong pairs from repeated structure are weak. `best_solution` selects the result.
+
+    Args:
+        verified: Stage with the verified matches.
+        scene: Images.
+        workspace: Folder of the stages.
+        mapper: Requested mapping method.
+        refine: Intrinsics to solve for.
+        seed: Random seed.
 
     Raises:
-        ReconstructionError: no two images start a model.
+        ReconstructionError: No two images could start a model.
     """
 
-    def solved(how: Mapper, matches: Path, words: str = "", name: str = "") -> SolvedModel:
-        model, notes = largest_component(map_images(matches, scene, workspace, how, refine, seed, name), scene)
+    def solve_with(method: Mapper, matches: Path, description: str = "", name: str = "") -> SolvedModel:
+        model, notes = largest_component(map_images(matches, scene, workspace, method, refine, seed, name), scene)
         cameras = cameras_of(model)
-        return SolvedModel(f"{how} mapping{words}", model, cameras, agreement(verified / DATABASE, cameras), notes)
+        return SolvedModel(
+            f"{method} mapping{description}", model, cameras, agreement(verified / DATABASE, cameras), notes
+        )
 
-    asked = solved(mapper, verified)
-    found = [asked]
+    requested = solve_with(mapper, verified)
+    solutions = [requested]
 
-    def also(how: Mapper, matches: Path, words: str = "", name: str = "") -> None:
-        # This way nothing may be found, or COLMAP may give up: it is a second opinion.
+    def try_solving(method: Mapper, matches: Path, description: str = "", name: str = "") -> None:
+        # An alternative solution may fail, or COLMAP may give up: it only serves as a check.
         with suppress(ReconstructionError, RuntimeError, ValueError):
-            found.append(solved(how, matches, words, name))
+            solutions.append(solve_with(method, matches, description, name))
 
-    is_cheap = len(scene) <= _MAX_BOTH
+    is_cheap = len(scene) <= _MAX_IMAGES_BOTH_MAPPERS
     if is_cheap:
-        also("global" if mapper == "incremental" else "incremental", verified)
-    best = better(found)
+        try_solving("global" if mapper == "incremental" else "incremental", verified)
+    best = best_solution(solutions)
     if not best.is_sound:
-        pairs = [(pair.a, pair.b) for pair in best.agreement.contradicting]
-        consistent = without_pairs(verified, workspace, "consistent", dropped=pairs)
-        also(mapper, consistent, f" without {len(pairs)} contradicting pairs", "consistent-solved")
-    if not best.is_sound or (is_cheap and best.agreement.share_of_pairs < _FEW_PAIRS):
-        strong = without_pairs(verified, workspace, "strong", least=STRONG)
-        also("incremental", strong, f" from pairs of at least {STRONG} matches", "strong-solved")
-    best = better(found)
+        pairs = [(pair.a, pair.b) for pair in best.agreement.contradicting_pairs]
+        consistent = remove_pairs(verified, workspace, "consistent", dropped=pairs)
+        try_solving(mapper, consistent, f" without {len(pairs)} contradicting pairs", "consistent-solved")
+    if not best.is_sound or (is_cheap and best.agreement.share_of_pairs < _MIN_AGREEING_PAIRS_SHARE):
+        strong_pairs = remove_pairs(verified, workspace, "strong", min_matches=MIN_STRONG_MATCHES)
+        try_solving(
+            "incremental", strong_pairs, f" from pairs of at least {MIN_STRONG_MATCHES} matches", "strong-solved"
+        )
+    best = best_solution(solutions)
     notes = [*best.notes]
-    if best is not asked:
-        notes.append(f"{asked.describe()}; kept: {best.describe()}")
+    if best is not requested:
+        notes.append(f"{requested.describe()}; kept: {best.describe()}")
     if best.is_sound:
-        for other in found:
-            if other is not best and (other.is_sound or best is asked):
-                notes += differences(best, other)
-    return replace(best, notes=[*notes, best.agreement.describe("solved"), *repeated(best.agreement, "solved")])
+        for other in solutions:
+            if other is not best and (other.is_sound or best is requested):
+                notes += describe_differences(best, other)
+    return replace(
+        best, notes=[*notes, best.agreement.describe("solved"), *ambiguity_warning(best.agreement, "solved")]
+    )
 
 
-def better(found: Sequence[SolvedModel]) -> SolvedModel:
-    """Of sound solutions the one with the most images, else the one that the fewest strong pairs contradict; the first
-    of equals. One with few of the images is none: hardly a pair is left to contradict it.
+def best_solution(solutions: Sequence[SolvedModel]) -> SolvedModel:
+    """Return the sound solution with the most images, else the one that the fewest strong pairs contradict.
+
+    Ties go to the first. Solutions with less than half of the images are ignored: hardly any pair is left to contradict
+    them.
     """
-    most = max(len(solution.cameras) for solution in found)
-    whole = [solution for solution in found if 2 * len(solution.cameras) >= most]
-    if found[0].is_sound and found[0] in whole:
-        return found[0]
-    sound = [solution for solution in whole if solution.is_sound]
+    max_cameras = max(len(solution.cameras) for solution in solutions)
+    large = [solution for solution in solutions if 2 * len(solution.cameras) >= max_cameras]
+    if solutions[0].is_sound and solutions[0] in large:
+        return solutions[0]
+    sound = [solution for solution in large if solution.is_sound]
     if sound:
         return max(sound, key=lambda solution: len(solution.cameras))
-    return min(whole, key=lambda solution: len(solution.agreement.contradicting))
+    return min(large, key=lambda solution: len(solution.agreement.contradicting_pairs))
 
 
-def differences(kept: SolvedModel, other: SolvedModel) -> list[str]:
-    """A note on the cameras that another solution puts elsewhere by more than the errors of both.
+def describe_differences(best: SolvedModel, other: SolvedModel) -> list[str]:
+    """Return a note on the cameras whose positions in another solution differ by more than the errors of both.
 
-    A camera that little fixes, such as one that sees a single wall, is what the two ways find in different places. How
-    far is compared with the pixels of its view and with the other cameras: shared errors move these alike.
+    Weakly constrained cameras, such as one that sees a single wall, get different positions from different mappers.
+    Their distance is compared with the pixel size in their view and with the other cameras, because shared errors move
+    all cameras by similar amounts.
     """
-    names = [name for name in kept.cameras if name in other.cameras]
-    positions = [np.array([cameras[n].position for n in names]) for cameras in (other.cameras, kept.cameras)]
+    names = [name for name in best.cameras if name in other.cameras]
+    positions = [np.array([cameras[n].position for n in names]) for cameras in (other.cameras, best.cameras)]
     try:
         fit = robust_similarity(*positions)
     except InputError:  # fewer than three cameras, or all on one line
         return []
-    apart = np.linalg.norm(fit.apply(positions[0]) - positions[1], axis=1)
-    pixel = np.array([_pixel(kept, name) for name in names])
-    median = float(np.median(apart))
-    if median > _MAX_APART_PX * float(np.median(pixel)):
-        far = f"the cameras {median:.3g} from here (median), {apart.max():.3g} at most"
+    separations = np.linalg.norm(fit.apply(positions[0]) - positions[1], axis=1)
+    pixel_sizes = np.array([_pixel_size(best, name) for name in names])
+    median = float(np.median(separations))
+    if median > _MAX_SEPARATION_PX * float(np.median(pixel_sizes)):
+        separation_text = f"the cameras {median:.3g} away (median), at most {separations.max():.3g}"
     else:
-        where = apart > np.maximum(_MAX_APART_PX * pixel, _MAX_APART_MEDIANS * median)
-        if not where.any():
+        is_separate = separations > np.maximum(_MAX_SEPARATION_PX * pixel_sizes, _MAX_SEPARATION_MEDIANS * median)
+        if not is_separate.any():
             return []
-        order = [int(k) for k in np.argsort(-apart) if where[k]]
-        named = some([f"{names[k]} {apart[k]:.3g}" for k in order])
-        far = f"{named} from here, the others {median:.3g} (median): little fixes them"
-    return [f"{other.describe()}, and puts {far}"]
+        order = [int(k) for k in np.argsort(-separations) if is_separate[k]]
+        named = some([f"{names[k]} {separations[k]:.3g}" for k in order])
+        separation_text = f"{named} away, the others {median:.3g} (median): these cameras are weakly constrained"
+    return [f"{other.describe()}, and puts {separation_text}"]
 
 
-def _pixel(solution: SolvedModel, name: str) -> float:
-    """What a pixel of a camera is at the points that it sees (their median depth), in the units of the cameras."""
+def _pixel_size(solution: SolvedModel, name: str) -> float:
+    """Return the size of a camera's pixel at the median depth of its points, in the unit of the cameras."""
     model, camera = solution.model, solution.cameras[name]
     image = model.find_image_with_name(name)
     seen = [model.points3D[point.point3D_id].xyz for point in image.points2D if point.has_point3D()]

@@ -83,7 +83,7 @@ def rows(case: Case) -> Iterator[str]:
                 continue
 
             def contradictions(cameras) -> int:
-                return len(agreement(work / "verified" / DATABASE, cameras).contradicting)
+                return len(agreement(work / "verified" / DATABASE, cameras).contradicting_pairs)
 
             model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
             alone = f"{worst_camera(cameras_of(model), truth)} | {contradictions(cameras_of(model))}"

@@ -1,4 +1,4 @@
-"""The pair of clouds that most tests of registrations look at."""
+"""Pair of clouds used by most registration tests."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from pcbench.scenes.synthetic import city
 
 @pytest.fixture(autouse=True)
 def _advice_of_every_method(monkeypatch):
-    """What a failure recommends does not depend on the libraries that are installed."""
+    """Make advice independent of the installed libraries."""
     monkeypatch.setattr(advice, "has_global", lambda: True)
 
 

@@ -1,4 +1,4 @@
-"""What a registration that failed recommends."""
+"""Advice of failed registrations."""
 
 import pytest
 import shapes
@@ -29,7 +29,7 @@ def test_a_method_that_is_not_installed_is_recommended_with_its_package(monkeypa
 
 @pytest.mark.parametrize("with_scale", [False, True])
 def test_no_method_recommends_itself(monkeypatch, with_scale):
-    monkeypatch.setattr(from_features._Judge, "found", lambda _: [])
+    monkeypatch.setattr(from_features._PoseSearch, "search", lambda _: [])
     text = failure(CITY, FeatureSettings(with_scale=with_scale))
     assert ("global-similarity" in text) is not with_scale
     assert "points:FILE" in text

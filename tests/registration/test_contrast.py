@@ -1,4 +1,4 @@
-"""A pose is told to be right or wrong by what moving away from it costs, whatever the scene, the noise, the density."""
+"""Contrast separates right from wrong poses, whatever the scene, the noise and the density."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from pcbench.registration.result import DOUBTFUL_POSE, LOW_OVERLAP, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
 
-def wood(count, seed):
-    """Two clouds of one wood of 60 m that share no point: rolling ground, and returns anywhere in 90 crowns."""
+def forest(count, seed):
+    """Sample a forest of 60 m: rolling ground, and returns anywhere in 90 crowns. Different seeds share no point."""
     rng, place = np.random.default_rng(seed), np.random.default_rng(99)
     trees, heights = place.uniform(0, 60, (90, 2)), place.uniform(4, 14, 90)
     which, arms = rng.integers(0, 90, count // 2), rng.normal(size=(count // 2, 3))
@@ -27,7 +27,7 @@ def wood(count, seed):
 
 
 def bumpy(count, seed):
-    """A ball whose waves no mirror and no turn maps onto themselves."""
+    """Sample a wavy ball without any symmetry."""
     rng, shape = np.random.default_rng(seed), np.random.default_rng(1)
     out = rng.normal(size=(count, 3))
     out /= np.linalg.norm(out, axis=1)[:, None]
@@ -42,9 +42,9 @@ def houses(count, seed):
 
 @pytest.mark.parametrize("scene", ["wood", "ball", "town"])
 @pytest.mark.parametrize(("ratio", "noise"), [(1, 0.0), (4, 0.2), (0.25, 0.2), (1, 1.0)])
-def test_the_true_pose_is_as_sharp_as_the_reference(scene, ratio, noise):
-    """Random halves, denser, sparser, and one with noise as large as the spacing."""
-    make = {"wood": wood, "ball": bumpy, "town": houses}[scene]
+def test_contrast_is_about_one_at_the_true_pose(scene, ratio, noise):
+    """Candidates of equal, lower and higher density, one with noise as large as the spacing."""
+    make = {"wood": forest, "ball": bumpy, "town": houses}[scene]
     reference, candidate = make(16_000, 0), make(int(16_000 / ratio), 1)
     spacing = np.median(np.sort(np.linalg.norm(reference[:300, None] - reference[None], axis=2), axis=1)[:, 1])
     candidate = candidate + np.random.default_rng(7).normal(0, noise * spacing, candidate.shape)
@@ -54,9 +54,9 @@ def test_the_true_pose_is_as_sharp_as_the_reference(scene, ratio, noise):
 
 
 @pytest.mark.parametrize("shift", [(7.0, 0, 0), (0, -5.0, 0), (4.0, 4.0, 0.3)])
-def test_a_slide_in_a_wood_is_doubtful(shift):
+def test_a_shift_in_a_forest_is_doubtful(shift):
     """Points fill the crowns: most of the candidate still lies on the reference."""
-    reference, candidate = wood(16_000, 0), wood(16_000, 1) + np.array(shift)
+    reference, candidate = forest(16_000, 0), forest(16_000, 1) + np.array(shift)
     found = register(reference, candidate, "none")
     assert found.overlap > 0.55
     assert DOUBTFUL_POSE in codes(found)
@@ -71,7 +71,7 @@ def test_a_mirror_image_is_doubtful():
         assert register(reference, candidate, method).doubtful
 
 
-def test_a_turn_that_is_missed_is_doubtful():
+def test_a_wrong_rotation_is_doubtful():
     reference, candidate = bumpy(20_000, 0), bumpy(10_000, 1)
     turned = Similarity(shapes.rotation([1, 2, 3], 25), np.zeros(3)).apply(candidate)
     found = register(reference, turned)
@@ -84,7 +84,7 @@ def test_a_turn_that_is_missed_is_doubtful():
 
 
 def jug(count, seed):
-    """A body of revolution with a handle: without the handle nothing tells its turn."""
+    """Sample a body of revolution with a handle, which alone fixes its rotation."""
     rng = np.random.default_rng(seed)
     height, turn = rng.uniform(0, 2, count), rng.uniform(0, 2 * np.pi, count)
     radius = 1 + 0.25 * np.sin(2.5 * height)
@@ -96,14 +96,14 @@ def jug(count, seed):
     return points + rng.normal(0, 0.004, points.shape)
 
 
-def test_a_round_body_turned_about_its_axis_is_not_sure():
+def test_a_round_body_rotated_about_its_axis_has_a_warning():
     reference, candidate = jug(20_000, 0), jug(20_000, 1)
     assert not register(reference, candidate, "none").warnings
     turned = Similarity(shapes.rotation([0, 0, 1], 90), np.zeros(3)).apply(candidate)
     assert register(reference, turned, "none").warnings
 
 
-def test_a_small_overlap_is_not_far_off_where_the_pose_is_sharp():
+def test_a_small_overlap_with_high_contrast_is_not_far_off():
     reference, candidate = bumpy(40_000, 0), bumpy(40_000, 1)
     reference, candidate = reference[reference[:, 0] < 0.1], candidate[candidate[:, 0] > -0.1]
     found = register(reference, candidate, "none")
@@ -112,7 +112,7 @@ def test_a_small_overlap_is_not_far_off_where_the_pose_is_sharp():
     assert not found.doubtful
 
 
-def test_exact_copies_are_not_warned_of():
+def test_exact_copies_have_no_warnings():
     points = bumpy(20_000, 0)
     for scale in (1.0, 0.9):
         true = Similarity(shapes.rotation([1, 0, 2], 3), np.array([0.02, 0, 0.01]), scale)
@@ -126,8 +126,8 @@ def test_few_points_have_no_contrast():
     assert register(points, points, "none").contrast is None
 
 
-def test_a_scan_with_most_points_in_few_places_is_observed():
-    """The density of a scanner falls with the square of the distance; walls and ground fix the pose."""
+def test_a_scan_of_uneven_density_is_observable():
+    """A scanner's density falls with the square of the distance; walls and ground fix the pose."""
     rng = np.random.default_rng(3)
     clouds = []
     for seed in (1, 2):
@@ -139,7 +139,7 @@ def test_a_scan_with_most_points_in_few_places_is_observed():
 
 
 def scan_of_a_street(eye, lines, steps, noise, seed):
-    """What a scanner that spins at `eye` (3,) sees of a street of houses, cars and poles."""
+    """Simulate a spinning scanner at `eye` (3,) in a street of houses, cars and poles."""
     place, rng = np.random.default_rng(5), np.random.default_rng(seed)
     boxes = []
     for side in (-1, 1):
@@ -163,8 +163,8 @@ def scan_of_a_street(eye, lines, steps, noise, seed):
 
 
 @pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (32, 1800, 0.015), (64, 900, 0.03)])
-def test_two_scans_from_two_places_are_not_doubtful(lines, steps, noise):
-    """Lines of one scan lie between those of the other, up to a metre from them, and spacings along them are 3 cm."""
+def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
+    """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
     reference = scan_of_a_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)
     candidate = scan_of_a_street(np.array([-2.5, 1.5, 2.0]), lines, steps, noise, 2)
     assert not register(reference, candidate, "none").doubtful
@@ -172,8 +172,8 @@ def test_two_scans_from_two_places_are_not_doubtful(lines, steps, noise):
         assert DOUBTFUL_POSE in codes(register(reference, candidate + wrong, "none"))
 
 
-def test_no_trial_is_wrong_without_a_word(monkeypatch, capsys):
-    """The bench's quick form: made scenes only, and mirror images among them."""
+def test_no_trial_fails_silently(monkeypatch, capsys):
+    """The benchmark's quick form: generated scenes only, including mirror images."""
     trials, scenes = _bench(monkeypatch)
     chosen = {name: (scenes.TUNED | scenes.HELD_OUT)[name] for name in ("bumps", "rough ground")}
     rows = trials.run(chosen, ["icp", "similarity"], range(2))
@@ -184,7 +184,7 @@ def test_no_trial_is_wrong_without_a_word(monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_no_trial_of_any_scene_is_wrong_without_a_word(monkeypatch):
+def test_no_trial_of_any_scene_fails_silently(monkeypatch):
     trials, scenes = _bench(monkeypatch)
     rows = trials.run(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
     kinds = [row["kind"] for row in rows]

@@ -1,4 +1,4 @@
-"""What the geometry does not fix is said, and what it does fix scatters as predicted."""
+"""Unobservable motions are reported, and observable ones scatter as predicted."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,9 @@ from pcbench.scenes.synthetic import city
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("alike", [0.0, 3.0])
-def test_repeated_registrations_scatter_as_predicted(alike):
-    """White noise of 2 cm, and the same again from a random field whose values are alike over `alike` metres."""
+@pytest.mark.parametrize("correlation_length", [0.0, 3.0])
+def test_repeated_registrations_scatter_as_predicted(correlation_length):
+    """White noise of 2 cm plus 2 cm of noise correlated over `correlation_length` metres."""
     town, true = city(3), motion(1.0, (0.3, -0.2, 0.1))
     motions, predicted = [], []
     for seed in range(20):
@@ -26,8 +26,8 @@ def test_repeated_registrations_scatter_as_predicted(alike):
             points = town.sample(count, rng)[0]
             points = points[np.abs(points[:, :2]).max(axis=1) < 75]
             noise = rng.normal(0, 0.02, points.shape)
-            if alike:
-                waves, phases = rng.normal(0, 1 / alike, (3, 200)), rng.uniform(0, 2 * np.pi, 200)
+            if correlation_length:
+                waves, phases = rng.normal(0, 1 / correlation_length, (3, 200)), rng.uniform(0, 2 * np.pi, 200)
                 noise += 0.02 * np.sqrt(2 / 200) * np.cos(points @ waves + phases) @ rng.normal(size=(200, 3))
             clouds.append(points + noise)
         result = register(clouds[0], true.inverse().apply(clouds[1]))
@@ -42,7 +42,7 @@ def test_repeated_registrations_scatter_as_predicted(alike):
     assert 0.75 < actual / np.median(predicted) < 1.7
 
 
-def test_says_that_a_scale_is_missing(scene):
+def test_a_missing_scale_is_reported(scene):
     reference, candidate = scene
     for scale in (1.002, 1.0):
         result = register(reference, motion(scale=scale).inverse().apply(candidate))
@@ -53,7 +53,7 @@ def test_says_that_a_scale_is_missing(scene):
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
 
-def test_says_what_the_geometry_does_not_fix():
+def test_unobservable_motions_are_reported():
     rng = np.random.default_rng(6)
 
     def noisy(points):

@@ -1,4 +1,4 @@
-"""Registration from nothing: any pose is found, and where the evidence is missing or ambiguous it is said."""
+"""Registration from any pose: it is found, and missing or ambiguous evidence is reported."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ needs_kiss = pytest.mark.skipif(bool(missing := unavailable("kiss_matcher")), re
 
 
 def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
-    """Two samples with 2 cm noise of two windows of a 400 m city, along x; `overlap` of each is in the other."""
+    """Sample two windows of a 400 m city along x with 2 cm noise; they overlap by the share `overlap`."""
     rng, width = np.random.default_rng(seed), 400 / (2 - overlap)
     town, second = city(seed), city(seed if other is None else other)
     reference, candidate = town.sample(counts[0], rng)[0], second.sample(counts[1], rng)[0]
@@ -36,7 +36,7 @@ def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
 
 
 def pose(seed, scale=1.0):
-    """A random rotation of 45 to 180 degrees and a shift of up to 100 m each way."""
+    """Return a random rotation of 45 to 180 degrees with a shift of up to 100 m per axis."""
     rng = np.random.default_rng(seed)
     return Similarity(shapes.rotation(rng.normal(size=3), rng.uniform(45, 180)), rng.uniform(-100, 100, 3), scale)
 
@@ -67,7 +67,7 @@ def test_finds_any_pose(method, seed, overlap, scale):
 
 @needs_kiss
 @pytest.mark.slow
-def test_strays_do_not_hide_the_pose():
+def test_outliers_do_not_hide_the_pose():
     reference, candidate = windows(2, 1.0)
     rng, true = np.random.default_rng(6), pose(6)
     strays = rng.uniform(candidate.min(axis=0), candidate.max(axis=0), (len(candidate) // 2, 3))
@@ -78,7 +78,7 @@ def test_strays_do_not_hide_the_pose():
 @needs_kiss
 @pytest.mark.parametrize("method", ["global", pytest.param("global-similarity", marks=pytest.mark.slow)])
 def test_refuses_unrelated_clouds(method):
-    """Another city on the same ground and the same street grid: three quarters of it could be laid on the first."""
+    """Another city with the same terrain and street grid, of which three quarters fit the first."""
     reference, candidate = windows(1, 1.0, other=9)
     with refused(RegistrationError, masked=True):
         register(reference, pose(1).inverse().apply(candidate), method)
@@ -92,7 +92,7 @@ def test_refuses_noise():
 
 
 def symmetric(n, seed, noise=0.01):
-    """A gabled hall of 30 m x 12 m on a square: a half turn about the vertical maps it onto itself."""
+    """Sample a gabled hall of 30 m x 12 m on a square, symmetric under a half turn about the vertical."""
     rng = np.random.default_rng(seed)
     ground, rise = 40.0, 4.0
     faces = [((-ground, -ground, 0), (2 * ground, 0, 0), (0, 2 * ground, 0))]
@@ -114,12 +114,12 @@ def test_a_symmetric_scene_is_ambiguous():
     assert AMBIGUOUS in codes(result)
     turned = Similarity(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ true
     errors = [error(result.T_reference_candidate, truth, candidate) for truth in (true, turned)]
-    # One of the two is right, which the other one is 60 m away from; quarter turns of the square ground are neither.
+    # One of the two is right, and they are 60 m apart; quarter turns of the square ground are not among them.
     assert min(errors) < 0.5
 
 
 @needs_kiss
-def test_a_plane_is_never_sure():
+def test_a_plane_is_never_confident():
     rng = np.random.default_rng(9)
     reference, candidate = (shapes.plane_samples(n, 40, seed=n) + rng.normal(0, 0.01, (n, 3)) for n in (20_000, 8_000))
     try:
@@ -167,7 +167,7 @@ def test_real_lidar_pair_from_any_pose():
 @needs_kiss
 @pytest.mark.slow
 def test_real_aerial_cloud_from_any_pose():
-    """Streets, roofs and trees from the air, in feet: two halves that share no point, one of them turned."""
+    """Aerial cloud of streets, roofs and trees in feet: two disjoint halves, one of them rotated."""
     points = read_cloud(data_folder("autzen") / "autzen_trim.las").points
     points = points - np.floor(points.mean(axis=0))
     true = pose(12)
@@ -175,7 +175,7 @@ def test_real_aerial_cloud_from_any_pose():
     assert error(result.T_reference_candidate, true, points) < 1  # feet; half the points' spacing
 
 
-def test_says_what_is_missing(monkeypatch, tmp_path):
+def test_a_missing_library_is_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "kiss_matcher", None)
     reference, candidate = windows(1, 1.0, counts=(5000, 5000))
     with refused(MissingExtra):
@@ -189,7 +189,7 @@ def test_too_few_points_and_other_names():
         register(np.eye(3), np.eye(3), "global:x")
 
 
-def test_poses_from_pairs_of_which_most_are_wrong():
+def test_poses_from_mostly_wrong_pairs():
     rng, true = np.random.default_rng(13), pose(13, scale=1.1)
     candidate = rng.uniform(-50, 50, (1000, 3))
     reference = true.apply(candidate)

@@ -1,4 +1,4 @@
-"""Poses that are given: taken as they are, and refused where they are none."""
+"""Given poses: used unchanged, and refused if they are not similarities."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ NO_SIMILARITIES = {
 
 
 @pytest.mark.parametrize("name", NO_SIMILARITIES)
-def test_arrays_that_are_no_similarity(name):
+def test_invalid_similarities_are_refused(name):
     array = NO_SIMILARITIES[name]
     cloud = shapes.plane_grid(4)
     with refused():

@@ -1,4 +1,4 @@
-"""ICP: recovers known motions from where the candidate is or from an initial pose, and says where it failed."""
+"""ICP: recovers known motions, with or without an initial pose, and reports failures."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_survives_outliers_and_partial_overlap(scene):
 
 
 @pytest.mark.slow
-def test_large_rotations_are_found_or_said_to_be_missed(scene):
+def test_large_rotations_are_found_or_doubtful(scene):
     reference, candidate = scene
     for shift in (-20,):  # metres: half a block
         true = Similarity(np.eye(3), np.array([shift, 5.0, 0]), 1.0)
@@ -97,9 +97,9 @@ def test_real_lidar_pair():
     # The file's transform is good to 2-8 cm itself.
     assert np.sqrt(np.mean(np.square(difference[near]).sum(axis=1))) < 0.1
     assert result.converged
-    # Far from the scanner its lines lie 100 spacings apart: that is no wrong alignment. A wrong one is said.
+    # Far from the scanner the gap between lines is 100 spacings, which is no misalignment. A real one is reported.
     assert OFF_SURFACE not in codes(result)
-    # Nor is it doubtful that its lines are not where the reference has its own; a scan that looks the other way is.
+    # Different line positions do not make a pose doubtful; a scan in the opposite direction does.
     assert not result.doubtful
     assert register(candidate, reference).doubtful is False
     back = candidate.transformed(Similarity(shapes.rotation([0, 0, 1], 180), np.zeros(3)))
@@ -122,8 +122,8 @@ def test_doubled_points_and_exact_copies():
         register(1e-160 * points, 1e-160 * points)
 
 
-def test_an_initial_pose_is_where_icp_starts(scene):
-    """From 60 degrees away ICP alone ends elsewhere, see above; from 5 degrees away it comes back to the same pose."""
+def test_icp_starts_from_the_initial_pose(scene):
+    """ICP fails from 60 degrees away (see above), but recovers the pose from 5 degrees away."""
     reference, candidate = scene
     true = Similarity(shapes.rotation([0, 0, 1], 60), np.array([100.0, -50.0, 5.0]))
     initial = motion(5.0, (1.5, -1.0, 0.5)) @ true
@@ -148,7 +148,7 @@ def away(shift):
 
 def test_the_scale_of_an_initial_pose_stays_or_is_refined(scene):
     reference, candidate = scene
-    true = motion(scale=40.0)  # such as an arbitrary gauge: without a first scale nothing would be found
+    true = motion(scale=40.0)  # as in an arbitrary gauge: ICP fails without an initial scale
     moved = true.inverse().apply(candidate)
     initial = motion(4.0, (1.0, 0.5, 0.0), scale=40.4)
     refined = register(reference, moved, "similarity", initial=initial)
@@ -190,6 +190,6 @@ def test_settings_change_what_icp_does(scene):
         {"max_sample": True},
     ],
 )
-def test_settings_that_are_none(settings):
+def test_invalid_settings_are_refused(settings):
     with refused():
         IcpSettings(**settings)

@@ -1,4 +1,4 @@
-"""Methods as texts and as objects, the reference's target, and what every method says."""
+"""Methods as texts and as objects, the reference's target, and messages of all methods."""
 
 from dataclasses import replace
 
@@ -71,7 +71,7 @@ def test_texts_and_objects_are_the_same(text, method, solves_scale):
     assert method.with_scale == solves_scale
 
 
-def test_changed_numbers_are_told_in_the_text():
+def test_the_text_shows_changed_settings():
     assert IcpSettings(max_iterations=5).text == "icp (max_iterations=5)"
     assert IcpSettings(with_scale=True, max_correspondence_distance=2.0).text == (
         "similarity (max_correspondence_distance=2.0)"
@@ -90,12 +90,12 @@ def test_files_are_read_as_the_text_is_parsed(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [None, 3, {"method": "icp"}, object()])
-def test_what_is_no_method(wrong):
+def test_invalid_methods_are_refused(wrong):
     with refused():
         register(np.eye(3), np.eye(3), wrong)
 
 
-def test_only_icp_starts_somewhere():
+def test_only_icp_takes_an_initial_pose():
     for method in ("none", "global", Similarity.identity(), ControlPoints(np.eye(3), np.eye(3))):
         with refused():
             register(np.eye(3), np.eye(3), method, initial=np.eye(4))
@@ -121,7 +121,7 @@ def test_a_target_of_another_reference_is_refused(scene):
         register(Cloud(moved), candidate, target=Target.of(reference))
 
 
-def test_a_pose_is_doubtful_where_a_warning_says_that_it_may_be_wrong(scene):
+def test_warnings_of_a_wrong_pose_make_it_doubtful(scene):
     reference, candidate = scene
     assert not register(reference, candidate, "none").doubtful
     assert register(reference, candidate / 0.3048, "none").doubtful
@@ -133,7 +133,7 @@ def test_a_pose_is_doubtful_where_a_warning_says_that_it_may_be_wrong(scene):
     assert replace(pole, warnings=(stopped,)).doubtful
 
 
-def test_a_registration_is_told_in_a_line(scene):
+def test_the_representation_is_one_line(scene):
     reference, candidate = scene
     told = repr(register(reference, motion().inverse().apply(candidate), "similarity"))
     assert "\n" not in said(told)
@@ -145,7 +145,7 @@ def check_failure(reference, candidate, method="icp"):
         register(reference, candidate, method)
 
 
-def test_what_both_files_state_stands_before_the_failure(scene):
+def test_stated_differences_precede_the_failure(scene):
     reference, candidate = (cloud[:6000] for cloud in scene)
     check_failure(Cloud(reference, unit="m"), Cloud(1000 * candidate + 1e6, unit="mm"))
     check_failure(
@@ -166,7 +166,7 @@ def test_what_both_files_state_stands_before_the_failure(scene):
         (304.8, "304.8: "),
     ],
 )
-def test_sizes_let_suspect_a_unit_where_none_is_stated(scene, factor, told):
+def test_a_unit_is_suspected_from_sizes_if_none_is_stated(scene, factor, told):
     reference, candidate = (cloud[:6000] for cloud in scene)
     with refused(RegistrationError, masked=True) as caught:
         register(reference, factor * candidate + 1e6, "none")
@@ -174,13 +174,13 @@ def test_sizes_let_suspect_a_unit_where_none_is_stated(scene, factor, told):
     check_failure(reference, 2 * candidate + 1e5, "none")
 
 
-def test_a_failed_overlap_names_the_methods_that_need_none(scene):
+def test_a_failed_overlap_recommends_other_methods(scene):
     reference, candidate = (cloud[:6000] for cloud in scene)
     for method in ("icp", "none"):
         check_failure(reference, candidate + 5000, method)
 
 
-def test_units_that_both_state_and_nothing_converts_are_a_warning(scene):
+def test_different_stated_units_are_a_warning(scene):
     reference, candidate = scene
     stated = register(Cloud(reference, unit="m"), Cloud(candidate, unit="ft"), "none")
     said(*(notice.text for notice in stated.warnings if notice.code == UNIT_MISMATCH))

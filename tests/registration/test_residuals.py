@@ -32,7 +32,7 @@ def pairs(**changes):
 
 
 def write_pairs(path, points, head=""):
-    """The file of some pairs, check points with their star."""
+    """Write a file of pairs; names of check points end in *."""
     lines = [
         f"{name}{'*' * bool(check)} {' '.join(map(repr, [*map(float, a), *map(float, b)]))}"
         for name, check, a, b in zip(points.names, points.is_check, points.candidate, points.reference, strict=True)
@@ -61,7 +61,7 @@ def test_horizontal_and_vertical_need_z_that_is_up():
     said("\n".join(found.rmse_lines()), masked=False)
 
 
-def test_plain_values_come_back():
+def test_plain_values_round_trip():
     _, found = fit_pairs(pairs(z_is_up=True))
     values = json.loads(json.dumps(found.plain()))
     assert SurveyResiduals.from_plain(values) == found
@@ -131,7 +131,7 @@ def test_other_methods_have_no_residuals():
         (NAMES, [True] * 6),
     ],
 )
-def test_points_that_do_not_do(names, is_check, tmp_path):
+def test_unsuitable_points_are_refused(names, is_check, tmp_path):
     good = pairs()
     with refused():
         ControlPoints(good.candidate, good.reference, names, is_check)

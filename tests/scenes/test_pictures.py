@@ -1,4 +1,4 @@
-"""Rendered images of the city: geometry, samples per pixel, and effects of lenses, glass and water."""
+"""Images of the city: geometry, supersampling, and effects of lens, glass and water."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def city():
 
 
 def plate(corners):
-    """White quadrilaterals (Q, 4, 3) on a black ground."""
+    """Build white quadrilaterals (Q, 4, 3) on black ground."""
     ground = np.array([[[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0]]], dtype=float)
     quads = np.concatenate([ground, corners])
     faces = (4 * np.arange(len(quads))[:, None, None] + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
@@ -37,7 +37,7 @@ def plate(corners):
 
 
 def centroid(outline):
-    """Of a polygon (N, 2)."""
+    """Return the centroid of a polygon (N, 2)."""
     x, y = (outline - outline[0]).T
     cross = x * np.roll(y, -1) - np.roll(x, -1) * y
     return outline[0] + [((p + np.roll(p, -1)) * cross).sum() / (3 * cross.sum()) for p in (x, y)]
@@ -99,7 +99,7 @@ OBLIQUE = look_at([30, -80, 130], [0, 0, 0])
 
 @pytest.mark.parametrize("distortion", [(0, 0, 0, 0), DISTORTION], ids=["pinhole", "distorted"])
 def test_pixels_are_means_over_their_squares(distortion, renderer, tmp_path):
-    """Beside 256 rays a pixel: sixteen samples leave a third of the error of four."""
+    """Compared with 256 rays per pixel: sixteen samples leave a third of the error of four."""
     from PIL import Image
 
     rng = np.random.default_rng(5)
@@ -117,7 +117,7 @@ def test_pixels_are_means_over_their_squares(distortion, renderer, tmp_path):
     assert np.abs((found - expected)[~edges]).max() < 0.1
 
 
-def test_large_pictures_are_drawn_in_parts(renderer, tmp_path):
+def test_large_images_are_rendered_in_tiles(renderer, tmp_path):
     from PIL import Image
 
     x = np.linspace(-60, 60, 41)
@@ -149,8 +149,8 @@ def test_vignetting_is_the_fourth_power_of_the_cosine(renderer, tmp_path):
     np.testing.assert_allclose(vignette(k, 0.5), 0.5 + 0.5 * np.cos(angle) ** 4, rtol=1e-6)
 
 
-def test_water_mirrors_what_the_reflected_ray_meets(renderer, tmp_path):
-    """Water before a red wall: colours of pixels by hand, from the law of reflection and Schlick's formula."""
+def test_water_reflects_along_the_reflected_ray(renderer, tmp_path):
+    """Water before a red wall: pixel colours computed from the law of reflection and Schlick's formula."""
     from PIL import Image
 
     pond = np.array([[-50, 0, 0], [50, 0, 0], [50, 60, 0], [-50, 60, 0]], dtype=float)

@@ -1,4 +1,4 @@
-"""The photographed city: laid out as asked, drawn where cameras say, its truth checked without the tree."""
+"""The photographed city: its layout, rigs, and true data checked without the search tree."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def test_water_is_level():
 
 @pytest.mark.parametrize("extent", [100, 130, pytest.param(250, marks=pytest.mark.slow)])
 def test_every_city_can_be_built(extent):
-    """Narrow blocks, lone blocks, blocks about the origin: nothing has a negative size or leaves the city."""
+    """Narrow, single and central blocks: nothing has a negative size or leaves the city."""
     for seed in range(12):
         for symmetric in (False, True):
             plan = lay_out(CitySettings(extent=extent, seed=seed, symmetric=symmetric))
@@ -74,7 +74,7 @@ def test_every_city_can_be_built(extent):
             assert all(np.subtract(b.high, b.low).min() > 10 for b in plan.blocks)
 
 
-def test_relief_is_what_was_asked_for():
+def test_the_relief_follows_its_setting():
     terrain = lay_out(CitySettings(relief=3.0)).terrain
     inner = terrain.heights[40:121, 40:121]  # the city is half as wide as the terrain
     assert inner.std() == pytest.approx(3.0)
@@ -89,7 +89,7 @@ def test_a_symmetric_city_looks_the_same_after_half_a_turn():
     np.testing.assert_allclose(places[order], turned[other], atol=1e-9)
     np.testing.assert_allclose(plan.terrain.heights, plan.terrain.heights[::-1, ::-1], atol=1e-9)
     at = np.arange(400) + 0.5
-    ground = Painter(plan.settings).town(plan, Grid(at, at, 400.0, 400.0)).color
+    ground = Painter(plan.settings).paint_town(plan, Grid(at, at, 400.0, 400.0)).color
     np.testing.assert_array_equal(ground, ground[::-1, ::-1])
 
 
@@ -107,11 +107,11 @@ def test_textures_fade_to_plain_surfaces():
     at = np.arange(0.1, 120, 0.4)
     ground, wide = Grid(at, at, 120.0, 120.0), Grid(2 * at, 2 * at, 240.0, 240.0)
     for one, other in (
-        (painter.town(plan, ground), rich.town(plan, ground)),
-        (painter.country(wide), rich.country(wide)),
-        (painter.leaves(64), rich.leaves(64)),
+        (painter.paint_town(plan, ground), rich.paint_town(plan, ground)),
+        (painter.paint_countryside(wide), rich.paint_countryside(wide)),
+        (painter.paint_leaves(64), rich.paint_leaves(64)),
         *(
-            (painter.face(kind, side, 5, Grid(at[:60], at[:40], 24.0, 16.0)), None)
+            (painter.paint_face(kind, side, 5, Grid(at[:60], at[:40], 24.0, 16.0)), None)
             for kind in ("house", "block", "tower", "hall", "car", "clutter", "chimney")
             for side in ("wall0", "slope1", "roof")
         ),
@@ -120,20 +120,20 @@ def test_textures_fade_to_plain_surfaces():
         assert one.mirror is None
         if other is not None:
             assert other.color.std() > 0.05
-    half = Painter(replace(SMALL, texture=0.5)).town(plan, ground).color
-    both = painter.town(plan, ground).color, rich.town(plan, ground).color
+    half = Painter(replace(SMALL, texture=0.5)).paint_town(plan, ground).color
+    both = painter.paint_town(plan, ground).color, rich.paint_town(plan, ground).color
     np.testing.assert_allclose(half, np.mean(both, axis=0), atol=1e-6)
-    # A lake is no texture: it stays, and mirrors.
+    # A lake is not part of the texture: it stays and reflects.
     lakes = lay_out(replace(CitySettings(seed=1), texture=0.0, water=True))
     pond = next(block for block in lakes.blocks if block.kind == "lake")
     u, v = (np.arange(pond.low[a], pond.high[a], 0.5) + 200 for a in (0, 1))
-    shore = Painter(lakes.settings).town(lakes, Grid(u, v, 400.0, 400.0))
+    shore = Painter(lakes.settings).paint_town(lakes, Grid(u, v, 400.0, 400.0))
     assert len(np.unique(shore.color[..., 0])) == 2
     assert shore.mirror.max() == pytest.approx(0.02)
 
 
-def test_noise_is_of_places_not_of_texels():
-    """Finer texels show more of the same noise: its means over squares are what coarse texels show."""
+def test_noise_does_not_depend_on_the_texel_size():
+    """Finer texels show more detail of the same noise: coarse texels are their means over squares."""
     noise = FractalNoise(3, 0.075)
 
     def seen(texel):
@@ -167,7 +167,7 @@ def test_texels_are_no_larger_than_pixels_on_them(monkeypatch):
         met = (hits.faces >= 0) & (hits.faces < foliage)
         # Edges of charts are of whole texels; texels of slopes are drawn out by the terrain.
         assert (texels[hits.faces[met]] < 1.05 * hits.distances[met] / k.fx).mean() > 0.9995
-    monkeypatch.setattr(surface, "_MOST_TEXELS", 3e5)  # with more than memory holds, all are larger
+    monkeypatch.setattr(surface, "_MAX_TEXELS", 3e5)  # beyond the memory limit all texels are larger
     sizes = sum(page.size for page in city.pages), sum(page.size for page in build_city(plan, cameras=cameras).pages)
     assert sizes[1] < 0.3 * sizes[0]
 

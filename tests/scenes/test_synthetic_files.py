@@ -1,4 +1,4 @@
-"""The files of a photographed city: pictures, three tellings of the cameras, the true surface; and the command."""
+"""Files of a photographed city: images, three camera formats, the true surface; and the command."""
 
 import hashlib
 import json
@@ -54,7 +54,7 @@ def test_the_files_of_a_scene(scene, tmp_path):
     assert contents(again) == contents(scene)
 
 
-def test_three_tellings_of_the_cameras_agree(scene):
+def test_three_camera_formats_agree(scene):
     pycolmap = import_or_skip("pycolmap")
     values = json.loads((scene / "transforms.json").read_text())
     assert [f["file_path"] for f in values["frames"]] == [f"images/{n:04d}.png" for n in range(1, 6)]
@@ -101,7 +101,7 @@ def test_the_true_cloud_is_the_exposed_surface(scene):
     assert set(np.unique(seen)) == {0, 1}
 
 
-def test_depth_files_hold_what_the_pictures_show(scene):
+def test_depth_files_match_the_images(scene):
     depth = np.load(scene / "truth/depth/0005.npy")
     assert depth.dtype == np.float32
     assert depth.shape == (90, 160)
@@ -114,7 +114,7 @@ def test_depth_files_hold_what_the_pictures_show(scene):
     assert MeshIndex(mesh).query(points).distances.max() < 3e-5  # float32 at 200 m
 
 
-def test_a_scene_needs_a_folder_of_its_own(scene, tmp_path):
+def test_a_scene_needs_a_new_folder(scene, tmp_path):
     with refused():
         write_scene(scene, SCENE)
     (tmp_path / "file").write_text("x")
@@ -152,7 +152,7 @@ def test_the_command(run, renderer, tmp_path):
         ("--extent 5", "100 to 2000"),
         ("--texture 2", "from 0 to 1"),
         ("--images 0", "--images"),
-        ("--out .", "not empty"),
+        ("--out .", "expected an empty folder"),
     ],
 )
 def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, message):
@@ -167,7 +167,7 @@ def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, me
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
 
-def test_without_opengl_nothing_is_begun(run, tmp_path, monkeypatch):
+def test_without_opengl_nothing_is_written(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchGL.so",))
     code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split())

@@ -1,4 +1,4 @@
-"""Known deformations: their size, what is recorded of them, and that the record does them again."""
+"""Known deformations: their size, their record, and reproducing them from it."""
 
 import json
 from functools import partial
@@ -16,7 +16,7 @@ RMS = 0.25
 
 
 def hills(count=4000, seed=0, offset=(0, 0, 0)):
-    """Points of z = 8 sin(x / 15) cos(y / 11) over 120 x 70, with normals."""
+    """Return points of z = 8 sin(x / 15) cos(y / 11) over 120 x 70, with normals."""
     x, y = np.random.default_rng(seed).uniform(-1, 1, (2, count)) * [[60], [35]]
     z = 8 * np.sin(x / 15) * np.cos(y / 11)
     slopes = 8 / 15 * np.cos(x / 15) * np.cos(y / 11), -8 / 11 * np.sin(x / 15) * np.sin(y / 11)
@@ -26,7 +26,7 @@ def hills(count=4000, seed=0, offset=(0, 0, 0)):
 
 
 def beyond_affine(before, after):
-    """What the best affine map before -> after leaves (N, 3), by the normal equations."""
+    """Return the residual (N, 3) of the best affine map before -> after, by the normal equations."""
     design = np.column_stack([before - before.mean(axis=0), np.ones(len(before))])
     return after - design @ np.linalg.solve(design.T @ design, design.T @ after)
 
@@ -38,7 +38,7 @@ def again(record):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_amplitude_is_what_no_affine_map_explains(kind):
+def test_the_amplitude_is_beyond_any_affine_map(kind):
     cloud = hills()
     warp = warp_of(kind, cloud.points, RMS)
     moved = warp.apply(cloud.points)
@@ -48,7 +48,7 @@ def test_the_amplitude_is_what_no_affine_map_explains(kind):
     assert record["rms_beyond_affine"] == pytest.approx(RMS, rel=1e-9)
     assert record["max_beyond_affine"] == pytest.approx(np.linalg.norm(rest, axis=1).max())
     np.testing.assert_array_equal(again(record).apply(cloud.points), moved)
-    # The affine part is what is left without the rest.
+    # The affine part is the displacement without the residual.
     matrix = np.array(record["affine_part"])
     np.testing.assert_allclose(Affine(matrix[:3, :3], matrix[:3, 3]).apply(cloud.points), moved - rest, atol=1e-9)
 
@@ -100,7 +100,7 @@ def test_far_from_the_origin():
         np.testing.assert_allclose(one, two, atol=1e-7)  # float64 at 5e6 m is good to 1e-9 m
 
 
-def test_what_has_no_height_cannot_be_sheared_by_height():
+def test_a_flat_cloud_cannot_be_sheared_by_height():
     flat = hills().points * [1, 1, 0]
     for kind in ("shear", "twist"):
         with refused():
@@ -138,7 +138,7 @@ def test_the_command_and_its_record(run):
 
 
 @pytest.mark.parametrize(("about", "place"), [("origin", [0, 0, 0]), ("5,-6,700", [5, -6, 700])])
-def test_it_turns_about_what_is_asked_for(run, about, place):
+def test_it_rotates_about_the_requested_point(run, about, place):
     assert run("in.ply", "out.ply", "--kind", "dome", "--rms", "0.1", "--rotate", "0,0,30", "--about", about)[0] == 0
     record = json.loads(Path("out.ply.json").read_text())
     motion = Similarity.from_matrix(record["after"]).motion_at(place)

@@ -1,9 +1,9 @@
-"""Cities whose geometry is known exactly.
+"""Synthetic cities with exactly known geometry.
 
-`city` and `demo` are the small boxes of `pcbench demo`: clouds of them cost no rendering. `pcbench synth` makes the
-photographed one: `layout` makes its `plan` with the `buildings` in it, `surface` and `paint` give it faces, textures
-and light, `rigs` places cameras, `render` takes the pictures and `truth` says what they show. `warp` bends any cloud by
-a known amount.
+`city` and `demo` are the simple box cities of `pcbench demo`: their clouds need no rendering. `pcbench synth` creates
+the photographed city: `layout` creates its `plan` with the `buildings`; `surface` and `paint` add faces, textures and
+light; `rigs` places cameras, `render` renders the images, and `truth` computes the true depths and surface. `warp`
+deforms any cloud by a known amount.
 """
 
 from pcbench.scenes.synthetic.demos import SIZE, City, Demo, Patches, city, demo, relief

@@ -1,4 +1,4 @@
-"""What stands on the ground of a city: buildings, cars and trees."""
+"""Objects on the ground of a city: buildings, cars and trees."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 from pcbench.scenes.synthetic.plan import Block, CitySettings, Solid, Street, Terrain, Tree
 
 
-def fill(block: Block, settings: CitySettings, terrain: Terrain) -> tuple[list[Solid], list[Tree]]:
-    """What stands and grows in a block: the same for the same seeds of city and block."""
+def fill_block(block: Block, settings: CitySettings, terrain: Terrain) -> tuple[list[Solid], list[Tree]]:
+    """Create the solids and trees of a block, reproducibly from the seeds of city and block."""
     rng = np.random.default_rng([settings.seed, block.seed])
-    makers = {"core": _core, "houses": _houses, "hall": _hall}  # nothing stands in parks and lakes
+    makers = {"core": _core, "houses": _houses, "hall": _hall}  # parks and lakes have no buildings
     solids = list(makers[block.kind](block, settings, terrain, rng)) if block.kind in makers else []
     count = {"core": 5, "houses": 16, "hall": 4, "park": 34, "lake": 8}[block.kind]
     return solids, list(_trees(block, count, solids, terrain, rng))
 
 
-class _Stand(NamedTuple):
-    """Places buildings on the terrain."""
+class _BuildingPlacer(NamedTuple):
+    """Places solids on the terrain."""
 
     settings: CitySettings
     terrain: Terrain
@@ -35,11 +35,11 @@ class _Stand(NamedTuple):
         flat = Solid(kind, x, y, yaw, width, depth, 0.0, 0.0, rise, seed)
         s, t = np.meshgrid(np.linspace(-0.5, 0.5, 7) * width, np.linspace(-0.5, 0.5, 7) * depth)
         ground = self.terrain.at(*flat.world(np.stack([s.ravel(), t.ravel()], axis=1)).T)
-        # Rooted below the lowest ground it stands on, and so high above the mean one.
+        # The base is below the lowest ground under the building; heights count from the mean ground.
         return replace(flat, bottom=float(ground.min()) - 0.5, eaves=float(ground.mean()) + height)
 
     def on_roof(self, below: Solid, kind: str, x: float, y: float, width: float, depth: float, height: float) -> Solid:
-        """A box at local x, y on a flat roof, let into it a little: two faces in one plane would fight."""
+        """Place a box at local x, y on a flat roof, slightly sunk in: coplanar faces would flicker."""
         at = below.world(np.array([[x, y]]))[0]
         seed = 0 if self.settings.repeated else int(self.rng.integers(1 << 30))
         bottom, eaves = below.eaves - 0.2, below.eaves + height
@@ -47,8 +47,8 @@ class _Stand(NamedTuple):
 
 
 def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
-    """Two to six lots with flat roofs or steep gables; towers near the centre."""
-    stand = _Stand(settings, terrain, rng)
+    """Yield the buildings of two to six lots, with flat roofs or steep gables; towers near the centre."""
+    place_building = _BuildingPlacer(settings, terrain, rng)
     low, high = np.array(block.low) + 2.5, np.array(block.high) - 2.5
     cuts = [np.concatenate([[0], np.sort(rng.uniform(0.3, 0.7, 1)), [1]]) * (high - low)[a] + low[a] for a in (0, 1)]
     if rng.random() < 0.4:
@@ -65,31 +65,31 @@ def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random
             near = np.exp(-((np.hypot(x, y) / (0.22 * settings.extent)) ** 2))
             height = settings.height * (1.3 * np.exp(rng.normal(0, 0.25)) + 2.6 * near * rng.uniform(0.2, 1) ** 1.5)
             if height < 2 * settings.height and width < 18 and rng.random() < 0.5:
-                yield stand("block", x, y, width, depth, height, 0.35 * width)
+                yield place_building("block", x, y, width, depth, height, 0.35 * width)
                 continue
             if height > 2.2 * settings.height and min(width, depth) > 12:
-                podium = stand("block", x, y, width, depth, rng.uniform(0.5, 0.8) * settings.height)
+                podium = place_building("block", x, y, width, depth, rng.uniform(0.5, 0.8) * settings.height)
                 inset = rng.uniform(0.55, 0.75, 2)
-                tower = stand("tower", x, y, width * inset[0], depth * inset[1], height)
+                tower = place_building("tower", x, y, width * inset[0], depth * inset[1], height)
                 tower = replace(tower, bottom=podium.eaves - 0.2)
-                yield from (podium, tower, *_clutter(tower, stand, rng))
+                yield from (podium, tower, *_clutter(tower, place_building, rng))
                 continue
-            body = stand("block", x, y, width, depth, height)
-            yield from (body, *_clutter(body, stand, rng))
+            body = place_building("block", x, y, width, depth, height)
+            yield from (body, *_clutter(body, place_building, rng))
 
 
-def _clutter(body: Solid, stand: _Stand, rng: np.random.Generator) -> Iterator[Solid]:
-    """Stair houses and machines, one in each quarter of a flat roof at most."""
+def _clutter(body: Solid, place_building: _BuildingPlacer, rng: np.random.Generator) -> Iterator[Solid]:
+    """Yield stair houses and machines, at most one in each quarter of a flat roof."""
     for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
         width, depth = rng.uniform(1.5, 4.5, 2)
         if rng.random() < 0.5 and width < 0.3 * body.width and depth < 0.3 * body.depth:
             x, y = sx * body.width * rng.uniform(0.2, 0.28), sy * body.depth * rng.uniform(0.2, 0.28)
-            yield stand.on_roof(body, "clutter", x, y, width, depth, rng.uniform(0.8, 2.8))
+            yield place_building.on_roof(body, "clutter", x, y, width, depth, rng.uniform(0.8, 2.8))
 
 
 def _houses(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
-    """Gabled houses with chimneys along the longer side, in two rows where there is room."""
-    stand = _Stand(settings, terrain, rng)
+    """Yield gabled houses with chimneys along the longer side, in two rows if there is space."""
+    place_building = _BuildingPlacer(settings, terrain, rng)
     low, high = np.array(block.low) + 3, np.array(block.high) - 3
     along = int(high[1] - low[1] > high[0] - low[0])
     lots = max(1, int((high - low)[along] // 15))
@@ -99,17 +99,17 @@ def _houses(block: Block, settings: CitySettings, terrain: Terrain, rng: np.rand
         for k in range(lots):
             if rng.random() > settings.density:
                 continue
-            place = np.empty(2)
-            place[along] = low[along] + (k + 0.5) * lot + rng.uniform(-1, 1)
-            place[1 - along] = low[1 - along] + row * across + rng.uniform(-1.5, 1.5)
+            position = np.empty(2)
+            position[along] = low[along] + (k + 0.5) * lot + rng.uniform(-1, 1)
+            position[1 - along] = low[1 - along] + row * across + rng.uniform(-1.5, 1.5)
             width, depth = rng.uniform(7.5, 10), rng.uniform(9, 11.5)
             quarter = int(rng.random() < 0.5)
             yaw = float(rng.normal(0, 0.04) + quarter * np.pi / 2)
             height = 0.55 * settings.height * float(np.exp(rng.normal(0, 0.15)))
-            house = stand(
+            house = place_building(
                 "house",
-                float(place[0]),
-                float(place[1]),
+                float(position[0]),
+                float(position[1]),
                 width,
                 depth,
                 height,
@@ -119,47 +119,49 @@ def _houses(block: Block, settings: CitySettings, terrain: Terrain, rng: np.rand
             yield house
             if rng.random() < 0.7:
                 seat = replace(house, eaves=house.eaves + 0.4 * house.rise)
-                yield stand.on_roof(seat, "chimney", 0.25 * width, 0.3 * depth, 0.8, 0.8, 0.75 * house.rise)
+                yield place_building.on_roof(seat, "chimney", 0.25 * width, 0.3 * depth, 0.8, 0.8, 0.75 * house.rise)
 
 
 def _hall(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
-    """One large flat building and its car park."""
-    stand = _Stand(settings, terrain, rng)
+    """Yield one large flat building and the cars of its car park."""
+    place_building = _BuildingPlacer(settings, terrain, rng)
     low, high = np.array(block.low) + 4, np.array(block.high) - 4
     size = (high - low) * [0.55, 0.9]
     if rng.random() < settings.density:
-        body = stand("hall", low[0] + size[0] / 2, (low[1] + high[1]) / 2, size[0], size[1], 0.7 * settings.height)
-        yield from (body, *_clutter(body, stand, rng))
+        body = place_building(
+            "hall", low[0] + size[0] / 2, (low[1] + high[1]) / 2, size[0], size[1], 0.7 * settings.height
+        )
+        yield from (body, *_clutter(body, place_building, rng))
     for x in (low[0] + 0.68 * (high - low)[0], low[0] + 0.9 * (high - low)[0]):
         for y in np.arange(low[1] + 2, high[1] - 2, 2.7):
             if rng.random() < 0.6:
-                yield _car(stand, x, float(y), float(rng.normal(0, 0.03)))
+                yield _car(place_building, x, float(y), float(rng.normal(0, 0.03)))
 
 
-def _car(stand: _Stand, x: float, y: float, yaw: float) -> Solid:
-    car = stand("car", x, y, 4.3, 1.8, float(stand.rng.uniform(1.35, 1.6)), yaw=yaw)
-    return replace(car, seed=int(stand.rng.integers(1 << 30)))
+def _car(place_building: _BuildingPlacer, x: float, y: float, yaw: float) -> Solid:
+    car = place_building("car", x, y, 4.3, 1.8, float(place_building.rng.uniform(1.35, 1.6)), yaw=yaw)
+    return replace(car, seed=int(place_building.rng.integers(1 << 30)))
 
 
-def cars(
+def place_cars(
     lines: list[list[Street]], terrain: Terrain, settings: CitySettings, rng: np.random.Generator
 ) -> Iterator[Solid]:
-    """Parked and driving cars on the right-hand side of every street."""
-    stand = _Stand(settings, terrain, rng)
+    """Yield parked and driving cars on the right-hand side of each street."""
+    place_building = _BuildingPlacer(settings, terrain, rng)
     for street in (s for line in lines for s in line):
         crossings = [(s.at, s.width / 2 + 6) for s in lines[1 - street.axis]]
         for at in np.arange(-settings.extent / 2 + 5, settings.extent / 2 - 5, 7.5):
-            if any(abs(at - place) < reach for place, reach in crossings):
+            if any(abs(at - position) < reach for position, reach in crossings):
                 continue
             for side in (-1, 1):
                 if rng.random() < 0.22:
                     offset = street.at + side * street.width * rng.uniform(0.25, 0.34)
                     where = (offset, float(at)) if street.axis == 0 else (float(at), offset)
-                    yield _car(stand, *where, float(rng.normal(0, 0.02) + (street.axis == 0) * np.pi / 2))
+                    yield _car(place_building, *where, float(rng.normal(0, 0.02) + (street.axis == 0) * np.pi / 2))
 
 
 def _trees(block: Block, count: int, solids: list[Solid], terrain: Terrain, rng: np.random.Generator) -> Iterator[Tree]:
-    """Where there is room: clear of buildings and of each other."""
+    """Yield trees clear of buildings and of each other."""
     kept: list[Tree] = []
     area = (block.high[0] - block.low[0]) * (block.high[1] - block.low[1])
     for _ in range(round(count * area / 2000)):
@@ -178,8 +180,8 @@ def _trees(block: Block, count: int, solids: list[Solid], terrain: Terrain, rng:
     yield from kept
 
 
-def countryside(settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Tree]:
-    """Groves around the city."""
+def place_groves(settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Tree]:
+    """Yield the trees of groves around the city."""
     half = settings.extent / 2
     spots: list[tuple[float, float, float]] = []
     for _ in range(26):

@@ -1,4 +1,4 @@
-"""A small procedural city whose geometry is known exactly, and clouds that see it as reconstructions would."""
+"""A small procedural city with exactly known geometry, and clouds of it that resemble reconstructions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _COLORS = np.array([[122, 132, 112], [205, 194, 176], [166, 92, 74]], dtype=np.u
 
 
 class Patches(NamedTuple):
-    """Flat pieces of surface: corner + s * u + t * v with s, t in [0, 1], or s + t <= 1 where it is a triangle."""
+    """Flat surface patches: corner + s * u + t * v with s, t in [0, 1], and s + t <= 1 for a triangle."""
 
     corner: FloatArray  # (P, 3)
     u: FloatArray  # (P, 3)
@@ -28,23 +28,29 @@ class Patches(NamedTuple):
     kind: IntArray  # (P,) ground, wall or roof
 
     def take(self, which: IntArray) -> Patches:
+        """Return the patches of some rows."""
         return Patches(self.corner[which], self.u[which], self.v[which], self.triangle[which], self.kind[which])
 
     def areas(self) -> FloatArray:
+        """Return the areas (P,) in square metres."""
         areas: FloatArray = np.linalg.norm(np.cross(self.u, self.v), axis=1) * np.where(self.triangle == 1, 0.5, 1.0)
         return areas
 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Terrain z = relief(x, y) with buildings on it; `truth` distances can be had to any density."""
+    """Terrain z = relief(x, y) with buildings on it; the surface can be sampled at any density."""
 
     patches: Patches
 
     def sample(self, count: int, rng: np.random.Generator, falloff: float = np.inf) -> tuple[FloatArray, IntArray]:
-        """`count` points (N, 3) on the surface and their kinds (N,), by area.
+        """Sample points (N, 3) on the surface, uniformly by area, with their kinds (N,).
 
-        With a finite `falloff` (metres) the density falls with the distance r from the centre as exp(-r / falloff).
+        Args:
+            count: Number of points.
+            rng: Random generator.
+            falloff: If finite, the density decreases with the distance r from the centre as exp(-r / falloff), in
+                metres.
         """
         parts: list[FloatArray] = []
         kinds: list[IntArray] = []
@@ -75,12 +81,12 @@ class City:
 
 
 def relief(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Height (m) of the bare ground: two gentle waves."""
+    """Height of the bare ground in metres: two gentle waves."""
     return 2.0 * np.sin(x / 83.0) * np.cos(y / 67.0) + 0.01 * x
 
 
 def city(seed: int = 0) -> City:
-    """Streets every 50 m; on each block two to four boxes, half of them with gabled roofs, taller in the centre."""
+    """Build a city: streets every 50 m, two to four boxes per block, half of them gabled, taller in the centre."""
     rng = np.random.default_rng(seed)
     rows: list[tuple[FloatArray, FloatArray, FloatArray, int, int]] = []
     footprints: list[tuple[float, float, float, float]] = []
@@ -113,7 +119,7 @@ def _building(
     lower: FloatArray, width: float, depth: float, height: float, gabled: bool
 ) -> list[tuple[FloatArray, FloatArray, FloatArray, int, int]]:
     x, y = lower
-    # Walls reach below the lowest ground they stand on; the buried part is a hand's breadth.
+    # Walls extend to 10 cm below the lowest ground under the building.
     corners_x, corners_y = np.array([x, x + width, x, x + width]), np.array([y, y, y + depth, y + depth])
     base = float(relief(corners_x, corners_y).min()) - 0.1
     up = np.array([0.0, 0.0, height])
@@ -142,7 +148,7 @@ def _building(
 def _ground(
     footprints: list[tuple[float, float, float, float]],
 ) -> list[tuple[FloatArray, FloatArray, FloatArray, int, int]]:
-    """The ground outside the footprints as rectangles: cut along every footprint's edges, block by block."""
+    """Return the ground outside the footprints as rectangles, cut along all footprint edges of a block."""
     rows: list[tuple[FloatArray, FloatArray, FloatArray, int, int]] = []
     block = 50.0
     for x0 in np.arange(-SIZE / 2, SIZE / 2, block):
@@ -162,30 +168,34 @@ def _ground(
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Three clouds of one city and what was done to them."""
+    """Three clouds of one city and their true poses and deformations."""
 
     reference: Cloud
     candidates: dict[str, Cloud]
-    T_reference_candidate: dict[str, Similarity]  # brings each candidate back, exactly
-    bend_rms: dict[str, float]  # metres; of the vertical bend put into each candidate
+    T_reference_candidate: dict[str, Similarity]  # true pose of each candidate, exact
+    bend_rms: dict[str, float]  # RMS of each candidate's vertical deformation, in metres
 
-    def registration_error(self, name: str, found: Similarity) -> float:
-        """RMS distance (m) between where a registration brings a candidate's points and where they belong.
+    def registration_error(self, name: str, estimate: Similarity) -> float:
+        """RMS distance in metres between a candidate's points under an estimated and under the true registration.
 
         Args:
-            name: of the candidate.
-            found: the registration, candidate -> reference.
+            name: Name of the candidate.
+            estimate: Estimated registration, candidate -> reference.
         """
         points = self.candidates[name].points
-        apart = found.apply(points) - self.T_reference_candidate[name].apply(points)
-        return float(np.sqrt(np.mean(np.square(apart).sum(axis=1))))
+        differences = estimate.apply(points) - self.T_reference_candidate[name].apply(points)
+        return float(np.sqrt(np.mean(np.square(differences).sum(axis=1))))
 
 
 def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
-    """A dense "MVS-like" reference, a sparse and a densified candidate in the proportions of Gao et al.'s table.
+    """Build a dense "MVS-like" reference, a sparse and a densified candidate in the proportions of Gao et al.'s table.
 
-    Candidates thin out from the centre, carry noise and outliers, and stand rigidly off; the densified one is also
-    gently bent (a bowl of 5 cm RMS).
+    The candidates' density decreases from the centre. They have noise, outliers and a rigid offset. The densified one
+    is also slightly deformed (a bowl of 5 cm RMS).
+
+    Args:
+        points: Number of points of the reference.
+        seed: Random seed.
     """
     scene = city(seed)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]
@@ -206,16 +216,16 @@ def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
         bowl = r2 - r2.mean()
         surface[:, 2] += bend * bowl / np.sqrt(np.mean(bowl**2))
         surface += rng.normal(0, noise, surface.shape)
-        stray = rng.random(len(surface)) < outliers
-        surface[stray] += rng.normal(0, 1.5, (int(stray.sum()), 3))
-        T = _turned(angle_deg, shift)
+        is_outlier = rng.random(len(surface)) < outliers
+        surface[is_outlier] += rng.normal(0, 1.5, (int(is_outlier.sum()), 3))
+        T = _motion(angle_deg, shift)
         candidates[name] = Cloud(T.inverse().apply(surface), colors=_COLORS[kinds], unit="m")
         truth[name], bends[name] = T, bend
     return Demo(reference, candidates, truth, bends)
 
 
-def _turned(angle_deg: float, shift: tuple[float, float, float]) -> Similarity:
-    """A rotation about a slanted axis through the origin, then a shift."""
+def _motion(angle_deg: float, shift: tuple[float, float, float]) -> Similarity:
+    """Return a rotation about an oblique axis through the origin, followed by a translation."""
     axis = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
     x, y, z = axis
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

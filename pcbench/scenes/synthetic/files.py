@@ -1,4 +1,4 @@
-"""A synthetic scene's files: images, cameras as COLMAP and nerfstudio write them, and the truth."""
+"""Files of a synthetic scene: images, cameras in COLMAP's and nerfstudio's formats, and the truth."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
 from pcbench.scratch import claim, scratch_folder
 
-_DEMO_MARK = ".demo"  # the file by which a demo's folder is known
+_DEMO_MARKER = ".demo"  # file that marks a demo's folder
 
 
 class DemoFiles(NamedTuple):
-    """Where the clouds of a demo lie."""
+    """Paths of a demo's clouds."""
 
     reference: Path
     candidates: dict[str, Path]
@@ -39,15 +39,17 @@ class DemoFiles(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """A city and how it is photographed.
+    """Settings of a city and its images.
 
     Args:
-        images: how many.
-        intrinsics: of all of them.
+        city: Settings of the city.
+        images: Number of images.
+        intrinsics: Intrinsics of all images.
         rig: circles, grid, oblique, drone or orbit (`pcbench.scenes.synthetic.rigs`).
-        reflections: glass and water mirror what is around them.
-        points: of the true cloud.
-        gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
+        optics: Effects of lens and sensor.
+        reflections: Whether glass and water reflect their surroundings.
+        points: Number of points of the true cloud.
+        gps: Standard deviation in metres of the positions in gps.txt; None writes no such file.
     """
 
     city: CitySettings = field(default_factory=CitySettings)
@@ -61,13 +63,18 @@ class SceneSettings:
 
 
 def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] = lambda _: None) -> None:
-    """Make a city and write images/, transforms.json, sparse/0/ and truth/ (mesh.ply, cloud.ply, depth/) into `out`.
+    """Create a city and write images/, transforms.json, sparse/0/ and truth/ (mesh.ply, cloud.ply, depth/) into `out`.
 
-    The folder appears when everything is in it. The same settings give the same bytes on one machine.
+    The folder appears once it is complete. The same settings give the same bytes on the same machine.
+
+    Args:
+        out: Folder to create.
+        settings: City and images.
+        step: Progress callback.
 
     Raises:
-        InputError: `out` exists and is not an empty folder, or a setting is out of its range.
-        MissingExtra, NoFiguresError: no picture can be taken here.
+        InputError: `out` exists and is not an empty folder, or a setting is out of range.
+        MissingExtra, NoFiguresError: Images cannot be rendered on this machine.
     """
     check_renderer()
     check_intrinsics(settings.intrinsics)
@@ -79,7 +86,7 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         cameras = rig(settings.rig, settings.images, site, settings.intrinsics)
         city = build_city(plan, cameras=cameras)
         (folder / "images").mkdir()
-        progress(f"taking {len(cameras)} images")
+        progress(f"rendering {len(cameras)} images")
         render(
             city,
             cameras,
@@ -98,7 +105,7 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
         index = MeshIndex(city.mesh)
         write_mesh_ply(folder / "truth" / "mesh.ply", city.mesh)
         for camera in cameras:
-            progress(f"casting the depths of {camera.name}")
+            progress(f"computing the depth map of {camera.name}")
             np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
         progress("sampling the surface")
         cloud = surface_cloud(plan, index, cameras, settings.points, settings.city.seed)
@@ -106,46 +113,55 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
 
 
 def check_demo_folder(out: Path) -> None:
-    """Say before a demo is made that `write_demo` may not write there.
+    """Check that `write_demo` may write to a folder, before a demo is computed.
+
+    Args:
+        out: Folder of the demo.
 
     Raises:
-        InputError: it is a file, or a folder that holds something else than an earlier demo.
+        InputError: It is a file, or a folder with other contents than an earlier demo.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for the demo, got a file")
-    if out.is_dir() and any(out.iterdir()) and not (out / _DEMO_MARK).is_file():
-        raise InputError(f"{out}: the folder is not empty and holds no demo: choose another one, or empty it")
+    if out.is_dir() and any(out.iterdir()) and not (out / _DEMO_MARKER).is_file():
+        raise InputError(
+            f"{out}: expected an empty folder or a demo, got a folder with other files; choose another one"
+        )
 
 
-def write_demo(out: Path, made: Demo) -> DemoFiles:
-    """Write the clouds of a demo into `out`/clouds, in the place of an earlier demo's.
+def write_demo(out: Path, demo: Demo) -> DemoFiles:
+    """Write the clouds of a demo into `out`/clouds and replace those of an earlier demo.
+
+    Args:
+        out: Folder of the demo.
+        demo: Clouds.
 
     Raises:
-        InputError: the folder is not a demo's.
-        OSError: a file cannot be written.
+        InputError: The folder is not a demo's.
+        OSError: A file cannot be written.
     """
     check_demo_folder(out)
     folder = out / "clouds"
     folder.mkdir(parents=True, exist_ok=True)
-    (out / _DEMO_MARK).touch()
-    files = DemoFiles(folder / "reference.ply", {name: folder / f"{name}.ply" for name in made.candidates})
-    write_cloud(files.reference, made.reference)
+    (out / _DEMO_MARKER).touch()
+    files = DemoFiles(folder / "reference.ply", {name: folder / f"{name}.ply" for name in demo.candidates})
+    write_cloud(files.reference, demo.reference)
     for name, path in files.candidates.items():
-        write_cloud(path, made.candidates[name])
+        write_cloud(path, demo.candidates[name])
     return files
 
 
-def _words(values: Sequence[float] | FloatArray) -> str:
+def _format_row(values: Sequence[float] | FloatArray) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
 def _write_positions(path: Path, cameras: Sequence[Camera], positions: FloatArray) -> None:
-    lines = ["# NAME X Y Z", *(f"{c.name} {_words(p)}" for c, p in zip(cameras, positions, strict=True))]
+    lines = ["# NAME X Y Z", *(f"{c.name} {_format_row(p)}" for c, p in zip(cameras, positions, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:
-    """Binary little-endian PLY: x y z double, faces as lists of int."""
+    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int."""
     lines = [
         "ply",
         "format binary_little_endian 1.0",
@@ -166,14 +182,14 @@ def write_mesh_ply(path: Path, mesh: Mesh) -> None:
 
 @contextmanager
 def _new_folder(out: Path) -> Iterator[Path]:
-    """A temporary folder beside `out` that becomes `out` when the block ends well, and vanishes when it does not."""
+    """Yield a temporary folder beside `out` that is renamed to `out` on success and removed on failure."""
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder to write the scene to, got a file")
     if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"{out}: the folder is not empty: choose another one, or empty it")
+        raise InputError(f"{out}: expected an empty folder, got one with files; choose another one, or empty it")
     parent = out.absolute().parent
     if not parent.is_dir():
-        raise InputError(f"{out}: the folder {parent} does not exist: make it first")
+        raise InputError(f"{out}: expected an existing parent folder, got {parent}; create it first")
     with claim(out), scratch_folder(out) as scratch:
         yield scratch
         scratch.replace(out.absolute())

@@ -1,4 +1,4 @@
-"""Lays a city out: terrain, streets, the blocks between them, and in each block what stands there."""
+"""City layout: terrain, streets, the blocks between them, and the objects in each block."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from itertools import pairwise
 
 import numpy as np
 
-from pcbench.scenes.synthetic.buildings import cars, countryside, fill
-from pcbench.scenes.synthetic.plan import CELLS, Block, CityPlan, CitySettings, Solid, Street, Terrain, Tree
+from pcbench.scenes.synthetic.buildings import fill_block, place_cars, place_groves
+from pcbench.scenes.synthetic.plan import TERRAIN_CELLS, Block, CityPlan, CitySettings, Solid, Street, Terrain, Tree
 
 
 def lay_out(settings: CitySettings) -> CityPlan:
-    """A city of these settings; the same for the same settings."""
+    """Lay out a city; the same settings give the same city."""
     rng = np.random.default_rng([settings.seed, 1])
     terrain = _terrain(settings, rng)
     lines = [_streets(settings, axis, rng) for axis in (0, 1)]
     blocks = _blocks(settings, lines, rng)
-    _level(terrain, [block for block in blocks if block.kind == "lake"])
+    _level_lakes(terrain, [block for block in blocks if block.kind == "lake"])
     solids: list[Solid] = []
     trees: list[Tree] = []
     for block in blocks:
-        if settings.symmetric and _is_second(block):
+        if settings.symmetric and _is_rotated_copy(block):
             continue
-        stands, grows = fill(block, settings, terrain)
-        solids += stands
-        trees += grows
+        block_solids, block_trees = fill_block(block, settings, terrain)
+        solids += block_solids
+        trees += block_trees
         if settings.symmetric:
-            solids += [replace(s, x=-s.x, y=-s.y, yaw=s.yaw + np.pi) for s in stands]
-            trees += [t._replace(x=-t.x, y=-t.y) for t in grows]
+            solids += [replace(s, x=-s.x, y=-s.y, yaw=s.yaw + np.pi) for s in block_solids]
+            trees += [t._replace(x=-t.x, y=-t.y) for t in block_trees]
     if not settings.symmetric:
-        solids += cars(lines, terrain, settings, rng)
-        trees += countryside(settings, terrain, rng)
+        solids += place_cars(lines, terrain, settings, rng)
+        trees += place_groves(settings, terrain, rng)
     return CityPlan(settings, terrain, [*lines[0], *lines[1]], blocks, solids, trees)
 
 
@@ -42,25 +42,25 @@ def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Ge
             low = (west.at + west.width / 2, south.at + south.width / 2)
             high = (east.at - east.width / 2, north.at - north.width / 2)
             centre = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
-            block = Block(_kind(centre, settings, rng), low, high, int(rng.integers(1 << 30)))
+            block = Block(_choose_kind(centre, settings, rng), low, high, int(rng.integers(1 << 30)))
             if settings.symmetric and np.hypot(*centre) < 1e-6:
-                continue  # a square: chance would not fill it the same after half a turn
-            if not (settings.symmetric and _is_second(block)):
+                continue  # central square: random objects would not be symmetric under a half turn
+            if not (settings.symmetric and _is_rotated_copy(block)):
                 blocks.append(block)
     if settings.symmetric:
-        turned = [Block(b.kind, (-b.high[0], -b.high[1]), (-b.low[0], -b.low[1]), b.seed) for b in blocks]
-        blocks += turned
+        rotated = [Block(b.kind, (-b.high[0], -b.high[1]), (-b.low[0], -b.low[1]), b.seed) for b in blocks]
+        blocks += rotated
     return blocks
 
 
-def _is_second(block: Block) -> bool:
-    """Whether half a turn about the origin brings the block to where another is made."""
+def _is_rotated_copy(block: Block) -> bool:
+    """Return whether a half turn about the origin maps another block to this one."""
     x, y = block.low[0] + block.high[0], block.low[1] + block.high[1]
     return y < -1e-6 or (abs(y) <= 1e-6 and x < -1e-6)
 
 
-def _level(terrain: Terrain, lakes: list[Block]) -> None:
-    """Water is level: the terrain's vertices in and next to a lake take its lowest height."""
+def _level_lakes(terrain: Terrain, lakes: list[Block]) -> None:
+    """Flatten the terrain in and next to each lake to its lowest height there."""
     n = len(terrain.heights)
     at = (np.arange(n) - (n - 1) / 2) * terrain.step
     for lake in lakes:
@@ -69,9 +69,9 @@ def _level(terrain: Terrain, lakes: list[Block]) -> None:
 
 
 def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
-    """A sum of waves, in the countryside with hills on it."""
-    n = 2 * CELLS
-    step = settings.extent / CELLS
+    """Return a sum of waves, higher in the countryside."""
+    n = 2 * TERRAIN_CELLS
+    step = settings.extent / TERRAIN_CELLS
     at = (np.arange(n + 1) - n / 2) * step
     x, y = np.meshgrid(at, at)
     waves = np.zeros_like(x)
@@ -88,23 +88,23 @@ def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
 
 
 def _streets(settings: CitySettings, axis: int, rng: np.random.Generator) -> list[Street]:
-    """Streets along one axis: every 45 to 65 m, every third an avenue; the first and last bound the city."""
+    """Return the streets along one axis, every 45 to 65 m, every third an avenue; the first and last bound the city."""
     half = settings.extent / 2
     if settings.symmetric:
-        places = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]
-        while places[-1] + 65 < half:
-            places.append(places[-1] + float(rng.uniform(45, 60)))
-        places = [p for p in places if p < half - 30] or [0.0]
-        places = sorted({-p for p in places} | set(places))
+        positions = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]
+        while positions[-1] + 65 < half:
+            positions.append(positions[-1] + float(rng.uniform(45, 60)))
+        positions = [p for p in positions if p < half - 30] or [0.0]
+        positions = sorted({-p for p in positions} | set(positions))
     else:
-        places = [-half + float(rng.uniform(45, 60))]
-        while places[-1] + 65 < half - 30:
-            places.append(places[-1] + float(rng.uniform(45, 65)))
-    inner = [Street(axis, p, 14.0 if (abs(i - len(places) // 2) % 3) == 0 else 9.0) for i, p in enumerate(places)]
+        positions = [-half + float(rng.uniform(45, 60))]
+        while positions[-1] + 65 < half - 30:
+            positions.append(positions[-1] + float(rng.uniform(45, 65)))
+    inner = [Street(axis, p, 14.0 if (abs(i - len(positions) // 2) % 3) == 0 else 9.0) for i, p in enumerate(positions)]
     return [Street(axis, -half + 3.5, 7.0), *inner, Street(axis, half - 3.5, 7.0)]
 
 
-def _kind(centre: tuple[float, float], settings: CitySettings, rng: np.random.Generator) -> str:
+def _choose_kind(centre: tuple[float, float], settings: CitySettings, rng: np.random.Generator) -> str:
     distance = np.hypot(*centre) / (settings.extent / 2)
     draw = rng.random()
     if settings.water and draw < 0.22 and distance > 0.2:

@@ -1,4 +1,4 @@
-"""Charts, the parts of a city's surface with a texture of their own, and the light of sun and sky on them."""
+"""Charts, the parts of a city's surface with a separate texture, and the sun and sky light on them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from pcbench.geometry.mesh import MeshIndex
 from pcbench.scenes.synthetic.paint import Image
 from pcbench.scenes.synthetic.plan import CityPlan
 
-SUN = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])  # towards it: an afternoon, south-west
-MARGIN = 4  # texels around a chart, painted as it goes on: mipmaps take their colours from there
+# Direction to the sun, in the south-west in the afternoon.
+SUN_DIRECTION = np.array([-0.52, -0.46, 0.72]) / np.linalg.norm([-0.52, -0.46, 0.72])
+CHART_MARGIN = 4  # texels painted beyond a chart's edges, because mipmaps mix them in
 _SUN_COLOR = np.array([0.70, 0.65, 0.56], dtype=np.float32)
 _SKY_COLOR = np.array([0.50, 0.53, 0.58], dtype=np.float32)
-_LIFT = 0.02  # m, from a surface to where its rays of light start
+_RAY_OFFSET = 0.02  # m, from a surface to the origin of its light rays
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A parallelogram of the surface with a texture of its own: corner + s * u + t * v, s and t from 0 to 1.
+    """Parallelogram of the surface with a separate texture: corner + s * u + t * v, s and t from 0 to 1.
 
-    The ground's charts lie at z = 0 and follow the terrain.
+    Ground charts lie at z = 0 and follow the terrain.
     """
 
     kind: str  # of the solid, or "town", "country" or "leaves"
@@ -33,16 +34,17 @@ class Chart:
     corner: FloatArray
     u: FloatArray
     v: FloatArray
-    texel: float  # metres
-    nominal: float  # metres: what `texel` is where no camera is near; light is as coarse as that asks for
+    texel: float  # m
+    base_texel: float  # m, texel size without cameras nearby; it sets the resolution of the light
 
     @property
-    def ring(self) -> int:
-        """Cells of light beyond each edge: ground goes on there, and its light without a seam."""
+    def border_cells(self) -> int:
+        """Light cells beyond each edge, so that the light on adjacent ground charts has no seams."""
         return int(self.kind in ("town", "country"))
 
     @property
     def size(self) -> tuple[float, float]:
+        """Width and height in metres."""
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
     @property
@@ -53,44 +55,46 @@ class Chart:
 
 
 class _Lattice(NamedTuple):
-    """Points of a chart at which light is computed; it is linear between them."""
+    """Points of a chart at which light is computed; it is interpolated linearly between them."""
 
-    columns: int  # the ring's too
+    columns: int  # including the border cells
     rows: int
     points: FloatArray  # (rows * columns, 3), lifted off the surface
     normal: FloatArray  # (3,) or (rows * columns, 3)
 
 
-def lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
-    """Light (rows, columns, 3) on a lattice over each chart: sun where it reaches, sky by the open share of it."""
-    sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.nominal) for c in charts]
-    sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.nominal) for c in charts]
-    sunny = ~index.blocked(*_rays([s.points for s in sun if s], SUN))
+def compute_lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
+    """Compute light (rows, columns, 3) on a lattice over each chart: sun with shadows, sky by its visible share."""
+    sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.base_texel) for c in charts]
+    sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.base_texel) for c in charts]
+    sunny = ~index.blocked(*_rays([s.points for s in sun if s], SUN_DIRECTION))
     directions = _hemisphere(12)
-    open_ = np.zeros(sum(len(s.points) for s in sky if s), dtype=np.float32)
-    weight = np.zeros_like(open_)
+    openness = np.zeros(sum(len(s.points) for s in sky if s), dtype=np.float32)
+    weight = np.zeros_like(openness)
     points = np.concatenate([s.points for s in sky if s])
     normals = np.concatenate([np.broadcast_to(s.normal, s.points.shape) for s in sky if s])
     for direction in directions:
         facing = normals @ direction
         upper = np.flatnonzero(facing > 0.02)
         free = ~index.blocked(points[upper], np.broadcast_to(direction, (len(upper), 3)), limit=60.0)
-        open_[upper] += (free * facing[upper]).astype(np.float32)
+        openness[upper] += (free * facing[upper]).astype(np.float32)
     for direction in directions:
         weight += np.maximum(0, direction[2])
     lights: list[Image | None] = []
-    at_sun = at_sky = 0
+    sun_start = sky_start = 0
     for chart, a, b in zip(charts, sun, sky, strict=True):
         if a is None or b is None:
             lights.append(None)
             continue
-        direct = sunny[at_sun : at_sun + len(a.points)] * np.maximum(0, np.broadcast_to(a.normal, a.points.shape) @ SUN)
-        ambient = open_[at_sky : at_sky + len(b.points)] / weight[at_sky : at_sky + len(b.points)]
-        at_sun, at_sky = at_sun + len(a.points), at_sky + len(b.points)
-        inner = a.rows - 2 * chart.ring, a.columns - 2 * chart.ring
-        fine = _linear(ambient.reshape(b.rows, b.columns), chart.ring, inner, chart.ring)
-        direct = direct.reshape(a.rows, a.columns).astype(np.float32) / np.float32(SUN[2])
-        # A part of the sky's light comes from the ground: walls in the shade are not black.
+        direct = sunny[sun_start : sun_start + len(a.points)] * np.maximum(
+            0, np.broadcast_to(a.normal, a.points.shape) @ SUN_DIRECTION
+        )
+        ambient = openness[sky_start : sky_start + len(b.points)] / weight[sky_start : sky_start + len(b.points)]
+        sun_start, sky_start = sun_start + len(a.points), sky_start + len(b.points)
+        inner = a.rows - 2 * chart.border_cells, a.columns - 2 * chart.border_cells
+        fine = _resample(ambient.reshape(b.rows, b.columns), chart.border_cells, inner, chart.border_cells)
+        direct = direct.reshape(a.rows, a.columns).astype(np.float32) / np.float32(SUN_DIRECTION[2])
+        # A part of the sky light is reflected by the ground, so that walls in the shade are not black.
         lights.append(direct[..., None] * _SUN_COLOR + (0.25 + 0.75 * fine[..., None]) * _SKY_COLOR)
     return lights
 
@@ -103,10 +107,10 @@ def _rays(points: list[FloatArray], direction: FloatArray) -> tuple[FloatArray, 
 def _lattice(plan: CityPlan, chart: Chart, step: float) -> _Lattice:
     width, height = chart.size
     columns, rows = max(2, round(width / step)), max(2, round(height / step))
-    s, t = np.meshgrid(*((np.arange(-chart.ring, n + chart.ring) + 0.5) / n for n in (columns, rows)))
+    s, t = np.meshgrid(*((np.arange(-chart.border_cells, n + chart.border_cells) + 0.5) / n for n in (columns, rows)))
     rows, columns = s.shape
     points = chart.corner + s.reshape(-1, 1) * chart.u + t.reshape(-1, 1) * chart.v
-    if chart.ring:
+    if chart.border_cells:
         terrain, d = plan.terrain, 0.5
         x, y = points[:, 0], points[:, 1]
         points[:, 2] = terrain.at(x, y)
@@ -114,35 +118,39 @@ def _lattice(plan: CityPlan, chart: Chart, step: float) -> _Lattice:
         slope_y = (terrain.at(x, y + d) - terrain.at(x, y - d)) / (2 * d)
         normal = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return _Lattice(columns, rows, points + [0, 0, _LIFT], normal)
+        return _Lattice(columns, rows, points + [0, 0, _RAY_OFFSET], normal)
     normal = np.cross(chart.u, chart.v)
     normal /= np.linalg.norm(normal)
-    return _Lattice(columns, rows, points + _LIFT * normal, normal)
+    return _Lattice(columns, rows, points + _RAY_OFFSET * normal, normal)
 
 
 def _hemisphere(count: int) -> FloatArray:
-    """Directions (count, 3) spread evenly over the upper half of the sphere."""
+    """Return directions (count, 3) spread evenly over the upper hemisphere."""
     k = np.arange(count) + 0.5
     z, angle = 1 - k / count, np.pi * (3 - np.sqrt(5)) * k
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
-def upsampled(light: Image, chart: Chart) -> Image:
-    """The lattice's light at texels, the margin's too."""
-    return np.stack([_linear(light[..., k], chart.ring, chart.shape, MARGIN) for k in range(3)], axis=2)
+def upsample_light(light: Image, chart: Chart) -> Image:
+    """Interpolate the lattice's light at all texels, including the margin."""
+    return np.stack([_resample(light[..., k], chart.border_cells, chart.shape, CHART_MARGIN) for k in range(3)], axis=2)
 
 
-def _linear(plane: NDArray[np.float32], ring: int, shape: tuple[int, int], beyond: int) -> NDArray[np.float32]:
-    """Resampled to cell centres of another grid (rows, columns) over the same rectangle, linear along each axis.
+def _resample(
+    plane: NDArray[np.float32], border_cells: int, shape: tuple[int, int], beyond: int
+) -> NDArray[np.float32]:
+    """Resample linearly to the cell centres of another grid (rows, columns) over the same rectangle.
 
     Args:
-        ring: cells of the plane beyond each edge of the rectangle; where they end, light stays as it is.
-        beyond: cells that are wanted beyond each edge of it.
+        plane: (rows, columns) values, including border cells.
+        border_cells: Border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
+        shape: Rows and columns of the new grid.
+        beyond: Cells of the new grid beyond each edge of the rectangle.
     """
     for size in shape:
-        count = len(plane) - 2 * ring
-        at = (np.arange(-beyond, size + beyond) + 0.5) * count / size - 0.5 + ring
+        count = len(plane) - 2 * border_cells
+        at = (np.arange(-beyond, size + beyond) + 0.5) * count / size - 0.5 + border_cells
         at = np.clip(at, 0, len(plane) - 1)
         low = np.minimum(at.astype(int), len(plane) - 2)
         part = (at - low).astype(np.float32)[:, None]

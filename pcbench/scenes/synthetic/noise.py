@@ -1,4 +1,4 @@
-"""Fractal noise over the surfaces of a city: the same places have the same noise however fine their texels are."""
+"""Fractal noise over the surfaces of a city: a position has the same noise at any texel size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Plane = NDArray[np.float32]  # (rows, columns)
 
 
 class Grid(NamedTuple):
-    """Texel centres of a texture in metres from its corner; some lie beyond its edges, as a margin."""
+    """Texel centres of a texture, in metres from its corner; some lie beyond its edges, as a margin."""
 
     u: FloatArray  # (columns,)
     v: FloatArray  # (rows,)
@@ -22,16 +22,17 @@ class Grid(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
         return len(self.v), len(self.u)
 
 
 class FractalNoise:
-    """Windows of one periodic tile of fractal noise, of mean 0 and variance 1, averaged over cells as large as texels.
+    """Windows of a periodic tile of fractal noise with mean 0 and variance 1, averaged over the texel area.
 
     Args:
-        seed: of the tile.
-        cell: metres of its finest cells.
-        side: cells along it; the noise repeats after cell * side metres.
+        seed: Seed of the tile.
+        cell: Side of the finest cells in metres.
+        side: Cells along each side; the noise repeats after cell * side metres.
     """
 
     def __init__(self, seed: int, cell: float, side: int = 2048) -> None:
@@ -39,7 +40,7 @@ class FractalNoise:
 
         rng = np.random.default_rng([seed, 2])
         f = fft.fftfreq(side)[:, None], fft.rfftfreq(side)[None, :]
-        # Between white and 1/f^2: blobs of all sizes.
+        # Spectrum between white and 1/f^2: structures of all sizes.
         amplitude = (1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05).astype(np.float32)
         amplitude[0, 0] = 0
         white = rng.standard_normal((side, side), dtype=np.float32)
@@ -51,10 +52,12 @@ class FractalNoise:
             self._levels.append(self._levels[-1].reshape(half, 2, half, 2).mean(axis=(1, 3)))
 
     def __call__(self, grid: Grid, rng: np.random.Generator, stretch: float = 1.0) -> Plane:
-        """A window at a random place, at the texels (rows, columns) of `grid`.
+        """Return a window at a random position, at the texels (rows, columns) of `grid`.
 
         Args:
-            stretch: how much larger all blobs are.
+            grid: Texel centres.
+            rng: Random generator of the position.
+            stretch: Scale factor of all structures.
         """
         cell = stretch * self._cell
         start = rng.integers(0, len(self._levels[0]), 2)
@@ -62,17 +65,17 @@ class FractalNoise:
         level = int(np.clip(np.round(np.log2(abs(texel) / cell)), 0, len(self._levels) - 1))
         tile, size = self._levels[level], cell * 2**level
         rows, columns = (at / size + s / 2**level - 0.5 for at, s in zip((grid.v, grid.u), start, strict=True))
-        window = tile[np.ix_(*(_span(at) % len(tile) for at in (rows, columns)))]
-        return np.ascontiguousarray(_along_rows(_along_rows(window, rows).T, columns).T)
+        window = tile[np.ix_(*(_index_range(at) % len(tile) for at in (rows, columns)))]
+        return np.ascontiguousarray(_interpolate_rows(_interpolate_rows(window, rows).T, columns).T)
 
 
-def _span(at: FloatArray) -> NDArray[np.int64]:
-    """All whole numbers that are needed to interpolate at `at`."""
+def _index_range(at: FloatArray) -> NDArray[np.int64]:
+    """Return all integers needed to interpolate at `at`."""
     return np.arange(int(np.floor(at.min())), int(np.floor(at.max())) + 2)
 
 
-def _along_rows(window: Plane, at: FloatArray) -> Plane:
-    """Linear between rows of a window whose first one is at floor(min(at))."""
+def _interpolate_rows(window: Plane, at: FloatArray) -> Plane:
+    """Interpolate linearly between rows of a window whose first row is at floor(min(at))."""
     low = np.floor(at).astype(int)
     part = (at - low).astype(np.float32)[:, None]
     low -= low.min()

@@ -1,6 +1,6 @@
-"""The plan of a city: terrain, streets, blocks, and what stands on them, before it has faces or colours.
+"""Plan of a city: terrain, streets, blocks and objects, before faces and colours are added.
 
-`layout` makes one.
+`layout` creates it.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 
-CELLS = 80  # of the terrain's grid along the city; the countryside around it is half a city wide
+TERRAIN_CELLS = 80  # terrain cells along the city; the surrounding countryside is half a city wide
 
 
 @dataclass(frozen=True)
 class CitySettings:
-    """What kind of city.
+    """Settings of a synthetic city.
 
     Args:
-        extent: side of the built square in metres; the countryside reaches as far again.
-        density: share of the lots that are built on, 0 to 1.
-        height: median height of the houses in metres; the towers in the centre are up to five times as high.
+        extent: Side of the built square in metres; the entire terrain is twice as wide.
+        density: Share of the lots that are built on, 0 to 1.
+        height: Median height of the houses in metres; towers in the centre are up to five times as high.
         relief: RMS height of the terrain's waves under the city in metres.
-        texture: 1 is rich, 0 leaves walls blank and the ground plain.
-        water: some blocks are lakes.
-        repeated: all buildings wear one facade and one roof.
-        symmetric: half a turn brings the city onto itself, but for its shadows and the fields around it.
-        seed: of everything.
+        texture: Texture contrast: 1 is rich, 0 leaves walls blank and the ground plain.
+        water: Whether some blocks are lakes.
+        repeated: Whether all buildings have the same facade and roof.
+        symmetric: Whether a half turn maps the city to itself, except for its shadows and the fields around it.
+        seed: Random seed.
 
     Raises:
-        InputError: a value is out of its range.
+        InputError: A value is out of range.
     """
 
     extent: float = 400.0
@@ -58,13 +58,13 @@ class CitySettings:
             raise InputError(f"expected a seed of at least 0, got {self.seed}")
 
     def hard(self) -> CitySettings:
-        """The same city without what feature matching lives on: plain walls, lakes, repeated facades."""
+        """Return the same city with conditions that are hard for feature matching: plain walls, lakes, same facades."""
         return replace(self, texture=0.1, water=True, repeated=True)
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A box that stands in the ground, with a flat or a gabled roof; the ridge runs along its depth."""
+    """Box on the ground, with a flat or a gabled roof; the ridge runs along its depth."""
 
     kind: str  # "house", "block", "tower", "hall", "clutter", "chimney" or "car"
     x: float
@@ -78,24 +78,24 @@ class Solid:
     seed: int
 
     def local(self, points: FloatArray) -> FloatArray:
-        """x and y (N, 2) of points (N, 2 or 3) along the width and the depth, from the centre."""
+        """Return x and y (N, 2) of points (N, 2 or 3) along the width and the depth, from the centre."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         x, y = points[:, 0] - self.x, points[:, 1] - self.y
         return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
     def world(self, local: FloatArray) -> FloatArray:
-        """The inverse of `local`, (N, 2)."""
+        """Return world coordinates (N, 2) of local ones; the inverse of `local`."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         return np.stack(
             [self.x + c * local[:, 0] - s * local[:, 1], self.y + s * local[:, 0] + c * local[:, 1]], axis=1
         )
 
     def footprint(self) -> FloatArray:
-        """Corners (4, 2), anticlockwise from above."""
+        """Return the corners (4, 2), anticlockwise from above."""
         return self.world(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [self.width / 2, self.depth / 2])
 
     def contains(self, points: FloatArray, skin: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which of points (N, 3) are deeper inside than `skin`."""
+        """Return which points (N, 3) are deeper inside than `skin`."""
         x, y = np.abs(self.local(points)).T
         roof = self.eaves + self.rise * (1 - x / (self.width / 2))
         inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
@@ -105,6 +105,8 @@ class Solid:
 
 
 class Tree(NamedTuple):
+    """Tree on the terrain; lengths in metres."""
+
     x: float
     y: float
     base: float
@@ -123,24 +125,27 @@ class Block(NamedTuple):
 
 
 class Street(NamedTuple):
-    axis: int  # it runs at a constant x (0) or y (1)
+    """Street parallel to the y axis (0) or the x axis (1)."""
+
+    axis: int  # the street has a constant x (0) or y (1)
     at: float
     width: float
 
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Heights on a regular grid of square cells about the origin, linear on the two triangles of each."""
+    """Heights on a regular grid of square cells about the origin, linear on the two triangles of each cell."""
 
     heights: FloatArray  # (n + 1, n + 1): [i, j] at x of j, y of i
     step: float
 
     @property
     def half(self) -> float:
+        """Half the side of the terrain in metres."""
         return self.step * (len(self.heights) - 1) / 2
 
     def at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Height of the faces at any x, y of one shape."""
+        """Return the height at any x, y of the same shape."""
         n = len(self.heights) - 1
         u, v = (x + self.half) / self.step, (y + self.half) / self.step
         j, i = np.clip(np.floor(u).astype(int), 0, n - 1), np.clip(np.floor(v).astype(int), 0, n - 1)
@@ -155,7 +160,7 @@ class Terrain:
 
 @dataclass(frozen=True, eq=False)
 class CityPlan:
-    """A city, laid out."""
+    """Layout of a city."""
 
     settings: CitySettings
     terrain: Terrain

@@ -1,4 +1,4 @@
-"""Photographs of a city: OpenGL through VTK in a process of its own, then the lens, the exposure and the sensor."""
+"""Images of a city: OpenGL rendering through VTK in a separate process, then lens, exposure and sensor effects."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from pcbench.opengl import OFF_SCREEN, check_opengl
 from pcbench.scenes.synthetic.surface import CitySurface
 from pcbench.scratch import scratch_folder
 
-_MAX_SECONDS = 120  # an image: software OpenGL needs a second for a megapixel
-_MAX_SIDE = 8192  # pixels along a side of an image, or of what the lens bends into it
+_MAX_SECONDS_PER_IMAGE = 120  # software OpenGL needs about one second per megapixel
+_MAX_SIDE_PX = 8192  # of an image, or of the wider pinhole image that its distortion needs
 
 
 @dataclass(frozen=True)
 class Optics:
-    """What a lens and a sensor do to an image.
+    """Effects of lens and sensor on an image.
 
     Args:
-        exposure: standard deviation of the logarithm of each image's gain.
-        blur: standard deviation of the lens's blur in pixels.
-        noise: standard deviation of the sensor's noise in grey levels of 255.
-        vignetting: 1: pixels get light by the fourth power of the cosine of their rays' angles with the axis (natural
-            vignetting), 0: all the same; in between a part of the loss.
+        exposure: Standard deviation of the logarithm of each image's gain.
+        blur: Standard deviation of the lens blur in pixels.
+        noise: Standard deviation of the sensor noise in grey levels of 255.
+        vignetting: Share of natural vignetting. 1: light falls with the fourth power of the cosine of the angle between
+            a pixel's ray and the optical axis; 0: none.
     """
 
     exposure: float = 0.05
@@ -40,11 +40,11 @@ class Optics:
 
 
 def check_renderer() -> None:
-    """Say before anything is computed that no picture can be taken here.
+    """Check that images can be rendered, before anything is computed.
 
     Raises:
         MissingExtra: pyvista or Pillow is not installed or does not load.
-        NoFiguresError: neither a display nor EGL nor OSMesa is there.
+        NoFiguresError: There is neither a display nor EGL nor OSMesa.
     """
     check_opengl()  # before VTK, which pyvista imports
     require("PIL", "plot")
@@ -52,15 +52,18 @@ def check_renderer() -> None:
 
 
 def check_intrinsics(intrinsics: Intrinsics) -> None:
-    """Say before anything is computed that no picture can be taken with this camera.
+    """Check that a camera can be rendered, before anything is computed.
+
+    Args:
+        intrinsics: Intrinsics of the camera.
 
     Raises:
-        InputError: the image is too large, or its distortion folds it over.
+        InputError: The image is too large, or its distortion is not invertible.
     """
-    drawn = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy)
-    if drawn.max() > _MAX_SIDE:
+    rendered_size = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy)
+    if rendered_size.max() > _MAX_SIDE_PX:
         raise InputError(
-            f"expected images of at most {_MAX_SIDE} pixels along a side (less where the lens widens them),"
+            f"expected images of at most {_MAX_SIDE_PX} pixels along a side (less if the distortion widens them),"
             f" got {intrinsics.width} x {intrinsics.height}"
         )
 
@@ -74,22 +77,27 @@ def render(
     reflections: bool = False,
     seed: int = 0,
 ) -> None:
-    """Write a photograph for each camera, by its name, into an existing folder.
+    """Render one image per camera, named after it, into an existing folder.
 
     Args:
-        reflections: glass and water mirror what is around them, once, without the sun's own glint.
+        city: City with textures.
+        cameras: Cameras.
+        folder: Folder of the images.
+        optics: Effects of lens and sensor.
+        reflections: Whether glass and water reflect their surroundings, once, without the sun's glint.
+        seed: Random seed.
 
     Raises:
-        InputError: an image is too large, or a lens folds it over.
-        MissingExtra, NoFiguresError: a library is missing.
-        PcbenchError: drawing fails.
+        InputError: An image is too large, or its distortion is not invertible.
+        MissingExtra, NoFiguresError: A library is missing.
+        PcbenchError: Rendering fails.
     """
     check_renderer()
     for camera in cameras:
         check_intrinsics(camera.intrinsics)
     with scratch_folder() as scratch:
         job = scratch
-        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # the city is small and about the origin
+        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # precise enough: small, about the origin
         np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
         for number, page in enumerate(city.pages):
             np.save(job / f"page{number}.npy", page)
@@ -107,15 +115,15 @@ def render(
         ]
         values = {"cameras": rows, "optics": asdict(optics or Optics()), "reflections": reflections, "seed": seed}
         (job / "job.json").write_text(json.dumps(values))
-        done = run_module(
+        process = run_module(
             "pcbench.scenes.synthetic.render_worker",
             str(job),
             str(folder.absolute()),
-            limits=Limits(seconds=_MAX_SECONDS * (1 + len(cameras))),
+            limits=Limits(seconds=_MAX_SECONDS_PER_IMAGE * (1 + len(cameras))),
             environment=OFF_SCREEN,
         )
-    if done.timed_out:
-        raise PcbenchError(f"no images: drawing took longer than {_MAX_SECONDS} s an image")
+    if process.timed_out:
+        raise PcbenchError(f"no images: rendering took longer than {_MAX_SECONDS_PER_IMAGE} s per image")
     missing = [camera.name for camera in cameras if not (folder / camera.name).is_file()]
-    if done.code != 0 or missing:
-        raise PcbenchError(f"no images: drawing failed ({done.last_words or 'it crashed'})")
+    if process.code != 0 or missing:
+        raise PcbenchError(f"no images: rendering failed ({process.last_words or 'it crashed'})")

@@ -1,4 +1,4 @@
-"""The drawing process: `render_worker JOB FOLDER` writes an image for each camera."""
+"""Rendering process: `render_worker JOB FOLDER` writes one image per camera."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
-from pcbench.scenes.synthetic.reflect import Mirrors, mirrors_of, reflectance
+from pcbench.scenes.synthetic.reflect import Mirrors, build_mirrors, reflectance
 from pcbench.scratch import naming
 
-FINER = 4  # samples along each side of an image's pixel
-_TILE = 8192  # samples along a side of what is drawn at once
-_BRIGHTER = 2.0  # times, the green of pages that say what is mirrored: 8 bits are few for water's 2 %
-_STRIP = 64  # rows of an image that go through the lens at once
-_SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # at the lower and at the upper side
+SUPERSAMPLING = 4  # samples along each side of a pixel
+_TILE_SAMPLES = 8192  # samples along a side of one OpenGL rendering
+_REFLECTANCE_GAIN = 2.0  # factor of reflectances in 8 bits, which resolve water's 2 % poorly
+_STRIP_ROWS = 64  # image rows distorted at a time
+_SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # at the lower and at the upper edge
 
 Pixels = NDArray[np.float32]  # (rows, columns, 3), 0 to 255
 Canvas = NDArray[np.uint8]  # (rows, columns, 3), of samples
 
 
 class CityView:
-    """The city in front of one pinhole camera that is moved about."""
+    """City in front of a movable pinhole camera."""
 
     def __init__(self, job: Path, intrinsics: Intrinsics, *, reflections: bool = False) -> None:
         import pyvista
 
         self.intrinsics = intrinsics
-        # The pinhole image that holds all rays of the lens, about its axis.
+        # Pinhole image about the optical axis that contains all rays of the distorted image.
         x, y = intrinsics.widest
-        self.focal = FINER * max(intrinsics.fx, intrinsics.fy)
+        self.focal = SUPERSAMPLING * max(intrinsics.fx, intrinsics.fy)
         self.width, self.height = (2 * int(np.ceil(self.focal * half - 1e-6)) for half in (x, y))
-        self.tile = tuple(-(-side // -(-side // _TILE)) for side in (self.width, self.height))
+        self.tile = tuple(-(-side // -(-side // _TILE_SAMPLES)) for side in (self.width, self.height))
         self.plotter = pyvista.Plotter(off_screen=True, window_size=list(self.tile), lighting="none")
         self.plotter.render_window.SetMultiSamples(0)
         faces = np.load(job / "faces.npz")
         pages = [np.load(job / f"page{number}.npy") for number in range(int(faces["page"].max()) + 1)]
-        self.actors: list[tuple[Any, Any, Any]] = []  # with what they look like, and what they mirror
+        self.actors: list[tuple[Any, Any, Any]] = []  # each with its texture and its reflectance texture
         for number in np.unique(faces["page"]):
-            own = faces["page"] == number
-            actor = _actor(faces["corners"][own], faces["uv"][own], faces["shade"][own])
+            on_page = faces["page"] == number
+            actor = _actor(faces["corners"][on_page], faces["uv"][on_page], faces["shade"][on_page])
             mirror = _texture(_mirror_page(job / f"mirror{number}.npy")) if reflections else None
             self.actors.append((actor, _texture(pages[number]), mirror))
             self.plotter.add_actor(actor)
@@ -52,24 +52,24 @@ class CityView:
         self.low, self.high = corners.min(axis=0), corners.max(axis=0)
         self.mirrors: Mirrors | None = None
         if reflections:
-            self.mirrors = mirrors_of(faces["corners"], faces["uv"], faces["page"], faces["shade"], pages)
+            self.mirrors = build_mirrors(faces["corners"], faces["uv"], faces["page"], faces["shade"], pages)
 
     def photograph(self, camera: Camera) -> Pixels:
-        """The image through the lens: each pixel is the mean over its square."""
+        """Render the distorted image; each pixel is the mean over its square."""
         for actor, texture, _ in self.actors:
             actor.SetTexture(texture)
-        drawn = self._draw(camera, _SKY)
+        samples = self._render_samples(camera, _SKY)
         if self.mirrors is not None:
             for actor, _, texture in self.actors:
                 actor.SetTexture(texture)
-            self._reflect(camera, drawn, self._draw(camera, ((0, 0, 0), (0, 0, 0))), self.mirrors)
+            self._reflect(camera, samples, self._render_samples(camera, ((0, 0, 0), (0, 0, 0))), self.mirrors)
         k = self.intrinsics
-        if k.is_pinhole and drawn.shape[:2] == (FINER * k.height, FINER * k.width):
-            return _shrunk(drawn)
-        return self._through_the_lens(drawn)
+        if k.is_pinhole and samples.shape[:2] == (SUPERSAMPLING * k.height, SUPERSAMPLING * k.width):
+            return _downsample(samples)
+        return self._apply_distortion(samples)
 
-    def _draw(self, camera: Camera, sky: tuple[tuple[float, ...], ...]) -> Canvas:
-        """All samples, a tile at a time: OpenGL holds no more."""
+    def _render_samples(self, camera: Camera, sky: tuple[tuple[float, ...], ...]) -> Canvas:
+        """Render all samples, one tile at a time because OpenGL limits the size."""
         canvas: Canvas = np.empty((self.height, self.width, 3), dtype=np.uint8)
         view = self.plotter.camera
         view.position = tuple(camera.position)
@@ -88,64 +88,66 @@ class CityView:
                 self.plotter.set_background(ends[0].tolist(), top=ends[1].tolist())
                 self.plotter.render()
                 part = np.asarray(self.plotter.screenshot(return_img=True))[..., :3]
-                hole = canvas[top : top + rows, left : left + columns]
-                hole[:] = part[: hole.shape[0], : hole.shape[1]]
+                target = canvas[top : top + rows, left : left + columns]
+                target[:] = part[: target.shape[0], : target.shape[1]]
         return canvas
 
-    def _reflect(self, camera: Camera, drawn: Canvas, mirror: Canvas, mirrors: Mirrors) -> None:
-        """Blend what glass and water mirror into the samples."""
-        places = np.flatnonzero(mirror[..., 0])
-        for some in np.array_split(places, -(-len(places) // 1_000_000)) if len(places) else ():
-            y, x = np.divmod(some, self.width)
+    def _reflect(self, camera: Camera, samples: Canvas, mirror: Canvas, mirrors: Mirrors) -> None:
+        """Blend the reflections of glass and water into the samples."""
+        reflecting = np.flatnonzero(mirror[..., 0])
+        for block in np.array_split(reflecting, -(-len(reflecting) // 1_000_000)) if len(reflecting) else ():
+            y, x = np.divmod(block, self.width)
             rays = np.stack([x + 0.5 - self.width / 2, y + 0.5 - self.height / 2, np.full(len(x), self.focal)], axis=1)
-            colors, cosines = mirrors.mirrored(camera.position, rays / self.focal @ camera.cam_from_world.rotation)
-            covered, straight = (mirror[y, x, k].astype(np.float32) / 255 for k in (0, 1))
-            share = reflectance(straight / _BRIGHTER, covered, cosines)[:, None]
-            drawn[y, x] = np.round((1 - share) * drawn[y, x] + share * colors)
+            colors, cosines = mirrors.trace_reflections(
+                camera.position, rays / self.focal @ camera.cam_from_world.rotation
+            )
+            coverage, normal_reflectance = (mirror[y, x, k].astype(np.float32) / 255 for k in (0, 1))
+            share = reflectance(normal_reflectance / _REFLECTANCE_GAIN, coverage, cosines)[:, None]
+            samples[y, x] = np.round((1 - share) * samples[y, x] + share * colors)
 
-    def _through_the_lens(self, drawn: Canvas) -> Pixels:
+    def _apply_distortion(self, samples: Canvas) -> Pixels:
         from scipy.ndimage import map_coordinates
 
         k = self.intrinsics
         image: Pixels = np.empty((k.height, k.width, 3), dtype=np.float32)
-        u = (np.arange(FINER * k.width) + 0.5) / FINER
-        for top in range(0, k.height, _STRIP):
-            strip = image[top : top + _STRIP]
-            v = top + (np.arange(FINER * len(strip)) + 0.5) / FINER
+        u = (np.arange(SUPERSAMPLING * k.width) + 0.5) / SUPERSAMPLING
+        for top in range(0, k.height, _STRIP_ROWS):
+            strip = image[top : top + _STRIP_ROWS]
+            v = top + (np.arange(SUPERSAMPLING * len(strip)) + 0.5) / SUPERSAMPLING
             fine = np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2)
             at = self.focal * k.directions(fine)[:, :2] + [0.5 * self.width - 0.5, 0.5 * self.height - 0.5]
             low, high = np.clip([np.floor(at[:, 1].min()) - 1, np.ceil(at[:, 1].max()) + 2], 0, self.height).astype(int)
             at[:, 1] -= low
             for c in range(3):
-                plane = map_coordinates(drawn[low:high, :, c], at.T[::-1], output=np.float32, order=1, mode="nearest")
-                strip[..., c] = _shrunk(plane.reshape(len(v), len(u), 1))[..., 0]
+                plane = map_coordinates(samples[low:high, :, c], at.T[::-1], output=np.float32, order=1, mode="nearest")
+                strip[..., c] = _downsample(plane.reshape(len(v), len(u), 1))[..., 0]
         return image
 
 
-def _shrunk(fine: NDArray[Any]) -> Pixels:
-    """Means over squares of samples (rows, columns, C)."""
-    rows, columns, planes = fine.shape[0] // FINER, fine.shape[1] // FINER, fine.shape[2]
-    squares = fine.reshape(rows, FINER, columns, FINER, planes)
+def _downsample(fine: NDArray[Any]) -> Pixels:
+    """Return means over squares of samples (rows, columns, C)."""
+    rows, columns, planes = fine.shape[0] // SUPERSAMPLING, fine.shape[1] // SUPERSAMPLING, fine.shape[2]
+    squares = fine.reshape(rows, SUPERSAMPLING, columns, SUPERSAMPLING, planes)
     wide = np.uint16 if fine.dtype == np.uint8 else np.float32
     total = np.zeros((rows, columns, planes), dtype=wide)
-    for i in range(FINER):  # much faster than the mean over two axes
-        for j in range(FINER):
+    for i in range(SUPERSAMPLING):  # much faster than a mean over two axes
+        for j in range(SUPERSAMPLING):
             total += squares[:, i, :, j]
-    mean: Pixels = total.astype(np.float32) / np.float32(FINER * FINER)
+    mean: Pixels = total.astype(np.float32) / np.float32(SUPERSAMPLING * SUPERSAMPLING)
     return mean
 
 
 def _mirror_page(path: Path) -> NDArray[np.uint8]:
-    """Red: whether there is glass or water; green: which share of the light it mirrors, `_BRIGHTER`."""
+    """Encode reflectance as colours: red is 255 for glass or water, green the reflectance times `_REFLECTANCE_GAIN`."""
     if not path.is_file():
         return np.zeros((1, 1, 3), dtype=np.uint8)
     thousandths = np.load(path)
-    green = np.round(255 * _BRIGHTER * (thousandths / 1000))
+    green = np.round(255 * _REFLECTANCE_GAIN * (thousandths / 1000))
     return np.stack([255 * (thousandths > 0), green, 0 * green], axis=2).astype(np.uint8)
 
 
 def _actor(corners: Any, uv: Any, shade: Any) -> Any:
-    """Unlit triangles: the texture holds the light, or the colours at the corners do (trees)."""
+    """Return unlit triangles: the texture includes the light, or the corner colours do (trees)."""
     import pyvista
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
@@ -180,10 +182,10 @@ def _texture(page: NDArray[np.uint8]) -> Any:
     return texture
 
 
-def develop(
+def apply_sensor(
     image: Pixels, optics: dict[str, float], intrinsics: Intrinsics, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """What lens and sensor make of the light: vignetting, gain, blur, noise, 8 bits."""
+    """Apply lens and sensor effects: vignetting, gain, blur, noise, 8 bits."""
     from scipy.ndimage import gaussian_filter
 
     if optics["vignetting"] > 0:
@@ -197,8 +199,9 @@ def develop(
 
 
 def vignette(intrinsics: Intrinsics, strength: float) -> NDArray[np.float32]:
-    """Which share of the light reaches each pixel (rows, columns): at a strength of 1 the fourth power of the cosine
-    of the angle between its ray and the axis.
+    """Return the share of light (rows, columns) that reaches each pixel.
+
+    At strength 1 it is the fourth power of the cosine of the angle between the pixel's ray and the optical axis.
     """
     k = intrinsics
     u, v = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
@@ -209,6 +212,7 @@ def vignette(intrinsics: Intrinsics, strength: float) -> NDArray[np.float32]:
 
 
 def main() -> int:
+    """Render the images of a job."""
     from PIL import Image
 
     job, folder = Path(sys.argv[1]), Path(sys.argv[2])
@@ -220,7 +224,7 @@ def main() -> int:
         if view is None or view.intrinsics != intrinsics:
             view = CityView(job, intrinsics, reflections=values["reflections"])
         rng = np.random.default_rng([values["seed"], 9, number])
-        pixels = develop(view.photograph(camera), values["optics"], intrinsics, rng)
+        pixels = apply_sensor(view.photograph(camera), values["optics"], intrinsics, rng)
         path = folder / camera.name
         with naming(path, path):
             Image.fromarray(pixels).save(path, compress_level=4)

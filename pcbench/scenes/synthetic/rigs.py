@@ -1,4 +1,4 @@
-"""Where cameras stand: concentric circles, a drone's grid from above, the same tilted, both, one orbit."""
+"""Camera rigs: concentric circles, a nadir grid, an oblique grid, a realistic drone flight, and one orbit."""
 
 from __future__ import annotations
 
@@ -13,19 +13,17 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 
-# Gao et al.: seven circles about a landmark, the smallest and the largest of them in metres. Those between are placed
-# evenly here: the paper names the ends.
+# Gao et al.: seven circles about a landmark; radii and altitudes of the smallest and the largest in metres. Those
+# between are spaced evenly here, because the paper only states the ends.
 _PAPER_RADII = np.linspace(500, 7250, 7)
 _PAPER_ALTITUDES = np.linspace(475, 3690, 7)
-_UNSTEADY_DEG = 1.5  # standard deviation of a drone's tilt about either axis
-_CLEARANCE = 20.0  # metres between the highest roof and the lowest flight
+_TILT_SIGMA_DEG = 1.5  # standard deviation of a drone's tilt about either axis
+_MIN_CLEARANCE = 20.0  # m between the highest roof and the lowest flight
 
 
 @dataclass(frozen=True)
 class Site:
-    """What is photographed: a square of side `extent` about the origin, with ground at `ground` and roofs up to `top`
-    (metres).
-    """
+    """Photographed square about the origin: side, ground height and highest roof, in metres."""
 
     extent: float
     ground: float
@@ -33,16 +31,18 @@ class Site:
 
 
 def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camera]:
-    """`count` cameras named 0001.png, 0002.png, ... over a site.
+    """Place `count` cameras named 0001.png, 0002.png, ... over a site.
 
     Args:
         name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with 75 % overlap), oblique
-            (the same, tilted by 40 degrees to four sides in turn), drone (a grid as it is flown, unsteady by
-            1.5 degrees and 2 % of its height; after it a sixth of the images, tilted by 25 degrees) or orbit (one
-            circle).
+            (the same, tilted by 40 degrees to four sides in turn), drone (a grid with tilt errors of 1.5 degrees and
+            height errors of 2 %, followed by a sixth of the images, tilted by 25 degrees) or orbit (one circle).
+        count: Number of cameras.
+        site: Photographed square.
+        intrinsics: Intrinsics of all cameras.
 
     Raises:
-        InputError: there is no such rig, or no image is wanted.
+        InputError: There is no such rig, or the count is less than 1.
     """
     if name not in RIGS:
         raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}")
@@ -55,16 +55,19 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
 def circles(
     count: int, radii: Sequence[float] | FloatArray, altitudes: Sequence[float] | FloatArray, target: ArrayLike
 ) -> list[Similarity]:
-    """Poses on circles about the vertical through `target` (3,), at which all look; as evenly shared as can be.
+    """Return poses on circles about the vertical through `target` (3,), all looking at it, divided evenly.
 
     Args:
-        radii, altitudes: of each circle, in the frame's unit; altitudes are z coordinates. The tilt follows from them.
+        count: Number of poses.
+        radii: Radius of each circle, in the frame's unit.
+        altitudes: z coordinate of each circle; the tilt follows from both.
+        target: (3,) point that all cameras look at.
     """
     centre = np.asarray(target, dtype=np.float64)
     poses = []
     for k, part in enumerate(np.array_split(np.arange(count), len(radii))):
-        # Each circle starts a part of a step further than the one inside it: together they look from all sides, and
-        # each image has neighbours on the next circles from nearly the same side, which features can be matched to.
+        # Each circle is rotated by a part of a step against the next smaller one. Together they view the scene from all
+        # sides, and each image has neighbours in nearly the same direction on the next circles to match with.
         step = 2 * np.pi / max(1, len(part))
         for angle in step * (np.arange(len(part)) + k / len(radii)):
             x, y = centre[:2] + radii[k] * np.array([np.cos(angle), np.sin(angle)])
@@ -73,8 +76,14 @@ def circles(
 
 
 def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) -> FloatArray:
-    """Positions (N, 3) as a GPS receiver would give them: Gaussian errors of `sigma` metres horizontally along each
-    axis and twice as much vertically.
+    """Return positions (N, 3) as from a GPS receiver.
+
+    Gaussian errors have a standard deviation of `sigma` metres along each horizontal axis, and twice that vertically.
+
+    Args:
+        cameras: Cameras at their true positions.
+        sigma: Horizontal standard deviation in metres.
+        seed: Random seed.
     """
     rng = np.random.default_rng([seed, 11])
     positions = np.array([camera.position for camera in cameras])
@@ -82,9 +91,9 @@ def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) 
     return noisy
 
 
-def _paper(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
-    # The largest circle is a little wider than the city; altitudes count from the tallest roof, so that no camera of a
-    # small circle stands inside a tower.
+def _gao_circles(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
+    # The largest circle is slightly wider than the city. Altitudes count from the tallest roof, so that no camera of a
+    # small circle is inside a tower.
     scale = 1.1 * site.extent / _PAPER_RADII[-1]
     altitudes = site.top + scale * _PAPER_ALTITUDES
     return circles(count, scale * _PAPER_RADII, altitudes, [0, 0, (site.ground + site.top) / 2])
@@ -104,15 +113,15 @@ def _oblique(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]
 
 
 def _drone(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
-    """A nadir survey as it is flown, unsteady and turned round after every strip; then the oblique images."""
-    rng = np.random.default_rng(0)  # the same flight over every city
+    """Return a realistic nadir survey, unsteady and reversed after each strip, followed by oblique images."""
+    rng = np.random.default_rng(0)  # the same flight for all cities
     steady = _survey(count - count // 6, site, intrinsics, tilt_deg=0.0)
     positions = np.array([-pose.rotation.T @ pose.translation for pose in steady])
     height = float(positions[0, 2]) - site.ground
     strip = np.cumsum(np.diff(positions[:, 1], prepend=positions[0, 1]) != 0)
     nadir = []
     for position, heading in zip(positions, np.where(strip % 2, 180.0, 0.0), strict=True):
-        tilt, yaw = np.tan(np.radians(rng.normal(0, _UNSTEADY_DEG, 2))), np.radians(heading + rng.normal(0, 3))
+        tilt, yaw = np.tan(np.radians(rng.normal(0, _TILT_SIGMA_DEG, 2))), np.radians(heading + rng.normal(0, 3))
         eye = position + [0, 0, 0.02 * height * rng.normal()]
         nadir.append(look_at(eye, eye + [*tilt, -1], up=[np.sin(yaw), np.cos(yaw), 0]))
     return [*nadir, *_survey(count // 6, site, intrinsics, tilt_deg=25.0, height=height)]
@@ -121,8 +130,9 @@ def _drone(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
 def _survey(
     count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float, height: float | None = None
 ) -> list[Similarity]:
-    """Strips from west to east and back; images 75 % over each other at the ground, in both directions, unless the
-    height above it is given.
+    """Return strips alternating between west to east and east to west.
+
+    The height gives 75 % overlap on the ground in both directions, unless it is given.
     """
     shape = intrinsics.width / intrinsics.height
     columns = max(1, round(np.sqrt(count / shape)))
@@ -132,19 +142,19 @@ def _survey(
     height = height or max(
         4 * step[0] * intrinsics.fx / intrinsics.width,
         4 * step[1] * intrinsics.fy / intrinsics.height,
-        site.top - site.ground + _CLEARANCE,
+        site.top - site.ground + _MIN_CLEARANCE,
     )
     reach = height * np.tan(np.radians(tilt_deg))
     poses = []
     for k in range(count):
-        row, place = divmod(k, columns)
-        column = place if row % 2 == 0 else columns - 1 - place
+        row, index_in_row = divmod(k, columns)
+        column = index_in_row if row % 2 == 0 else columns - 1 - index_in_row
         ground = np.array([lanes[0][column], lanes[1][row], site.ground])
         side = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)][k % 4])
         position = ground + [*(-side * reach), height]
-        # The image's upper side points where the drone looks, north for nadir.
+        # The image's upper side points in the viewing direction, or north in a nadir image.
         poses.append(look_at(position, ground, up=[*side, 0.0] if tilt_deg else [0.0, 1.0, 0.0]))
     return poses
 
 
-RIGS = {"circles": _paper, "grid": _grid, "oblique": _oblique, "drone": _drone, "orbit": _orbit}
+RIGS = {"circles": _gao_circles, "grid": _grid, "oblique": _oblique, "drone": _drone, "orbit": _orbit}

@@ -1,4 +1,4 @@
-"""What is true of a photographed city: depths at the pixels, and its surface as a cloud that knows what was seen."""
+"""True data of a photographed city: depth maps, and its surface as a cloud with visibility."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcbench.scenes.synthetic.plan import CityPlan
 
 
 def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:
-    """z-depth (rows, columns) in metres along the rays of the pixels' centres, cast in float64; 0 is sky."""
+    """Compute the z-depth (rows, columns) in metres along the rays of the pixel centres, in float64; 0 is sky."""
     k = camera.intrinsics
     u, v = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     directions = k.directions(np.stack([u.ravel(), v.ravel()], axis=1)) @ camera.cam_from_world.rotation
@@ -26,25 +26,31 @@ def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:
 
 
 def surface_cloud(plan: CityPlan, index: MeshIndex, cameras: Sequence[Camera], count: int, seed: int = 0) -> Cloud:
-    """Points of the exposed surface, uniform by area, with normals and the attribute `visible`.
+    """Sample the exposed surface uniformly by area, with normals and the attribute `visible`.
 
-    What stands in the ground, and the ground under buildings, is part of the mesh but not of the cloud. `visible` is 1
-    where at least three cameras see the point.
+    Buried parts of solids and the ground under buildings are part of the mesh but not of the cloud. `visible` is 1 if
+    at least three cameras observe the point.
 
     Args:
-        count: of points.
+        plan: Layout of the city.
+        index: Index of its mesh.
+        cameras: Cameras.
+        count: Number of points.
+        seed: Random seed.
     """
-    # A tenth of the area is buried at most; drawing it and leaving it out keeps the rest uniform.
-    drawn = index.mesh.sample(round(1.3 * count) + 1000, seed)
-    exposed = drawn.select(np.flatnonzero(~_buried(plan, drawn.points))[:count])
+    # At most a tenth of the area is buried; sampling and dropping it keeps the rest uniform.
+    sampled = index.mesh.sample(round(1.3 * count) + 1000, seed)
+    exposed = sampled.select(np.flatnonzero(~_is_buried(plan, sampled.points))[:count])
     assert exposed.normals is not None
-    seen = views(index, cameras, exposed.points, exposed.normals, enough=SEEN_BY) >= SEEN_BY
-    return Cloud(exposed.points, normals=exposed.normals, attributes={"visible": seen.astype(np.uint8)}, unit="m")
+    visible_mask = views(index, cameras, exposed.points, exposed.normals, enough=SEEN_BY) >= SEEN_BY
+    return Cloud(
+        exposed.points, normals=exposed.normals, attributes={"visible": visible_mask.astype(np.uint8)}, unit="m"
+    )
 
 
-def _buried(plan: CityPlan, points: FloatArray) -> NDArray[np.bool_]:
-    """Which points (N, 3) of the mesh are under the ground or inside a solid."""
-    skin = 1e-6  # m: points of a surface are not inside it
+def _is_buried(plan: CityPlan, points: FloatArray) -> NDArray[np.bool_]:
+    """Return which points (N, 3) of the mesh are under the ground or inside a solid."""
+    skin = 1e-6  # m: points on a surface are not inside
     buried: NDArray[np.bool_] = points[:, 2] < plan.terrain.at(points[:, 0], points[:, 1]) - skin
     order = np.argsort(points[:, 0], kind="stable")
     x = points[order, 0]

@@ -1,7 +1,7 @@
-"""Known deformations: what photogrammetry does to a scene when its cameras are wrong, by a known amount.
+"""Known deformations of a cloud, like those from wrong cameras in photogrammetry.
 
-Each kind is a smooth displacement field over the cloud's own extent. None of them is affine, but each has an affine
-part, which a registration may take up: amplitudes are therefore given by what is left after the best affine map.
+Each kind is a smooth displacement field over the cloud's extent. None is affine, but each has an affine part, which a
+registration may absorb. Amplitudes are therefore defined by the residual after the best affine map.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pcbench.io.files import atomic_write
 
 SCHEMA = "pcbench.warp/1"
 _BASIN = (0.35, -0.25, 0.30)  # of the subsidence: centre x, y and standard deviation, in lengths
-_STEP = 1e-5  # lengths, of the differences that turn normals: truncation and rounding are both about 1e-10
+_DIFFERENCE_STEP = 1e-5  # lengths, of finite differences for normals: truncation and rounding are both about 1e-10
 
 
 def _dome(x: FloatArray, y: FloatArray, z: FloatArray) -> list[FloatArray]:
@@ -65,19 +65,19 @@ KINDS = tuple(_FIELDS)
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """p -> p + amplitude * field(axes (p - center) / lengths) along the axes, then a similarity.
+    """Deformation p -> p + amplitude * field(axes (p - center) / lengths) along the axes, followed by a similarity.
 
-    With x, y, z in lengths from the centre, the fields are: dome (0, 0, -x^2 - y^2); bowl its negative; shear
-    (z^2, 0, 0): the higher, the more; twist (-z y, z x, 0): a turn about the vertical that grows with height;
-    subsidence a Gaussian basin; drift (0, x^3 / 2, x^2) along the longest horizontal axis of the cloud.
+    With x, y, z in lengths from the centre, the fields are: dome (0, 0, -x^2 - y^2); bowl, its negative; shear
+    (z^2, 0, 0), which increases with height; twist (-z y, z x, 0), a rotation about the vertical that increases with
+    height; subsidence, a Gaussian basin; drift (0, x^3 / 2, x^2) along the longest horizontal axis of the cloud.
 
     Args:
-        kind: of `KINDS`.
-        amplitude: in the cloud's unit.
-        center: (3,).
-        axes: (3, 3) rotation from the cloud's frame to that of the field; its z is the cloud's.
-        lengths: (3,) half the cloud's extent: horizontally the larger one for both axes.
-        after: the similarity.
+        kind: One of `KINDS`.
+        amplitude: Amplitude in the cloud's unit.
+        center: (3,) centre of the field.
+        axes: (3, 3) rotation from the cloud's frame to that of the field; both have the same z.
+        lengths: (3,) half the cloud's extent; the larger horizontal one for both horizontal axes.
+        after: Similarity applied after the displacement.
     """
 
     kind: str
@@ -88,21 +88,21 @@ class Warp:
     after: Similarity
 
     def displacement(self, points: FloatArray) -> FloatArray:
-        """What is added to points (N, 3) before the similarity, (N, 3)."""
+        """Return the displacement (N, 3) of points (N, 3) before the similarity."""
         at = (points - self.center) @ self.axes.T / self.lengths
         field = self.amplitude * np.stack(_FIELDS[self.kind](*at.T), axis=1)
         moved: FloatArray = field @ self.axes
         return moved
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Where points (N, 3) go."""
+        """Return the deformed points (N, 3)."""
         return self.after.apply(points + self.displacement(points))
 
     def apply_cloud(self, cloud: Cloud) -> Cloud:
-        """The cloud, bent; normals turn with the surface and keep their lengths."""
+        """Return the deformed cloud; normals rotate with the surface and keep their lengths."""
         normals = cloud.normals
         if normals is not None:
-            steps = _STEP * self.lengths.max() * np.eye(3)
+            steps = _DIFFERENCE_STEP * self.lengths.max() * np.eye(3)
             jacobian = np.eye(3) + np.stack(
                 [
                     (self.displacement(cloud.points + h) - self.displacement(cloud.points - h)) / (2 * h.max())
@@ -110,18 +110,18 @@ class Warp:
                 ],
                 axis=2,
             )
-            turned = np.linalg.solve(jacobian.transpose(0, 2, 1), normals[..., None])[..., 0]
-            before, now = (np.linalg.norm(n, axis=1, keepdims=True) for n in (normals, turned))
+            rotated = np.linalg.solve(jacobian.transpose(0, 2, 1), normals[..., None])[..., 0]
+            before, now = (np.linalg.norm(n, axis=1, keepdims=True) for n in (normals, rotated))
             normals = self.after.apply_normals(
-                np.divide(turned * before, now, out=np.zeros_like(turned), where=now > 0)
+                np.divide(rotated * before, now, out=np.zeros_like(rotated), where=now > 0)
             )
-        moved = cloud.transformed(self.after)  # leaves out what a change of frame makes wrong
+        moved = cloud.transformed(self.after)  # drops attributes that a change of frame invalidates
         return replace(moved, points=self.apply(cloud.points), normals=normals)
 
     def record(self, points: FloatArray) -> dict[str, Any]:
-        """What was done to `points` (N, 3), for a JSON file: enough to do it again, and the figures to find back."""
+        """Return a JSON-ready record of the deformation of `points` (N, 3): its parameters and resulting figures."""
         displacement = self.displacement(points)
-        affine, rest = without_affine(points, displacement)
+        affine, rest = split_affine(points, displacement)
         return {
             "schema": SCHEMA,
             "kind": self.kind,
@@ -138,19 +138,24 @@ class Warp:
 
 
 def record_path(out: Path) -> Path:
-    """Where `write_warped` says what was done to the cloud in `out`."""
+    """Return the path of the JSON record that `write_warped` writes beside the cloud `out`."""
     return out.with_name(f"{out.name}.json")
 
 
 def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
-    """Write a cloud, bent, and beside it as JSON what was done to it.
+    """Write a deformed cloud, and beside it a JSON record of the deformation.
+
+    Args:
+        out: Path of the cloud.
+        cloud: Cloud to deform.
+        warp: Deformation.
 
     Returns:
         The record (`Warp.record`).
 
     Raises:
-        InputError: the extension is unknown or only read.
-        OSError: a file cannot be written.
+        InputError: The extension is unknown or read-only.
+        OSError: A file cannot be written.
     """
     record = warp.record(cloud.points)
     write_cloud(out, warp.apply_cloud(cloud))
@@ -160,11 +165,17 @@ def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
 
 
 def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None = None) -> Warp:
-    """A deformation of points (N, 3) with an RMS of `rms` (their unit) beyond the best affine map.
+    """Create a deformation of points (N, 3) with a given RMS beyond the best affine map.
+
+    Args:
+        kind: One of `KINDS`.
+        points: (N, 3) points.
+        rms: RMS beyond the best affine map, in the points' unit.
+        after: Similarity applied after the displacement.
 
     Raises:
-        InputError: the kind is unknown, the RMS not positive, or an affine map explains all of it on these points, as
-            it does a shear by height of what has no height.
+        InputError: The kind is unknown, the RMS is not positive, or an affine map explains the deformation of these
+            points completely, such as a shear by height of points at the same height.
     """
     if kind not in _FIELDS:
         raise InputError(f"unknown kind of warp {kind!r}: choose one of {', '.join(KINDS)}")
@@ -172,7 +183,7 @@ def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None 
         raise InputError(f"expected a positive RMS of the deformation up to {MAX_COORDINATE:g}, got {rms:g}")
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
-    # The field's x runs along the longest horizontal direction.
+    # The field's x axis is the longest horizontal direction.
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     along = np.linalg.eigh(flat.T @ flat)[1][:, -1]
     along = along if along[np.abs(along).argmax()] > 0 else -along
@@ -182,23 +193,29 @@ def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None 
         lengths[lengths <= 0] = max(lengths.max(), 1.0)
     unit = Warp(kind, 1.0, (low + high) / 2, axes, lengths, after or Similarity.identity())
     displacement = unit.displacement(points)
-    rest = _rms(without_affine(points, displacement)[1])
+    rest = _rms(split_affine(points, displacement)[1])
     if not rest > 1e-9 * max(_rms(displacement), 1e-300):
-        raise InputError(f"an affine map explains a {kind} of these {len(points)} points: it needs more of an extent")
+        raise InputError(
+            f"an affine map explains a {kind} of these {len(points)} points completely: use a cloud with more extent"
+        )
     return replace(unit, amplitude=rms / rest)
 
 
-def without_affine(points: FloatArray, displacement: FloatArray) -> tuple[Affine, FloatArray]:
-    """The affine map nearest to points -> points + displacement (each (N, 3)), and what it leaves (N, 3).
+def split_affine(points: FloatArray, displacement: FloatArray) -> tuple[Affine, FloatArray]:
+    """Split a displacement of points (each (N, 3)) into the best affine map and the residual (N, 3).
 
-    By the singular values, so that points in one plane have an answer too.
+    Solved by singular values, so that points in one plane have a solution too.
+
+    Args:
+        points: (N, 3) points.
+        displacement: (N, 3) displacement.
     """
-    middle = points.mean(axis=0)
-    design = np.column_stack([points - middle, np.full(len(points), np.abs(points - middle).max() or 1.0)])
+    centroid = points.mean(axis=0)
+    design = np.column_stack([points - centroid, np.full(len(points), np.abs(points - centroid).max() or 1.0)])
     weights = np.linalg.lstsq(design, displacement, rcond=1e-10)[0]
     linear = np.eye(3) + weights[:3].T
     shift = weights[3] * design[0, 3]
-    return Affine(linear, middle + shift - linear @ middle), displacement - design @ weights
+    return Affine(linear, centroid + shift - linear @ centroid), displacement - design @ weights
 
 
 def _rms(vectors: FloatArray) -> float:
@@ -211,7 +228,7 @@ def turn(
     scale: float,
     about: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Similarity:
-    """Rotations about axes along x, then y, then z, and a scale, all about the place `about` (3,), and a shift."""
+    """Return rotations about axes along x, then y, then z, and a scale, about the point `about` (3,), then a shift."""
     rotation = np.eye(3)
     for axis, angle in enumerate(np.radians(angles_deg)):
         c, s = np.cos(angle), np.sin(angle)

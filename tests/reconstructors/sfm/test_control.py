@@ -1,4 +1,4 @@
-"""Control points: reading, measuring, and a model that is adjusted with them."""
+"""Control points: reading, measuring, and bundle adjustment with them."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from reconstructors.sfm.control import (
 from reconstructors.sfm.model import cameras_of
 
 K = Intrinsics(400, 300, 350, 350, 200, 150, (-0.05, 0.0, 0.0, 0.0))
-OFFSET = np.array([450_000.0, 5_400_000.0, 300.0])  # a map's coordinates
+OFFSET = np.array([450_000.0, 5_400_000.0, 300.0])  # projected coordinates
 
 
 def test_lines_meet_in_their_point():
@@ -28,7 +28,7 @@ def test_lines_meet_in_their_point():
     np.testing.assert_allclose(triangulate(rays, centres), point, atol=1e-12)
 
 
-def test_a_mark_outside_its_image_is_a_mistake():
+def test_a_mark_outside_its_image_is_refused():
     centres = np.eye(3) * 5
     cameras = {f"{k}.jpg": Camera(f"{k}.jpg", K, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
     point = ControlPoint("A", np.zeros(3), (Observation("0.jpg", 5000.0, 20.0), Observation("1.jpg", 200.0, 150.0)))
@@ -68,7 +68,7 @@ def test_control_files(tmp_path):
 
 
 def survey():
-    """Fifteen vertical images over 300 points of a gentle relief, without an error."""
+    """Simulate fifteen error-free vertical images of 300 points with gentle relief."""
     rng = np.random.default_rng(2)
     points = np.column_stack([rng.uniform(-60, 60, (300, 2)), rng.uniform(-3, 3, 300)])
     cameras = [
@@ -79,7 +79,7 @@ def survey():
 
 
 def model_of(cameras, points, intrinsics, bend):
-    """What COLMAP would hold of it, with other intrinsics, and bent by z += bend (1 - r^2 / 60^2)."""
+    """Build a COLMAP model of the survey with other intrinsics, deformed by z += bend (1 - r^2 / 60^2)."""
     import pycolmap
 
     def bent(at):
@@ -119,7 +119,7 @@ def marks(cameras, points):
 
 
 @pytest.mark.parametrize(("refine", "intrinsics"), [("none", K), ("all", Intrinsics(400, 300, 345, 345, 200, 150))])
-def test_a_bent_model_is_straight_again(refine, intrinsics):
+def test_the_adjustment_removes_a_deformation(refine, intrinsics):
     import_or_skip("pycolmap")
     cameras, points = survey()
     control = marks(cameras, points)
@@ -128,17 +128,19 @@ def test_a_bent_model_is_straight_again(refine, intrinsics):
     made = adjust(model, control, 0.5, refine)
     found = cameras_of(made)
     positions = np.array([np.linalg.norm(found[c.name].position - OFFSET - c.position) for c in cameras])
-    # There is no error in the images: what is left is the solver's tolerance, and digits of 5.4e6 metres.
+    # The images are error-free: only the solver's tolerance and the rounding of 5.4e6 metres remain.
     assert positions.max() < 1e-3
     assert found["0.png"].intrinsics.distortion[0] == pytest.approx(-0.05, abs=1e-4)
     after = measure(found, control, 0.5)
-    errors = [max(np.linalg.norm(m.at - m.point.position) for m in measured) for measured in (before, after)]
+    errors = [
+        max(np.linalg.norm(m.estimated_position - m.point.position) for m in measured) for measured in (before, after)
+    ]
     assert errors[0] > 0.1
     assert errors[1] < 1e-3
     residuals = ControlSurvey(tuple(control)).residuals(found, 0.5)
     assert [point.name for point in residuals.control] == list("ABCDE")
     assert residuals.rmse(residuals.control).total < 1e-3
-    # The control points are no points of the cloud.
+    # The control points are not added to the cloud.
     assert len(made.points3D) == sum(p.track.length() >= 2 for p in model.points3D.values())
     _, angles = camera_errors(found, {c.name: c for c in cameras})
     assert angles.max() < 1e-3

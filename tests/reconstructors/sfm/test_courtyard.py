@@ -1,4 +1,4 @@
-"""Repeated facades: a courtyard that is solved wrongly without a word if nobody counts the pairs that contradict."""
+"""Repeated facades: a courtyard whose wrong solution is only detected by contradicting pairs."""
 
 import re
 
@@ -38,7 +38,7 @@ def errors(made, truth):
 @pytest.mark.slow
 @pytest.mark.parametrize("mapping", ["incremental", "global"])
 def test_a_courtyard_is_solved_again_without_what_contradicts(tmp_path, mapping):
-    """Both mappers fold this one (2 to 4 m, 100 to 170 degrees): weak pairs of one bay with another mislead them."""
+    """Both mappers fold this courtyard (2 to 4 m, 100 to 170 degrees), misled by weak pairs of different bays."""
     truth = photographed(tmp_path, own=0.25, inwards=False).cameras
     scene = read_scene(tmp_path, cameras="none")
     made = ColmapSfm(mapping=mapping, upsample=False, features=4000).reconstruct(scene, tmp_path / "work")
@@ -54,7 +54,7 @@ def test_a_courtyard_is_solved_again_without_what_contradicts(tmp_path, mapping)
 
 @pytest.mark.slow
 def test_a_courtyard_that_cannot_be_solved_is_not_georeferenced(tmp_path):
-    """Where one bay can hardly be told from another every solution is wrong, and called so in spite of good GPS."""
+    """If the bays are nearly identical, all solutions are wrong, and reported as such in spite of good GPS."""
     truth = photographed(tmp_path, own=0.1, inwards=True).cameras
     gps = [f"{name} {' '.join(map(str, camera.position))}\n" for name, camera in truth.items()]
     (tmp_path / "gps.txt").write_text("".join(gps))
@@ -64,14 +64,14 @@ def test_a_courtyard_that_cannot_be_solved_is_not_georeferenced(tmp_path):
     assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
     notes = " ".join(made.notes)
     assert "warning: " in notes
-    assert "contradict the solved cameras: places that look alike were taken for one" in notes
+    assert "contradict the solved cameras: places that look alike were confused" in notes
     assert "not aligned" in notes
     assert (tmp_path / "work/pairs.csv").is_file()
 
 
 @pytest.mark.slow
-def test_a_camera_that_little_fixes_is_named(tmp_path):
-    """One wall in sight, and 40 % of the pairs wrong: with true intrinsics incremental mapping is 0.26 m off there."""
+def test_a_weakly_constrained_camera_is_named(tmp_path):
+    """A camera sees one wall, and 40 % of its pairs are wrong: incremental mapping is off by 0.26 m there."""
     scene = photographed(tmp_path, own=0.3, inwards=True)
     made = ColmapSfm(poses="solve", refine="none", upsample=False, features=4000).reconstruct(scene, tmp_path / "work")
     positions, _ = camera_errors(made.cameras, scene.cameras)

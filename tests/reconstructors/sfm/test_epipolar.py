@@ -1,4 +1,4 @@
-"""How pairs of images agree with cameras: counted where every match is known, and what is said of those that do not."""
+"""Agreement of image pairs with cameras, with known matches, and messages about contradicting pairs."""
 
 import re
 from dataclasses import replace
@@ -14,20 +14,27 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
 from pcbench.geometry.transform import Similarity
 from reconstructors.sfm.alignment import moved
-from reconstructors.sfm.epipolar import Agreement, Pair, agreement, check_cameras, repeated, write_pairs
+from reconstructors.sfm.epipolar import (
+    Agreement,
+    VerifiedPair,
+    agreement,
+    ambiguity_warning,
+    check_cameras,
+    write_pairs,
+)
 from reconstructors.sfm.features import DATABASE
-from reconstructors.sfm.matches import without_pairs
-from reconstructors.sfm.solve import SolvedModel, better, differences
+from reconstructors.sfm.matches import remove_pairs
+from reconstructors.sfm.solve import SolvedModel, best_solution, describe_differences
 
 pycolmap = import_or_skip("pycolmap")
 
 K = corner.standard_intrinsics()
-WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # matches of features that are not of one point
+WRONG = {(0, 3): 150, (1, 4): 120, (0, 5): 110, (2, 3): 40}  # false matches
 
 
 @pytest.fixture
 def known(tmp_path):
-    """A database of six images whose pairs have 200 true matches, but for those of `WRONG`; and the true cameras."""
+    """Create a database of six images whose pairs, except `WRONG`, have 200 true matches; and the true cameras."""
     rng = np.random.default_rng(3)
     cameras = corner.cameras(6, K)
     points = rng.uniform(0.1, 1.5, (200, 3))
@@ -64,9 +71,9 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     # Of 2,200 true and 420 false matches; some of the false ones lie on their epipolar lines by chance.
     assert 0.84 < found.share < 0.87
     assert "73% of the 15 pairs" in said(found.describe("given"))
-    assert [pair.matches for pair in found.contradicting] == [150, 110, 120]  # that of 40 matches is weak
+    assert [pair.matches for pair in found.contradicting_pairs] == [150, 110, 120]  # that of 40 matches is weak
     assert not found.is_sound
-    (note,) = repeated(found, "solved")
+    (note,) = ambiguity_warning(found, "solved")
     for value in ("3 of 14 pairs", "000.png with 003.png (150), 005.png (110); 001.png with 004.png (120)"):
         assert value in note
     assert "6 (000.png to 005.png)" in said(note)
@@ -77,13 +84,13 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     assert len(lines) == 16
 
 
-def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(known):
+def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_tolerated(known):
     folder, cameras = known
     found = agreement(folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"})
     assert len(found.pairs) == 10
-    assert len(found.contradicting) == 1
+    assert len(found.contradicting_pairs) == 1
     assert found.is_sound
-    assert not repeated(found, "solved")
+    assert not ambiguity_warning(found, "solved")
     others = dict(zip(cameras, reversed(cameras.values()), strict=True))
     with refused(ReconstructionError, masked=True):
         check_cameras(folder / DATABASE, others)
@@ -92,7 +99,7 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_are_borne(know
 def test_pairs_are_dropped_from_a_copy(known, tmp_path):
     folder, cameras = known
     before = agreement(folder / DATABASE, cameras)
-    kept = without_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], least=100)
+    kept = remove_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], min_matches=100)
     left = {(pair.a, pair.b) for pair in agreement(kept / DATABASE, cameras).pairs}
     dropped = {("000.png", "003.png"), ("002.png", "003.png")}
     assert left == {(pair.a, pair.b) for pair in before.pairs} - dropped
@@ -100,33 +107,40 @@ def test_pairs_are_dropped_from_a_copy(known, tmp_path):
 
 
 def test_groups_of_the_graph():
-    pairs = [Pair("a", "b", 200, 1.0), Pair("c", "d", 200, 1.0), Pair("d", "e", 200, 1.0), Pair("a", "c", 200, 0.1)]
-    assert "3 (c to e), 2 (a to b)" in said(Agreement(tuple(pairs)).graph())
+    pairs = [
+        VerifiedPair("a", "b", 200, 1.0),
+        VerifiedPair("c", "d", 200, 1.0),
+        VerifiedPair("d", "e", 200, 1.0),
+        VerifiedPair("a", "c", 200, 0.1),
+    ]
+    assert "3 (c to e), 2 (a to b)" in said(Agreement(tuple(pairs)).describe_graph())
 
 
-def solution(images, contradicting):
-    pairs = tuple(Pair("a", f"{n}", 150, 0.0 if n < contradicting else 1.0) for n in range(20))
-    return SolvedModel(f"{images}, {contradicting}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), [])
+def solution(images, contradicting_pairs):
+    pairs = tuple(VerifiedPair("a", f"{n}", 150, 0.0 if n < contradicting_pairs else 1.0) for n in range(20))
+    return SolvedModel(
+        f"{images}, {contradicting_pairs}", None, dict.fromkeys(map(str, range(images))), Agreement(pairs), []
+    )
 
 
 @pytest.mark.parametrize(
     "found, kept",
     [
-        ([(30, 0), (30, 0)], 0),  # what was asked for
+        ([(30, 0), (30, 0)], 0),  # the requested solution
         ([(25, 0), (30, 0)], 0),
         ([(12, 0), (30, 0)], 1),  # but not of less than half of the images
         ([(30, 9), (26, 0), (28, 0)], 2),
         ([(30, 9), (30, 5), (10, 0)], 1),
-        ([(30, 2), (30, 0)], 0),  # a few are borne
+        ([(30, 2), (30, 0)], 0),  # a few are tolerated
     ],
 )
 def test_the_solution_that_the_fewest_pairs_contradict_is_kept(found, kept):
     solutions = [solution(*numbers) for numbers in found]
-    assert better(solutions) is solutions[kept]
+    assert best_solution(solutions) is solutions[kept]
 
 
 def ring(seed, noise):
-    """Twelve cameras around points about the origin, 5 away, each put elsewhere by some noise."""
+    """Return twelve cameras on a circle of radius 5 about the origin, with position noise."""
     rng = np.random.default_rng(seed)
     found = {}
     for name, angle in zip("abcdefghijkl", np.linspace(0, 2 * np.pi, 12, endpoint=False), strict=True):
@@ -136,7 +150,7 @@ def ring(seed, noise):
 
 
 def seen_by(cameras):
-    """A model in which every camera sees the same points, about the origin."""
+    """Build a solved model in which all cameras observe the same points about the origin."""
     track = [SimpleNamespace(has_point3D=lambda: True, point3D_id=number) for number in range(20)]
     points = np.random.default_rng(4).uniform(-1, 1, (20, 3))
     return SimpleNamespace(
@@ -145,7 +159,7 @@ def seen_by(cameras):
     )
 
 
-def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
+def test_significantly_different_cameras_are_named():
     kept = ring(0, 0.0)
     turn = look_at([1, 2, 3], [0, 0, 0]).rotation
     elsewhere = Similarity(turn, np.array([10.0, 20.0, 30.0]), 2.5)
@@ -157,12 +171,12 @@ def test_cameras_that_two_ways_put_apart_by_more_than_their_errors_are_named():
 
     here = SolvedModel("incremental mapping", seen_by(kept), kept, Agreement(()), [])
     noisy = ring(1, 0.002)  # a pixel at 5 is 0.0116
-    assert differences(here, other(noisy)) == []
+    assert describe_differences(here, other(noisy)) == []
     pose = noisy["c"].cam_from_world
     noisy["c"] = replace(noisy["c"], cam_from_world=Similarity(pose.rotation, pose.translation + [0.1, 0, 0]))
-    (note,) = differences(here, other(noisy))
+    (note,) = describe_differences(here, other(noisy))
     apart = re.search(r" c ([0-9.]+) .* 0\.00", said(note))
     assert float(apart[1]) == pytest.approx(0.1, abs=0.01)
-    (note,) = differences(here, other(ring(2, 0.3)))
+    (note,) = describe_differences(here, other(ring(2, 0.3)))
     said(note)
-    assert differences(here, other({"a": kept["a"], "b": kept["b"]})) == []
+    assert describe_differences(here, other({"a": kept["a"], "b": kept["b"]})) == []

@@ -1,4 +1,4 @@
-"""What features are found with: which images share their intrinsics, and which have features enough."""
+"""Images that share their intrinsics, and images with too few features."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def test_images_of_the_same_intrinsics_or_size_share_a_camera():
     ]
 
 
-def test_too_few_features_are_a_note_or_an_end():
+def test_too_few_features_are_a_note_or_an_error():
     enough = dict.fromkeys(NAMES, 50)
     assert check_features(enough, scene()) == []
     assert check_features({**enough, "b.jpg": 49}, scene()) == ["1 images have fewer than 50 features: b.jpg"]

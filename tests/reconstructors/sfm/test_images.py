@@ -1,4 +1,4 @@
-"""Images that cannot be decoded: each is named with what is wrong, and the others are used."""
+"""Images that cannot be decoded: each is named with the reason, and the others are used."""
 
 import struct
 import zlib
@@ -10,7 +10,7 @@ from optional import import_or_skip
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.scenes import read_scene
-from reconstructors.sfm.images import readable
+from reconstructors.sfm.images import drop_unreadable
 
 pillow = import_or_skip("PIL.Image")
 
@@ -20,7 +20,7 @@ def chunk(kind, data):
 
 
 def large(data):
-    """As long as the file is, it says that it has 60000 x 60000 pixels."""
+    """The file is complete, but its header states 60000 x 60000 pixels."""
     header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + data[data.index(b"IDAT") - 4 :]
 
@@ -47,11 +47,11 @@ def photos(tmp_path):
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_what_is_wrong_with_an_image_is_said(photos, tmp_path, what):
+def test_the_reason_is_reported(photos, tmp_path, what):
     (photos / "2.png").write_bytes(DAMAGE[what]((photos / "2.png").read_bytes()))
     scene = read_scene(photos)
     for _ in range(2):  # by looking, and from what was kept
-        left, (warning,) = readable(scene, tmp_path)
+        left, (warning,) = drop_unreadable(scene, tmp_path)
         assert left.images == ("0.png", "1.png", "3.png", "4.png")
         assert warning.startswith("warning: 2.png ")
         assert what in warning
@@ -63,7 +63,7 @@ def test_a_photograph_that_is_cut_off(photos, tmp_path):
     (photos / "0.png").unlink()
     whole = (photos / "0.jpg").read_bytes()
     (photos / "0.jpg").write_bytes(whole[: len(whole) // 2])
-    _, (warning,) = readable(read_scene(photos), tmp_path)
+    _, (warning,) = drop_unreadable(read_scene(photos), tmp_path)
     assert warning.startswith("warning: 0.jpg ")
     assert "truncated" in warning
 
@@ -72,11 +72,11 @@ def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
     scene = read_scene(photos)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    assert readable(scene, tmp_path / "a") == (scene, [])
+    assert drop_unreadable(scene, tmp_path / "a") == (scene, [])
     for number in range(4):
         (photos / f"{number}.png").write_bytes(DAMAGE["truncated"]((photos / f"{number}.png").read_bytes()))
     with pytest.raises(ReconstructionError, match="4 of 5 images"):  # Pillow says what is wrong
-        readable(read_scene(photos), tmp_path / "b")
+        drop_unreadable(read_scene(photos), tmp_path / "b")
 
 
 def test_the_others_are_reconstructed(photos, tmp_path):

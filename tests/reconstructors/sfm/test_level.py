@@ -1,4 +1,4 @@
-"""Levelling: up from the cameras of rigs whose up is known, seen in frames that are turned, scaled and shifted."""
+"""Levelling of rigs with known up direction in rotated, scaled and shifted frames."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.rigs import Site, rig
 from reconstructors.sfm.alignment import moved
-from reconstructors.sfm.level import level
+from reconstructors.sfm.level import leveling_rotation
 
 K = Intrinsics(400, 300, 350, 350, 200, 150)
 SITE = Site(extent=100.0, ground=0.0, top=20.0)
@@ -29,14 +29,14 @@ def about_axis(degrees, axis):
 
 
 def rolled(camera, degrees):
-    """The camera turned about its viewing direction."""
+    """Return the camera rotated about its viewing direction."""
     return Camera(camera.name, camera.intrinsics, about_axis(degrees, 2) @ camera.cam_from_world)
 
 
 def tilt_after_levelling(cameras, seed=1):
-    """Degrees between +z and what was up, after cameras in a frame of their own were levelled; and the note."""
+    """Level cameras in another frame; return the angle in degrees between +z and true up, and the note."""
     frame = random_frame(seed)
-    turn, note = level({camera.name: moved(camera, frame) for camera in cameras})
+    turn, note = leveling_rotation({camera.name: moved(camera, frame) for camera in cameras})
     if turn is None:
         return None, note
     assert turn.scale == 1
@@ -110,7 +110,7 @@ def test_strips_flown_there_and_back():
     ],
     ids=["along a line", "too few", "climbing: nothing tells that it looks down", "looking every way"],
 )
-def test_what_cannot_be_told_is_not(cameras):
+def test_an_undetermined_up_direction_is_reported(cameras):
     tilt, note = tilt_after_levelling(cameras)
     assert tilt is None
     said(note)
@@ -118,14 +118,14 @@ def test_what_cannot_be_told_is_not(cameras):
 
 def test_a_level_model_stays_as_it_is():
     cameras = rig("circles", 30, SITE, K)
-    turn, _ = level({camera.name: camera for camera in cameras})
+    turn, _ = leveling_rotation({camera.name: camera for camera in cameras})
     np.testing.assert_allclose(turn.rotation, np.eye(3), atol=1e-7)
     upside_down = about_axis(180, 0)
-    turn, _ = level({camera.name: moved(camera, upside_down) for camera in cameras})
+    turn, _ = leveling_rotation({camera.name: moved(camera, upside_down) for camera in cameras})
     np.testing.assert_allclose(turn.rotation @ upside_down.rotation[:, 2], [0, 0, 1], atol=1e-7)
 
 
 def test_the_same_cameras_are_levelled_to_the_bit():
     cameras = {camera.name: moved(camera, random_frame(9)) for camera in rig("drone", 60, SITE, K)}
-    first, again = level(cameras)[0], level(cameras)[0]
+    first, again = leveling_rotation(cameras)[0], leveling_rotation(cameras)[0]
     assert first.rotation.tobytes() == again.rotation.tobytes()

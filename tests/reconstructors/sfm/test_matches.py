@@ -1,4 +1,4 @@
-"""Matching: whether the matches of images depend on how the work is split."""
+"""Matching: the matches do not depend on how the work is split."""
 
 import sqlite3
 
@@ -20,7 +20,7 @@ pycolmap = import_or_skip("pycolmap")
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """Six views of one plane of blots, each moved by 12 pixels, under names that COLMAP's lists cannot hold."""
+    """Six views of one plane of blots, each shifted by 12 pixels, with names that COLMAP's lists do not support."""
     folder = tmp_path_factory.mktemp("plane")
     blots = np.random.default_rng(0).integers(0, 256, (60, 84), dtype=np.uint8)
     picture = Image.fromarray(blots).resize((420, 300), Image.Resampling.BICUBIC)
@@ -35,7 +35,7 @@ def features(scene, tmp_path_factory):
 
 
 def _matched(features, scene, workspace):
-    """The table of matches, and the names by which the images are known."""
+    """Return the table of matches and the images' names."""
     _, pairs = choose_pairs(scene, "exhaustive")
     folder = matches.match_pairs(features, pairs, workspace)
     database = sqlite3.connect(folder / DATABASE)
@@ -47,7 +47,7 @@ def _matched(features, scene, workspace):
 
 
 def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(matches, "_PAIRS_A_PROCESS", 4)
+    monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     made = []
     for count in (1, 3):
         monkeypatch.setattr(matches, "cpus", lambda count=count: count)
@@ -61,7 +61,7 @@ def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_pa
 
 
 def test_no_two_threads_of_colmap_match_at_a_time(features, scene, tmp_path, monkeypatch):
-    """They spoil each other's indices in about one of a hundred runs: too rarely for a test that waits for it."""
+    """Concurrent threads corrupt indices in about one of a hundred runs: too rare to test for directly."""
     found, environments = [], []
     start = matches.run_module
 
@@ -88,8 +88,8 @@ def test_matches_are_the_same_in_many_runs(features, scene, tmp_path):
     assert all(one == made[0] for one in made)
 
 
-def test_a_process_that_breaks_down_is_said(features, scene, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(matches, "_PAIRS_A_PROCESS", 4)
+def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     monkeypatch.setattr(matches, "cpus", lambda: 2)
     monkeypatch.setattr(matches, "_write_list", lambda file, pairs: file)
     with refused(ReconstructionError):

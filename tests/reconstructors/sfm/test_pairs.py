@@ -1,4 +1,4 @@
-"""Which images are compared with which."""
+"""Selection of image pairs."""
 
 from pathlib import Path
 
@@ -28,13 +28,13 @@ def posed(count):
     return scene(count, cameras=cameras)
 
 
-def test_few_images_are_all_compared():
+def test_few_images_are_all_paired():
     how, pairs = choose_pairs(scene(5), "auto")
     assert how == "exhaustive"
     assert len(pairs) == len(set(pairs)) == 10
 
 
-def test_many_are_compared_with_the_next_ones():
+def test_many_are_paired_with_the_following():
     how, pairs = choose_pairs(scene(60), "auto")
     assert how == "sequential"
     steps = {int(b[:3]) - int(a[:3]) for a, b in pairs}
@@ -42,11 +42,11 @@ def test_many_are_compared_with_the_next_ones():
     assert len(pairs) == sum(60 - step for step in steps)
 
 
-def test_many_without_numbers_are_all_compared():
+def test_many_without_numbers_are_all_paired():
     assert choose_pairs(scene(40, "{:03}x.png"), "auto")[0] == "exhaustive"
 
 
-def test_posed_ones_are_compared_with_their_neighbours():
+def test_posed_images_are_paired_with_their_neighbours():
     how, pairs = choose_pairs(posed(80), "auto")
     assert how == "spatial"
     gaps = [min((int(b[:3]) - int(a[:3])) % 80, (int(a[:3]) - int(b[:3])) % 80) for a, b in pairs]

@@ -1,4 +1,4 @@
-"""Sparse structure from motion: against exact truth, on real photographs, and what is said where it cannot work."""
+"""Sparse structure from motion: compared with exact truth, on real photographs, and failures."""
 
 import re
 import shutil
@@ -31,18 +31,18 @@ QUICK = {"upsample": False, "features": 2000}
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory):
-    """Seven images of the corner of 480 x 360 pixels with their true cameras."""
+    """Render seven images of the corner, 480 x 360 pixels, with their true cameras."""
     return corner.write_scene(tmp_path_factory.mktemp("corner"), corner.cameras(7, K))
 
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
-    """Shared by the tests of the same photographs: features and matches are found once."""
+    """Workspace shared by tests of the same photographs: features and matches are computed once."""
     return tmp_path_factory.mktemp("workspace")
 
 
 def note_of(made, part):
-    """The only note with this part."""
+    """Return the only note that contains a text."""
     (note,) = [note for note in made.notes if part in note]
     return said(note)
 
@@ -63,7 +63,7 @@ def test_given_poses_triangulate_onto_the_truth(photographs, workspace):
     assert positions.max() < 1e-12
     assert angles.max() < 1e-6
     assert set(made.cloud.attributes) == {"reprojection_error", "track_length"}
-    # A point has the colour of what it shows.
+    # A point has the colour of the surface.
     pixels, _ = scene.cameras["003.png"].project(made.cloud.points)
     inside = ((pixels > 5) & (pixels < [475, 355])).all(axis=1)
     x, y = pixels[inside].astype(int).T
@@ -90,7 +90,7 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     assert made.gauge == "arbitrary"
     assert made.cloud.unit is None
-    assert "look the same way" not in " ".join(made.notes)
+    assert "look in the same direction" not in " ".join(made.notes)
     assert len(made.cameras) == 7
     # Its frame is arbitrary but for up: the corner's, whose photographs are upright, and origin and scale as solved.
     truth = read_scene(photographs).cameras
@@ -117,7 +117,7 @@ def test_the_same_input_gives_the_same_cloud(photographs, tmp_path, settings):
         np.testing.assert_array_equal(camera.cam_from_world.matrix, made[1].cameras[name].cam_from_world.matrix)
 
 
-def test_what_is_done_is_not_done_again(photographs, workspace):
+def test_finished_stages_are_reused(photographs, workspace):
     scene = read_scene(photographs)
     first = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     times = {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in ("features", "matches")}
@@ -163,12 +163,12 @@ def test_points_of_two_images_are_left_out(photographs, workspace):
     assert some.cloud.attributes["track_length"].min() == 3
     assert more.cloud.attributes["track_length"].min() == 2
     left_out = len(more.cloud) - len(some.cloud)
-    assert note_of(some, "points of fewer").startswith(f"{left_out} ")
+    assert note_of(some, "points observed by fewer").startswith(f"{left_out} ")
     with refused(ReconstructionError, masked=True):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
-def test_control_points_give_the_world(photographs, workspace, tmp_path):
+def test_control_points_define_the_frame(photographs, workspace, tmp_path):
     truth = read_scene(photographs).cameras
     marks = {"A": [0, 0, 0.5], "B": [1, 0, 1], "C": [0, 1.5, 1], "D": [1, 1, 0], "check*": [1.2, 0, 0.4]}
     lines = []
@@ -185,16 +185,16 @@ def test_control_points_give_the_world(photographs, workspace, tmp_path):
     residuals = made.residuals
     assert [point.name for point in residuals.control] == ["A", "B", "C", "D"]
     assert [point.name for point in residuals.check] == ["check"]
-    assert residuals.rmse(residuals.control).total < 0.03  # a pixel is 0.12 of this world
+    assert residuals.rmse(residuals.control).total < 0.03  # a pixel is 0.12 in this frame
     assert residuals.rmse(residuals.check).total < 0.1
     assert residuals.rmse(residuals.check).vertical is None
-    assert np.median(corner.distances(made.cloud.points)) < 0.1  # the world is ten times as large
+    assert np.median(corner.distances(made.cloud.points)) < 0.1  # the frame is scaled by ten
     with refused(ValueError):
         ColmapSfm(align="control")
 
 
 def marks_in(cameras, places, names=("001.png", "003.png", "005.png")):
-    """Lines of a control file: where images show places."""
+    """Return lines of a control file: observations of positions in images."""
     for name, point in places.items():
         for image in names:
             (pixel,), _ = cameras[image].project(np.array([point], dtype=float))
@@ -202,7 +202,7 @@ def marks_in(cameras, places, names=("001.png", "003.png", "005.png")):
 
 
 def test_check_points_alone_score_given_cameras(photographs, workspace, tmp_path):
-    """Surveyed positions that are off by a known amount: the residuals are that amount."""
+    """Surveyed positions with a known error: the residuals equal it."""
     cameras = read_scene(photographs).cameras
     lines = [*marks_in(cameras, {"p*": [0, 0, 0.5], "q*": [1, 0, 1]})]
     lines = [re.sub(r"^(.\*) (\S+) (\S+) (\S+)", _moved_by(-0.03, -0.04, 0.12), line) for line in lines]
@@ -279,7 +279,7 @@ def fails(scene, workspace, error=ReconstructionError, **settings):
         ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
 
 
-def test_failures_have_names(tmp_path):
+def test_failures_are_reported(tmp_path):
     blank = {f"{n}.png": np.full((240, 320, 3), 90 + n, np.uint8) for n in range(3)}
     fails(write_scene(tmp_path / "blank", blank), tmp_path / "a")
     noise = {f"{n}.png": (255 * corner.texture(n, 320)).astype(np.uint8) for n in range(3)}
@@ -291,7 +291,7 @@ def test_failures_have_names(tmp_path):
 
 
 def test_names_may_have_spaces(photographs, tmp_path):
-    """COLMAP reads its list of pairs word by word."""
+    """COLMAP splits its list of pairs at spaces."""
     names = ["one two.png", "1 2 3.png", "éä ü.png", "3.png"]
     cameras = corner.cameras(7, K)[1:5]
     (tmp_path / "work").mkdir()
@@ -320,7 +320,7 @@ def test_other_intrinsics_find_no_features_again(photographs, tmp_path):
     assert errors[1] > 3 * errors[0]
 
 
-def test_wrong_poses_are_said(photographs, tmp_path):
+def test_wrong_poses_are_refused(photographs, tmp_path):
     scene = read_scene(photographs)
     names = list(scene.images)
     # The cameras in the reverse order: each is a true one, of another image.
@@ -330,13 +330,13 @@ def test_wrong_poses_are_said(photographs, tmp_path):
     fails(replace(scene, cameras=turned), tmp_path)
 
 
-def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photographs, tmp_path, monkeypatch):
+def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp_path, monkeypatch):
     import pycolmap
 
     verify = pycolmap.geometric_verification
 
     def verify_wrongly(file, **options):
-        """As if one thing stood in several places: four pairs get matches of features that have nothing in common."""
+        """Simulate repeated structure: four pairs get matches of unrelated features."""
         verify(file, **options)
         database = pycolmap.Database.open(file)
         rng = np.random.default_rng(0)
@@ -368,7 +368,7 @@ def test_a_solution_that_strong_pairs_contradict_is_not_put_into_the_world(photo
     note_of(given, "contradict the given cameras")
 
 
-def test_a_solution_that_known_cameras_contradict_is_not_put_into_their_world(photographs, workspace):
+def test_a_solution_contradicted_by_known_cameras_is_not_aligned_to_them(photographs, workspace):
     scene = read_scene(photographs)
     order = np.random.default_rng(1).permutation(list(scene.images))
     shuffled = {name: replace(scene.cameras[other], name=name) for name, other in zip(scene.images, order, strict=True)}
@@ -404,7 +404,7 @@ def test_other_components_of_the_same_images_are_not_counted(photographs, worksp
     assert (model.num_reg_images(), notes) == (7, [])
 
 
-def test_images_without_cameras_are_left_out_and_said(photographs, tmp_path):
+def test_images_without_cameras_are_left_out_and_reported(photographs, tmp_path):
     scene = read_scene(photographs)
     known = {name: camera for name, camera in scene.cameras.items() if name != "003.png"}
     made = ColmapSfm(**QUICK).reconstruct(replace(scene, cameras=known), tmp_path)
@@ -421,7 +421,7 @@ def test_it_is_an_installed_plugin():
 
 
 def test_fountain_small(tmp_path):
-    """A quarter of the size; the cameras of the set were measured by laser."""
+    """Images at a quarter of the size; the data set's cameras were measured by laser."""
     scene = read_scene(data_folder("fountain"), image_scale=0.25)
     made = ColmapSfm(poses="solve", refine="none").reconstruct(scene, tmp_path)
     positions, angles = camera_errors(made.cameras, scene.cameras)
@@ -465,7 +465,7 @@ def test_brighton(tmp_path):
     found = np.stack([made.cameras[name].position for name in scene.images])
     # Consumer GPS is good to metres; along a flight it is better than that.
     assert np.median(np.linalg.norm(found - expected, axis=1)) < 2
-    # The drone looks down: it is above what it sees.
+    # The drone looks down: it is above the points.
     assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20
 
 

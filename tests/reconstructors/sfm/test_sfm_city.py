@@ -45,8 +45,8 @@ def test_a_small_city(renderer, tmp_path):
     assert positions.max() < pixel
     assert angles.max() < 0.2  # a tilt of 0.1 degrees and a step of a pixel look nearly the same from above
     assert np.median(surface.query(solved.cloud.points).distances) < 0.6 * pixel
-    # Vertical images do not fix the intrinsics (James & Robson 2014): that is said where they are solved for.
-    warning = "all images look the same way within"
+    # Vertical images do not fix the intrinsics (James & Robson 2014): a note reports it if they are solved for.
+    warning = "all images look in the same direction within"
     assert warning not in " ".join(solved.notes)
     free = ColmapSfm(upsample=False, poses="solve").reconstruct(scene, work)
     assert warning in " ".join(free.notes)
@@ -55,7 +55,7 @@ def test_a_small_city(renderer, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_city(renderer, tmp_path, seed):
-    """The command of docs/howto/synthetic.md: all 40 images register, with and without what is known of the cameras."""
+    """The command of docs/howto/synthetic.md: all 40 images register, with and without known cameras."""
     settings = SceneSettings(CitySettings(seed=seed), points=1000)
     scene, surface = photographed(tmp_path / "city", settings)
     work = tmp_path / "work"

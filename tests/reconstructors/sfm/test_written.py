@@ -1,4 +1,4 @@
-"""Files that COLMAP could not write whole, or that were cut later: refused, and made again."""
+"""Truncated files: those that COLMAP could not write completely are refused, others are recomputed."""
 
 import os
 import subprocess
@@ -28,14 +28,14 @@ def photographs(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def workspace(photographs, tmp_path_factory):
-    """After a reconstruction."""
+    """Workspace after a reconstruction."""
     folder = tmp_path_factory.mktemp("work")
     QUICK.reconstruct(read_scene(photographs), folder)
     return folder
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
-def test_a_cut_model_is_refused(workspace, tmp_path, name):
+def test_a_truncated_model_is_refused(workspace, tmp_path, name):
     model = tmp_path / "model"
     model.mkdir()
     for file in (workspace / "model").iterdir():
@@ -52,7 +52,7 @@ def test_a_cut_model_is_refused(workspace, tmp_path, name):
 
 
 @pytest.mark.parametrize("cut", ["features/database.db", "verified/database.db", "triangulation/0/images.bin"])
-def test_a_cut_stage_is_made_again(photographs, workspace, cut):
+def test_a_truncated_stage_is_recomputed(photographs, workspace, cut):
     scene = read_scene(photographs)
     before = QUICK.reconstruct(scene, workspace)
     whole = (workspace / cut).stat().st_size
@@ -63,7 +63,7 @@ def test_a_cut_stage_is_made_again(photographs, workspace, cut):
 
 
 def test_a_limit_on_files_is_an_error_and_leaves_no_stage(photographs, tmp_path):
-    """The limit begins before COLMAP writes the model, of which the file of images alone is larger."""
+    """The limit applies from before COLMAP writes the model, whose file of images alone exceeds it."""
     code = f"""
 import resource, sys
 from pathlib import Path
