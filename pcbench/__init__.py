@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pcbench.scenes import Scene as Scene
     from pcbench.scenes import read_scene as read_scene
 
-# Looked up on first use, so that a name costs only the import of its own subpackage.
+# Imported on first use, so that a name costs the import of one subpackage only.
 _MODULES = {
     "Affine": "geometry.transform",
     "Box": "geometry.regions",

@@ -18,6 +18,7 @@ class Step(str):
     after: float
 
     def __new__(cls, text: str, expected: float | None = None, after: float = 0.0) -> Step:
+        """Return a step with its expected duration and that of the steps after it."""
         step = super().__new__(cls, text)
         step.expected, step.after = expected, after
         return step

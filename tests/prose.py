@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SUFFIXES = {".py", ".pyi", ".h", ".cpp", ".cu", ".md", ".ipynb", ".txt"}
 
 FIRST_LINES = {
-    r"^(Of|Whose|Whoever|Who|So (many|few|much)|That of|Those of|How (many|much|often|far|large|well)) ": "a full statement",
+    r"^(Of|Whose|Whoever|Who|So (many|few|much)|That of|Those of) ": "a full statement",
+    r"^How (many|much|often|far|large|well) ": "a full statement",
     r"^(What|Where|Which|When|In which|On which|For what|From what|With what|By what) ": "a full statement",
     r"^(Raises|Returns|Args|Yields):": "a full statement before the sections",
 }
@@ -30,8 +31,9 @@ ANYWHERE = {
     r"\b[Ss]o many\b": "the number, or 'that many'",
     r"\b[Dd]erivatives? by\b": "'gradient with respect to'",
     r"\b[Hh]eld (within|against|fast)\b": "'clamped to', 'compared with', 'fixed'",
-    r"\b(one|two|line|row|file|number|entry|byte|pixel|image|point)s? a (threshold|budget|point|pixel|line|cloud|image|view|"
-    r"candidate|metric|step|file|side|cell|tile|Gaussian|camera|degree|millimetre|metre|command|commit|room|family)\b": "'per' or 'each'",
+    r"\b(one|two|line|row|file|number|entry|byte|pixel|image|point)s? a (threshold|budget|point|pixel|line|cloud|image|"
+    r"view|candidate|metric|step|file|side|cell|tile|Gaussian|camera|degree|millimetre|metre|command|commit|room|family)"
+    r"\b": "'per' or 'each'",
     r"\b[Ss]trays?\b": "'outliers'",
     r"\b(bear|bears|bore|borne) (it |them )?out\b": "'confirm'",
     r"\bbears? (a|no) verdict\b": "'allow a verdict'",

@@ -1,6 +1,6 @@
 """Start, limit and clean up child processes.
 
-Libraries that crash, hang or print, and third-party reconstructors, run in Python processes of their own. A child does
+Libraries that crash, hang or print, and third-party reconstructors, run in separate Python processes. A child does
 not read the terminal and ends with its parent. When it ends, all processes that it started are ended too (on Linux also
 daemons). Its output is kept up to a limit.
 """

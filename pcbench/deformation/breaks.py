@@ -1,5 +1,6 @@
-"""Detect two parts of a scene that are displaced against each other, such as strips or blocks that were aligned
-separately. No smooth model describes such a break.
+"""Detection of two parts of a scene that are offset against each other, such as strips that were aligned separately.
+
+No smooth model describes such a break.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class Break(NamedTuple):
     offset: FloatArray
 
     def text(self, origin: FloatArray) -> str:
+        """Return a warning that names the line and the offset."""
         x, y = (self.place + origin)[:2]
         return (
             f"two parts are displaced by {float(np.linalg.norm(self.offset)):.2g} against each other, across a line"

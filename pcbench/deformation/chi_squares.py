@@ -84,8 +84,13 @@ def chi_square_tails(values: FloatArray, freedom: IntArray) -> FloatArray:
 
 
 def _integral(x: float, w: FloatArray, low: float, high: float) -> float:
-    """Return |1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path between two neighbouring
-    singularities of the integrand on the real axis; the largest weight is one.
+    """Return |1 / 2 pi i times the integral of exp(K(t) - t x) / t| along a path between two singularities.
+
+    Args:
+        x: the value, relative to the largest weight.
+        w: (N,) weights, the largest of which is 1.
+        low: the singularity to the left of the path on the real axis.
+        high: the singularity to the right.
     """
     # The saddle point minimises log |exp(K(t) - t x) / t|, which is convex between the singularities.
     t = 0.5 * (low + high)

@@ -29,14 +29,16 @@ class Displacement(NamedTuple):
     radius: float
 
     @classmethod
-    def nothing(cls, center: FloatArray, radius: float) -> Displacement:
+    def zero(cls, center: FloatArray, radius: float) -> Displacement:
+        """Return the field without displacement."""
         return cls(np.zeros((len(EXPONENTS), 3)), center, radius)
 
     def __call__(self, places: FloatArray) -> FloatArray:
+        """Return the displacements (N, 3) at positions (N, 3)."""
         field: FloatArray = np.einsum("an,ak->nk", monomials(self._inside(places)), self.coefficients)
         return field
 
-    def fitted(
+    def fit(
         self,
         places: FloatArray,
         normals: FloatArray,

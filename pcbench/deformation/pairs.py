@@ -180,7 +180,7 @@ def _graduated_fit(
     points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
     lower, upper = np.percentile(points, [1, 99], axis=0)
-    field = Displacement.nothing((lower + upper) / 2, 0.6 * float((upper - lower).max()))
+    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     min_distance = 4 * surface.surface.spacing
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3
@@ -189,7 +189,7 @@ def _graduated_fit(
         if found is None or not found.weights.any():
             return None
         pairs = found
-        field = field.fitted(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
+        field = field.fit(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
         narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
     return pairs, field
@@ -298,9 +298,7 @@ def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArra
     weights = pairs.weights
     left = np.full(len(pairs.residuals), np.inf)
     for _ in range(_MAX_FINAL_FITS):
-        field = field.fitted(
-            places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION
-        )
+        field = field.fit(places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION)
         fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
         before, left = left, pairs.residuals - fitted
         if np.abs(left - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:

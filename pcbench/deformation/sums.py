@@ -109,7 +109,8 @@ class TileSums:
             areas: (N,) surface area that each pair represents, in any unit.
             lower: (3,) the corner that cells are counted from.
             side: of the cells.
-            center, radius: of the scene; (3,) and about half its extent.
+            center: (3,) centre of the scene.
+            radius: of the scene; (3,) and about half its extent.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
         order, starts = group_rows(cells)
@@ -158,7 +159,8 @@ def kernel_sums(
     The term of the pair itself is exact; the sum over the others is estimated from a few sampled partners.
 
     Args:
-        places, normals: (N, 3), in groups that start at `starts` (G,).
+        places: (N, 3) positions, sorted by group.
+        normals: (N, 3) unit normals.
         loads: (N,) factor of each pair.
         starts: (G,) first row of each group.
         lengths: (J,) kernel lengths.

@@ -32,6 +32,7 @@ class PairEvidence(NamedTuple):
 
     @classmethod
     def of(cls, sums: TileSums) -> PairEvidence:
+        """Return the evidence in sums over pairs."""
         geometry = Geometry(sums)
         scores = Scores(geometry, sums.scores, sums.energy, sums.powers)
         return cls(sums, geometry, scores, estimate_noise(geometry, scores))
@@ -45,10 +46,12 @@ class Evidence(NamedTuple):
 
     @property
     def significant(self) -> bool:
+        """Whether the larger model is needed."""
         return self.p <= MAX_P_SURE
 
     @property
     def doubtful(self) -> bool:
+        """Whether the evidence is too weak for a decision."""
         return MAX_P_SURE < self.p <= _MAX_P_DOUBTFUL
 
 

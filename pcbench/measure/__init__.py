@@ -1,1 +1,1 @@
-"""What is measured between a reference and its candidates."""
+"""Measurements between a reference and its candidates."""

@@ -145,9 +145,8 @@ def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:
 def distances_between(candidate: Points, reference: Points) -> tuple[FloatArray, FloatArray]:
     """Distances a (N,) from each point of a candidate to the nearest of the reference, and b (M,) in reverse.
 
-    Args:
-        candidate, reference: clouds, (N, 3) arrays, or files that `pcbench.read_cloud` reads. Large coordinates lose no
-            precision.
+    Args: candidate: a cloud, an (N, 3) array, or a file that `pcbench.read_cloud` reads. Large coordinates lose no
+        precision. reference: the same.
 
     Raises:
         InputError: an argument is not a cloud.

@@ -48,15 +48,17 @@ class Perceptual:
         return cls(lpips, flip, tuple(notice for notice in (without_lpips, without_flip) if notice is not None))
 
     def scores(self, image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> ViewScores:
-        """All of a rendering against its photograph. What does not count is given the photograph's colours before LPIPS
-        and FLIP are measured, and the mean is over the pixels that count.
+        """Return all scores of a rendering against its photograph.
+
+        For LPIPS and FLIP, masked pixels get the photograph's colours, and the mean is over the valid pixels.
 
         Args:
-            image, reference: (H, W, 3), uint8 or numbers from 0 to 1.
-            mask: (H, W), which pixels count; None: all.
+            image: (H, W, 3), uint8 or floating point from 0 to 1.
+            reference: the same.
+            mask: (H, W) valid pixels; None: all.
 
         Raises:
-            InputError: they are of different or other shapes, or neither uint8 nor floating-point numbers.
+            InputError: the shapes differ or are invalid, or the values are neither uint8 nor floating point.
         """
         measured = psnr(image, reference, mask), ssim(image, reference, mask)
         a, b = unit_range(image), unit_range(reference)

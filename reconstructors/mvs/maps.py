@@ -73,8 +73,9 @@ def write_map(folder: Path, depth_map: DepthMap) -> None:
 
 
 def read_map(folder: Path) -> DepthMap:
-    """Read a map that `write_map` wrote, or COLMAP under these names. Without a confidence file, confidence is 1 for
-    all depths.
+    """Read a map written by `write_map`, or by COLMAP under these names.
+
+    Without a confidence file, confidence is 1 for all depths.
 
     Raises:
         InputError: a file is missing, damaged, or of another size; the message starts with the path.

@@ -70,8 +70,7 @@ class _FilteredStages(NamedTuple):
 
 @dataclass(frozen=True)
 class DenseMvs:
-    """Dense points with normals and colours by multi-view stereo: PatchMatch on the CPU, or COLMAP's on a GPU with
-    CUDA, then COLMAP's fusion.
+    """Dense multi-view stereo: PatchMatch on the CPU, or COLMAP's on a GPU with CUDA, and COLMAP's fusion.
 
     poses: `given` uses the scene's cameras as they are, `solve` computes them as `sfm` does; `auto` uses the scene's
     cameras if it has some.

@@ -1,5 +1,6 @@
-"""PatchMatch stereo on the CPU: the depth map of one photograph by comparison with others (Galliani et al. 2015;
-Schonberger et al. 2016; Xu and Tao 2019).
+"""PatchMatch stereo on the CPU: the depth map of an image by comparison with others.
+
+Sources: Galliani et al. 2015; Schonberger et al. 2016; Xu and Tao 2019.
 
 Each pixel has a plane. The search is coarse to fine, over three levels: at each level planes propagate to neighbouring
 pixels and are perturbed at random. The same input gives the same maps, bit for bit, on all instruction sets and with

@@ -16,7 +16,7 @@ from pcbench.geometry.cameras import Camera
 _MAX_DISTANCE_PX = 4.0  # of a match from its epipolar line: COLMAP's limit for verified matches
 # With true cameras nearly all verified matches agree; with cameras of other images a few agree by chance.
 _MIN_AGREEING_SHARE = 0.2
-# Matches of a strong pair. So many are not verified by chance: they lie on one object, or on two that look alike.
+# Matches of a strong pair. That many are not verified by chance: they lie on one object, or on two that look alike.
 MIN_STRONG_MATCHES = 100
 _MAX_CONTRADICTING_PAIRS = 2  # strong pairs; sound solutions have none
 _MAX_NAMES_SHOWN = 4  # images, and pairs per image, named in a note

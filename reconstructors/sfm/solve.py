@@ -23,7 +23,7 @@ from reconstructors.sfm.mapping import Mapper, largest_component, map_images
 from reconstructors.sfm.matches import remove_pairs
 from reconstructors.sfm.model import Refine, cameras_of
 
-_MAX_IMAGES_BOTH_MAPPERS = 30  # scenes of up to so many images are solved by both mappers
+_MAX_IMAGES_BOTH_MAPPERS = 30  # larger scenes are solved by one mapper
 # Share of the pairs: if fewer agree, wrong ones may have moved a camera, and the strong pairs are also solved alone.
 _MIN_AGREEING_PAIRS_SHARE = 0.9
 # A camera's two positions differ significantly if their distance exceeds this many pixels of its view, and this

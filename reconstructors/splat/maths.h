@@ -11,7 +11,7 @@
 // quaternions are wxyz. Papers: Zwicker et al. 2001, EWA volume splatting; Kerbl et al. 2023, 3D Gaussian splatting;
 // Zhang et al. 2024, RaDe-GS (depth as a plane).
 //
-// In pixels a Gaussian is alpha = 2^(level - u^2 - v^2), where (u, v) are its whitened coordinates: a triangular matrix
+// In pixel units, a Gaussian is alpha = 2^(level - u^2 - v^2), where (u, v) are its whitened coordinates: a triangular matrix
 // times the offset of the pixel from the projected mean. A sum of two squares cannot cancel, unlike the quadratic form
 // of an inverted covariance, whose cancellation is visible for needles far from their mean.
 

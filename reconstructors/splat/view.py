@@ -50,7 +50,7 @@ class View:
         if motion.scale != 1:
             raise InputError(f"expected a rigid cam_from_world, got one of scale {motion.scale:g}")
         if max(k.width, k.height) > _MAX_SIDE_PX:
-            raise InputError(f"expected an image of at most {_MAX_SIDE_PX} pixels a side, got {k.width} x {k.height}")
+            raise InputError(f"expected an image of at most {_MAX_SIDE_PX} pixels per side, got {k.width} x {k.height}")
         return cls(k.width, k.height, motion.rotation, camera.position, k.fx, k.fy, k.cx, k.cy, near)
 
     @property

@@ -156,8 +156,8 @@ def _rings(positions: FloatArray) -> list[FloatArray]:
     """Return positions (N, 3) as lines: closed rings about a common vertical axis if they form such, else one line."""
     if len(positions) < 2:
         return []
-    # Distance from the axis and height are constant on a ring. A step that mostly changes them leads to another ring. The
-    # mean of complete rings is on their axis.
+    # Distance from the axis and height are constant on a ring. A step that mostly changes them leads to another ring.
+    # The mean of complete rings is on their axis.
     radius = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1)
     across = np.linalg.norm(np.diff(np.stack([radius, positions[:, 2]], axis=1), axis=0), axis=1)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)

@@ -50,7 +50,7 @@ def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camer
     """Choose the registration that a cloud's gauge allows.
 
     A georeferenced cloud is measured where it is: its position is part of the result, and a fit would hide its errors.
-    A cloud in a frame of its own is registered to the reference by its camera centres, which is independent of the
+    A cloud in a separate frame is registered to the reference by its camera centres, which is independent of the
     evaluated geometry. Without cameras it is registered by its surface, from any initial pose if KISS-Matcher is
     installed. Only a cloud of arbitrary gauge gets a scale.
 

@@ -44,7 +44,7 @@ class Gpu:
         import torch
 
         with torch.cuda.device(self._index):
-            self._core.Device(self._index).set_current()  # per thread: autograd runs backward on a thread of its own
+            self._core.Device(self._index).set_current()  # per thread: autograd runs backward on another thread
             if kernel not in self._loaded:
                 module = self._core.ObjectCode.from_cubin(compile_kernel(kernel, self._architecture))
                 self._loaded[kernel] = module.get_kernel(kernel.name)
