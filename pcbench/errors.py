@@ -55,7 +55,7 @@ class Notice:
         return self.text
 
 
-def recorded(error: BaseException) -> str:
+def record_error(error: BaseException) -> str:
     """Log an error that becomes part of a result instead of ending the run, and return its message.
 
     The traceback is logged by the logger `pcbench` at debug level: `pcbench --log FILE` records it.

@@ -59,7 +59,7 @@ def require(module: str, extra: str | None = None) -> Any:
         raise _missing(module, extra, error) from error
 
 
-def unavailable(*libraries: str, extra: str | None = None) -> str | None:
+def import_problem(*libraries: str, extra: str | None = None) -> str | None:
     """Return one line about the first of these libraries that cannot be imported; None if all can.
 
     The libraries are loaded, because an installed one may lack a system library.

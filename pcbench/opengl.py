@@ -10,7 +10,7 @@ from pcbench.errors import PcbenchError
 
 _LIBRARIES = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")  # any one is sufficient
 
-OFF_SCREEN = {"MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}
+OFF_SCREEN_ENVIRONMENT = {"MPLBACKEND": "agg", "PYVISTA_OFF_SCREEN": "true"}
 """Environment variables of a process that renders into files only, never into a window."""
 
 

@@ -24,7 +24,7 @@ class Step(str):
         return step
 
 
-class Plan:
+class ProgressPlan:
     """Steps of an operation, announced one after another.
 
     Args:

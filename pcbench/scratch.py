@@ -39,7 +39,7 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of writes
 
 
 @contextmanager
-def claim(output: Path) -> Iterator[None]:
+def lock_output(output: Path) -> Iterator[None]:
     """Lock an output for this run: a file or folder, which need not exist, in an existing folder.
 
     There is no lock if the folder cannot be written or its disk does not support locks.
@@ -70,7 +70,7 @@ def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
     folder = output.resolve().parent
     remove_leftovers(folder)
     path = folder / f"{_OWN_PREFIX}{secrets.token_hex(8)}.tmp"
-    with naming(output, path):
+    with attribute_errors_to(output, path):
         descriptor = _open_locked(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
         try:
             with os.fdopen(descriptor, "wb") as file:
@@ -93,7 +93,7 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
     parent = Path(tempfile.gettempdir()) if output is None else output.absolute().parent
     remove_leftovers(parent)
     path = parent / f"{_OWN_PREFIX}{secrets.token_hex(8)}"
-    with naming(output or path, path):
+    with attribute_errors_to(output or path, path):
         descriptor = _make_locked_folder(path, 0o700 if output is None else 0o777)
         try:
             yield path
@@ -112,7 +112,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 @contextmanager
-def naming(output: Path, scratch: Path) -> Iterator[None]:
+def attribute_errors_to(output: Path, scratch: Path) -> Iterator[None]:
     """Make errors such as a full disk name the output that the user chose instead of the temporary file."""
     try:
         yield

@@ -100,7 +100,7 @@ def rename_open(file: BinaryIO, path: Path, target: Path) -> None:
     path.replace(target)
 
 
-def cpus() -> int:
+def cpu_count() -> int:
     """Return the number of CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -10,16 +10,22 @@ from surfaces import surface
 
 from pcbench import Cloud, Settings
 from pcbench.errors import Notice
-from pcbench.geometry.neighbors import Index, match_both_ways
+from pcbench.geometry.neighbors import Index, match_both_directions
 from pcbench.measure.directions import Direction
 from pcbench.measure.metrics import Distances
 from pcbench.measure.reference import Reference
-from pcbench.measure.results import BACK, FORTH
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.measure.scores import measure
 
 Floats = NDArray[np.float64]
 NOISES = ("none", "white", "L/40", "L/20", "L/10", "clusters")
-SCORES = (("d1_mse", FORTH), ("d1_mse", BACK), ("d2_mse", FORTH), ("mean_distance", FORTH), ("precision", FORTH))
+SCORES = (
+    ("d1_mse", CANDIDATE_TO_REFERENCE),
+    ("d1_mse", REFERENCE_TO_CANDIDATE),
+    ("d2_mse", CANDIDATE_TO_REFERENCE),
+    ("mean_distance", CANDIDATE_TO_REFERENCE),
+    ("precision", CANDIDATE_TO_REFERENCE),
+)
 
 
 class Case(NamedTuple):
@@ -63,8 +69,8 @@ def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
     spacing = case.reference**-0.5
     candidate = candidate + noise(case.noise, candidate, spacing, rng)[:, None] * directions
     prepared = Reference.prepare(Cloud(reference), Settings())
-    index, normals = Index(candidate - prepared.origin), prepared.surface.with_normals_at(None)
-    forth, back = match_both_ways(prepared.index, index)
+    index, normals = Index(candidate - prepared.origin), prepared.surface.compute_normals(None)
+    forth, back = match_both_directions(prepared.index, index)
     ways = []
     for queries, matches, searched, closest in (
         (index.points, forth, prepared.points, forth.indices),

@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter, uniform_filter
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.visibility import SEEN_BY, sees
+from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, sees
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.scenes import read_scene
 from pcbench.studies.bench.truth import Truth, mesh_of, read_truth
@@ -66,7 +66,7 @@ def read_city(folder: Path) -> City:
     index, footprint = MeshIndex(truth.surface), truth.pixel
     samples = truth.surface.sample(min(SAMPLES, int(truth.surface.area / footprint**2)))
     view_counts, textured = (np.zeros(len(samples), dtype=int) for _ in range(2))
-    cosines = np.zeros((SEEN_BY, len(samples)))  # the largest, in ascending order
+    cosines = np.zeros((MIN_VISIBLE_VIEWS, len(samples)))  # the largest, in ascending order
     for name in scene.images:
         camera = scene.cameras[name]
         here = np.flatnonzero(sees(index, camera, samples.points, samples.normals))
@@ -76,10 +76,17 @@ def read_city(folder: Path) -> City:
         cosines[:, here] = np.sort([*cosines[:, here], cosine], axis=0)[1:]
         view_counts[here] += 1
         textured[here] += deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > FLAT
-    seen = view_counts >= SEEN_BY
+    seen = view_counts >= MIN_VISIBLE_VIEWS
     slant = np.degrees(np.arccos(np.clip(cosines[0, seen], 0, 1)))
     return City(
-        folder, truth, index, samples.points[seen], textured[seen] >= SEEN_BY, view_counts[seen], slant, footprint
+        folder,
+        truth,
+        index,
+        samples.points[seen],
+        textured[seen] >= MIN_VISIBLE_VIEWS,
+        view_counts[seen],
+        slant,
+        footprint,
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pcbench.errors import MissingExtra
-from pcbench.extras import LIBRARIES, require, unavailable
+from pcbench.extras import LIBRARIES, import_problem, require
 
 NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
@@ -54,5 +54,5 @@ def break_system_libraries(folder, names=SYSTEM_LIBRARIES):
 
 
 if __name__ == "__main__":
-    problems = [line for library in (*LIBRARIES, *_TEST_LIBRARIES) if (line := unavailable(library))]
+    problems = [line for library in (*LIBRARIES, *_TEST_LIBRARIES) if (line := import_problem(library))]
     sys.exit("\n".join(problems) or 0)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.plugins.run import ReconstructionJob, run
-from pcbench.threads import cpus
+from pcbench.threads import cpu_count
 
 # Settings with which each reconstructor takes seconds, by name.
 FAST_SETTINGS = {
@@ -35,7 +35,7 @@ class Conditions(NamedTuple):
 
 
 # At least one condition uses all CPUs; with more threads than CPUs, threads are preempted anywhere.
-CONDITIONS = (Conditions(1, 1, 0), Conditions(cpus(), 2, 2), Conditions(cpus(), 7, 2))
+CONDITIONS = (Conditions(1, 1, 0), Conditions(cpu_count(), 2, 2), Conditions(cpu_count(), 7, 2))
 
 
 class Repeat(NamedTuple):
@@ -49,7 +49,7 @@ def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **
     """Run a reconstructor with fast settings in a new workspace."""
     with under(conditions):
         made = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
-    points = len(made.required().cloud)
+    points = len(made.require_reconstruction().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 

@@ -32,9 +32,9 @@ def script(tmp_path):
 
 def test_exit_code_and_output(script):
     ended = run_script(script("import sys", "print('one\\ntwo')", "sys.exit('first\\nlast\\n\\n')"))
-    assert (ended.code, ended.timed_out, ended.output, ended.last_words) == (1, False, "one\ntwo\n", "last")
+    assert (ended.code, ended.timed_out, ended.output, ended.last_error_line) == (1, False, "one\ntwo\n", "last")
     ended = run_script(script("import os", "os.abort()"))
-    assert (ended.code, ended.last_words) == (-signal.SIGABRT, "")
+    assert (ended.code, ended.last_error_line) == (-signal.SIGABRT, "")
     assert run_script(script("import sys", "print(sys.argv[1:], sys.stdin.read() == '')"), "a", "b c").output == (
         "['a', 'b c'] True\n"
     )
@@ -56,7 +56,7 @@ def test_limits(script):
     assert [int(word) for word in free] == [*own, len(os.sched_getaffinity(0))]
     limited = run_script(script(*lines), limits=Limits(memory=1 << 30, cpu_seconds=7, one_cpu=True))
     assert limited.output.split() == [str(1 << 30), "7", "0", "1"]
-    assert run_script(script("bytearray(1 << 31)"), limits=Limits(memory=1 << 30)).last_words == "MemoryError"
+    assert run_script(script("bytearray(1 << 31)"), limits=Limits(memory=1 << 30)).last_error_line == "MemoryError"
 
 
 def test_descendants_end_with_the_child(script):
@@ -229,7 +229,7 @@ def test_script_imports_resolve_as_in_this_process(script, tmp_path, monkeypatch
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "module_of_mine.py").write_text("VALUE = 3")
     file = script("import module_of_mine", "print(module_of_mine.VALUE)")
-    assert "module_of_mine" in run_script(file).last_words
+    assert "module_of_mine" in run_script(file).last_error_line
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "elsewhere")])
     assert run_script(file).output == "3\n"
 

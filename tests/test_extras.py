@@ -12,7 +12,7 @@ from wording import refused, said
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import MissingExtra
-from pcbench.extras import LIBRARIES, debian_package, require, unavailable
+from pcbench.extras import LIBRARIES, debian_package, import_problem, require
 from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
 
@@ -32,7 +32,7 @@ def test_any_import_error_becomes_one_line(monkeypatch, tmp_path, error):
     break_library(monkeypatch, tmp_path, "open3d", error)
     with refused(MissingExtra) as raised:
         require("open3d")
-    assert unavailable("json", "open3d") == str(raised.value)
+    assert import_problem("json", "open3d") == str(raised.value)
 
 
 def test_submodule_of_a_broken_library(monkeypatch, tmp_path):
@@ -48,7 +48,7 @@ def test_interrupted_import_is_not_a_missing_library(monkeypatch, tmp_path):
 
 
 def test_loadable_libraries_are_available():
-    assert unavailable("json", "importlib.util") is None
+    assert import_problem("json", "importlib.util") is None
     assert require("importlib.util").find_spec("json")
 
 

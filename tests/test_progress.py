@@ -8,16 +8,16 @@ import pytest
 
 from pcbench.cli import messages
 from pcbench.cli.messages import steps
-from pcbench.progress import Plan, Step, TimeEstimate, duration
+from pcbench.progress import ProgressPlan, Step, TimeEstimate, duration
 
 MESSAGE_INTERVAL_S = messages._MESSAGE_INTERVAL_S
 
 
 def test_plan_announces_steps_with_durations():
     announced = []
-    plan = Plan(announced.append, [1.0, 10.0, 3.0])
+    plan = ProgressPlan(announced.append, [1.0, 10.0, 3.0])
     plan("reading")
-    inner = Plan(plan.within(), [4.0, 6.0])
+    inner = ProgressPlan(plan.within(), [4.0, 6.0])
     inner("registering")
     inner("measuring")
     plan("writing")

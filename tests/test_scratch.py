@@ -13,7 +13,7 @@ import pytest
 from wording import refused
 
 from pcbench.io.files import atomic_write
-from pcbench.scratch import claim, naming, remove_leftovers, scratch_file, scratch_folder
+from pcbench.scratch import attribute_errors_to, lock_output, remove_leftovers, scratch_file, scratch_folder
 
 BUSY = """
 import sys
@@ -58,14 +58,14 @@ def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other):
     old = time.time() - 10**6
     for path in tmp_path.iterdir():
         os.utime(path, (old, old))  # age alone does not make a leftover
-    with refused(), claim(tmp_path / "out"):
+    with refused(), lock_output(tmp_path / "out"):
         pass
     with atomic_write(tmp_path / "mine.txt") as file:
         file.write(b"mine")
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*other_files, "mine.txt"])
     other.send_signal(signal.SIGKILL)
     other.wait()
-    with claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
+    with lock_output(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
         (folder / "complete").touch()
         folder.rename(tmp_path / "out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "out"]
@@ -132,7 +132,7 @@ def test_similar_names_of_users_stay(tmp_path):
 
 
 def test_nothing_remains_after_an_error(tmp_path):
-    with pytest.raises(ZeroDivisionError), claim(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
+    with pytest.raises(ZeroDivisionError), lock_output(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
         (folder / "half").touch()
         raise ZeroDivisionError
     with pytest.raises(ZeroDivisionError), scratch_file(tmp_path / "a") as (_, file):
@@ -142,13 +142,13 @@ def test_nothing_remains_after_an_error(tmp_path):
 
 
 def test_full_disk_error_names_the_output(tmp_path):
-    with pytest.raises(OSError) as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+    with pytest.raises(OSError) as caught, attribute_errors_to(tmp_path / "out", tmp_path / "scratch"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "out"))
-    with pytest.raises(PermissionError) as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+    with pytest.raises(PermissionError) as caught, attribute_errors_to(tmp_path / "out", tmp_path / "scratch"):
         raise PermissionError(errno.EACCES, "denied", tmp_path / "scratch" / "a" / "b.ply")
     assert caught.value.filename == str(tmp_path / "out" / "a" / "b.ply")
-    with pytest.raises(FileNotFoundError) as caught, naming(tmp_path / "out", tmp_path / "scratch"):
+    with pytest.raises(FileNotFoundError) as caught, attribute_errors_to(tmp_path / "out", tmp_path / "scratch"):
         (tmp_path / "elsewhere").read_text()
     assert caught.value.filename == str(tmp_path / "elsewhere")
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pcbench.scenes.splits import every, in_blocks
-from pcbench.scenes.views import Pictures, write_views
+from pcbench.scenes.splits import split_blocks, split_every
+from pcbench.scenes.views import ViewImages, write_views
 
 LEVEL_OFFSET = 8  # error of the first view, in grey levels; it grows by one per view
 
@@ -16,12 +16,12 @@ def photograph(number, size=(64, 48)):
 def write_view_folder(folder, scene="city", count=18, blocks=None, mask=None, method="splat"):
     """Write a folder of views; the rendering of k.png is LEVEL_OFFSET + k grey levels brighter."""
     names = [f"{k}.png" for k in range(count)]
-    split = every(names) if blocks is None else in_blocks(names, blocks)
+    split = split_every(names) if blocks is None else split_blocks(names, blocks)
 
     def render(name):
         number = int(name.removesuffix(".png"))
         truth = photograph(number)
-        return Pictures(name, truth + np.uint8(LEVEL_OFFSET + number), truth, mask)
+        return ViewImages(name, truth + np.uint8(LEVEL_OFFSET + number), truth, mask)
 
     write_views(folder, scene, method, split, render)
     return folder

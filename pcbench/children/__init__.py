@@ -45,7 +45,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Ended:
+class ChildResult:
     """Exit status and output of a child.
 
     Args:
@@ -65,7 +65,7 @@ class Ended:
     received: int
 
     @property
-    def last_words(self) -> str:
+    def last_error_line(self) -> str:
         """The last line of its standard error that is not blank; empty if there is none."""
         return last_line(self.errors)
 
@@ -81,7 +81,7 @@ def run_module(
     limits: Limits | None = None,
     environment: Mapping[str, str] | None = None,
     log: BinaryIO | None = None,
-) -> Ended:
+) -> ChildResult:
     """Run a module of this pcbench package as a program and wait for it.
 
     Args:
@@ -116,7 +116,7 @@ def run_script(
     environment: Mapping[str, str] | None = None,
     stdin: BinaryIO | None = None,
     into: memoryview | None = None,
-) -> Ended:
+) -> ChildResult:
     """Run a Python file that imports nothing of pcbench and wait for it; its imports resolve as in this process.
 
     Args:
@@ -139,7 +139,7 @@ def _run(
     log: BinaryIO | None = None,
     stdin: BinaryIO | None = None,
     into: memoryview | None = None,
-) -> Ended:
+) -> ChildResult:
     limits = limits or Limits()
     own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
     start_arguments = [
@@ -163,7 +163,7 @@ def _run(
     if (error := output.finish()) is not None:
         raise OSError(error.errno, error.strerror, getattr(log, "name", None)) from error
     errors.finish()
-    return Ended(code, timed_out, cpu_s, output.text(), errors.text(), received)
+    return ChildResult(code, timed_out, cpu_s, output.text(), errors.text(), received)
 
 
 class _PipeReader(Thread):

@@ -16,7 +16,7 @@ from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
 from pcbench.cli.streams import discard, finish_output, is_of_a_stream, prepare_streams
 from pcbench.errors import PcbenchError
-from pcbench.threads import fit_threads
+from pcbench.threads import limit_threads
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -64,7 +64,7 @@ def main() -> None:
 
 def _run() -> None:
     try:
-        fit_threads()
+        limit_threads()
         app(standalone_mode=False)
         finish_output()
     except click.exceptions.Exit as stop:

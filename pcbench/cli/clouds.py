@@ -36,13 +36,13 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     from pcbench.errors import InputError
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.crop import crop as crop_cloud
-    from pcbench.io.files import check_output, named_file, reading_seconds
-    from pcbench.progress import Plan
+    from pcbench.io.files import check_output, estimate_reading_seconds, file_in_setting
+    from pcbench.progress import ProgressPlan
 
-    check_output(out, [cloud, *filter(None, [named_file(crop)])])
+    check_output(out, [cloud, *filter(None, [file_in_setting(crop)])])
     with steps(quiet) as show:
-        reading = reading_seconds(cloud)
-        step = Plan(show, [reading, 0.5 * reading, reading])
+        reading = estimate_reading_seconds(cloud)
+        step = ProgressPlan(show, [reading, 0.5 * reading, reading])
         step(f"reading {cloud}")
         data = read_cloud(cloud, on_warning=warn_unless(quiet))
         step("cropping")
@@ -80,22 +80,22 @@ def register(
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output, digest, named_file, reading_seconds
-    from pcbench.progress import Plan
+    from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
+    from pcbench.progress import ProgressPlan
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
     from pcbench.report.inputs import InputFile
 
     output = JsonOutput(json_file)
-    inputs = [reference, candidate, *filter(None, [named_file(register)])]
+    inputs = [reference, candidate, *filter(None, [file_in_setting(register)])]
     for path, other in ((out, matrix), (matrix, out)):
         if path is not None:
             check_output(path, inputs, [*filter(None, [other])])
     output.check(inputs, [*filter(None, [out, matrix])])
     read_warnings: list[list[str]] = []  # per file
     with steps(quiet) as show:
-        reading = [reading_seconds(path) for path in (reference, candidate)]
-        step = Plan(show, [*reading, 0.5 + 15 * sum(reading)])
+        reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
+        step = ProgressPlan(show, [*reading, 0.5 + 15 * sum(reading)])
         clouds = []
         for path in (reference, candidate):
             step(f"reading {path}")
@@ -177,9 +177,9 @@ def convert(
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
-    from pcbench.io.files import check_output, reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
-    from pcbench.progress import Plan
+    from pcbench.io.files import check_output, estimate_reading_seconds
+    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.progress import ProgressPlan
 
     check_output(out, (cloud,))
     check_cloud_output(out)
@@ -191,12 +191,12 @@ def convert(
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
-    is_mesh = sample is not None or is_mesh_alone(cloud)
+    is_mesh = sample is not None or is_mesh_only(cloud)
     if is_mesh and any(value is not None for value in filters.values()):
         raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
     with steps(quiet) as show:
-        reading = reading_seconds(cloud)
-        step = Plan(show, [reading, reading])
+        reading = estimate_reading_seconds(cloud)
+        step = ProgressPlan(show, [reading, reading])
         step(f"reading {cloud}")
         if is_mesh:
             mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
@@ -215,20 +215,20 @@ def info(clouds: tuple[Path, ...]) -> None:
     """Describe CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
-    from pcbench.geometry.crs import crs_line
+    from pcbench.geometry.crs import crs_label
     from pcbench.geometry.neighbors import Index, median_spacing
-    from pcbench.geometry.splats import is_of_splats, splat_model, spread
+    from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
-    from pcbench.io.files import reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_alone, read_mesh
-    from pcbench.progress import Plan
+    from pcbench.io.files import estimate_reading_seconds
+    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.progress import ProgressPlan
 
     for path in clouds:
         mesh = spacing = None
         with steps(quiet=False) as show:
-            step = Plan(show, [reading_seconds(path), 10 * reading_seconds(path)])
+            step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
             step(f"reading {path}")
-            if is_mesh_alone(path):
+            if is_mesh_only(path):
                 mesh = read_mesh(path, on_warning=warn)
                 cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
             else:
@@ -256,13 +256,13 @@ def info(clouds: tuple[Path, ...]) -> None:
             click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
         click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
         click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
-        click.echo(f", crs {crs_line(cloud.crs) if cloud.crs else 'unknown'}")
+        click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
         attributes = list(cloud.attributes)
         if (splats := splat_model(cloud)) is not None:
             degree = "unknown" if splats.sh_degree is None else splats.sh_degree
             click.echo(f"  {splats.dimensions}D Gaussian splat model, {len(cloud):,} splats, SH degree {degree}")
             click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
-            attributes = [name for name in attributes if not is_of_splats(name)]
+            attributes = [name for name in attributes if not is_splat_attribute(name)]
         if attributes:
             click.echo(f"  attributes {', '.join(attributes)}")
 

@@ -63,12 +63,12 @@ def bend(
     Example: pcbench experiment bend --out bend/
     """
     from pcbench.report import print_columns
-    from pcbench.studies.bend.bend import Experiment, run_bend
+    from pcbench.studies.bend.bend import SurveySettings, run_bend
     from pcbench.studies.bend.findings import table
 
     if scene is not None and any(given(context, name) for name in ("images", "size")):
         raise click.UsageError("--images and --size apply only to a synthetic scene, without SCENE")
-    settings = Experiment(images, *image_size(size), seed)
+    settings = SurveySettings(images, *image_size(size), seed)
     with steps(quiet) as step:
         study, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
     if not quiet:
@@ -78,7 +78,7 @@ def bend(
         click.echo(f"report: {out}")
     if without_figures:
         warn(without_figures)
-    if not study.is_judged:
+    if not study.has_measured_bends:
         raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be evaluated: see the table there")
 
 

@@ -38,10 +38,10 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     A description has the origin, the purpose, whether the reconstructor can run here, and its settings with types and
     defaults.
     """
-    from pcbench.plugins import installed
+    from pcbench.plugins import installed_reconstructors
     from pcbench.plugins.run import describe
 
-    for spec in specs or installed():
+    for spec in specs or installed_reconstructors():
         with steps(quiet=False) as step:
             step(f"describing {spec}")
             plugin = describe(spec, time_limit)
@@ -101,28 +101,28 @@ def reconstruct(
     """
     from pcbench.io import check_cloud_output, write_cloud
     from pcbench.io.files import check_output
-    from pcbench.plugins.run import ReconstructionJob, check_workspace, note_made, run, was_made
+    from pcbench.plugins.run import ReconstructionJob, check_workspace, is_recorded_output, record_output, run
     from pcbench.plugins.wgs84 import in_wgs84
     from pcbench.regular_files import is_regular_file
     from pcbench.scenes import read_scene
     from pcbench.scenes.folders import find_images
-    from pcbench.scenes.write import cameras_files, check_cameras_output
+    from pcbench.scenes.write import camera_output_files, check_cameras_output
     from pcbench.scenes.write import write_cameras as write
-    from pcbench.scratch import claim
+    from pcbench.scratch import lock_output
 
     values = dict(key_value(text) for text in settings)
     named = [Path(text) for text in (name.rpartition(":")[0], *values.values()) if is_regular_file(text)]
     work = workspace or out.with_suffix(".work")
     inputs = [scene, *named, *filter(None, [masks]), *([] if cameras in ("auto", "none") else [Path(cameras)])]
-    others = [] if write_cameras is None else cameras_files(write_cameras)
-    check_cloud_output(out, inputs if not was_made(work, out) else named, others)
+    others = [] if write_cameras is None else camera_output_files(write_cameras)
+    check_cloud_output(out, inputs if not is_recorded_output(work, out) else named, others)
     if write_cameras is not None:
         check_cameras_output(write_cameras, scene)
     for file in filter(Path.exists, others):
         check_output(file, inputs)
     sphere = read_scene(scene, cameras=cameras, on_warning=lambda _: None).sphere_origin() if wgs84 else None
     job = ReconstructionJob(name, scene, values, cameras=cameras, masks=masks, image_scale=image_scale)
-    click.get_current_context().with_resource(claim(out))
+    click.get_current_context().with_resource(lock_output(out))
     with steps(quiet) as step:
         step(f"reconstructing with {name}")
         check_workspace(work)
@@ -130,13 +130,13 @@ def reconstruct(
     for warning in result.warnings:
         if not (wgs84 and "--wgs84" in warning):
             warn_unless(quiet)(warning)
-    reconstruction = result.required()
+    reconstruction = result.require_reconstruction()
     if sphere is not None and reconstruction.gauge == "georeferenced":
         reconstruction = in_wgs84(reconstruction, sphere)
     elif sphere is not None:
         warn(f"not converted to WGS84: the cloud has the gauge {reconstruction.gauge}, not the frame of the cameras")
     write_cloud(out, reconstruction.cloud)
-    note_made(work, out)
+    record_output(work, out)
     if write_cameras is not None and not reconstruction.cameras:
         warn(f"{write_cameras}: not written, because {name} returned no cameras")
     elif write_cameras is not None:

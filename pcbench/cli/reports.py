@@ -190,13 +190,13 @@ def deform(
     Example: pcbench deform ref.ply a.ply --out bend/
     """
     _limit_openblas()
-    from pcbench.io.files import named_file
+    from pcbench.io.files import file_in_setting
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
     style = Figures().changed(background, None, figure_format)
     output = JsonOutput(json_file)
-    output.check([reference, candidate, *filter(None, map(named_file, (register, crop)))], folder=out)
+    output.check([reference, candidate, *filter(None, map(file_in_setting, (register, crop)))], folder=out)
     with steps(quiet) as step:
         outcome = deform_files(
             reference, candidate, register, crop, seed, out, figures=None if no_figures else style, step=step
@@ -252,7 +252,7 @@ def plot(
     from pcbench.report.figures import recorded_figures
     from pcbench.report.manifest import complete_replacement
     from pcbench.report.plot import REPORT, draw, drawing_seconds
-    from pcbench.scratch import claim
+    from pcbench.scratch import lock_output
     from pcbench.studies.bench.charts import CHARTS
     from pcbench.studies.gao.figures import PICTURES as GAO
     from pcbench.studies.views.pictures import PICTURES
@@ -264,7 +264,7 @@ def plot(
             f"{report}: expected the folder of a report (with comparison.json), a bench (bench.json), views"
             " (scores.json) or `experiment gao` (gao.md)"
         )
-    click.get_current_context().with_resource(claim(report))
+    click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
     with steps(quiet) as step:
         candidates = len(list(report.glob("*_deviation.ply"))) or 1

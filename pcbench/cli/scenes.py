@@ -53,9 +53,9 @@ def scene(
     from pcbench.scenes import read_scene
 
     if write_cameras is not None:
-        from pcbench.scenes.write import check_cameras_kept
+        from pcbench.scenes.write import check_cameras_not_replaced
 
-        check_cameras_kept(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
+        check_cameras_not_replaced(write_cameras, scene, None if cameras in ("auto", "none") else Path(cameras))
     warn = warn_unless(quiet)
     on_warning = (lambda text: None if "--wgs84" in text else warn(text)) if wgs84 else warn
     with steps(quiet) as step:
@@ -206,7 +206,7 @@ def warp(
     """
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output
-    from pcbench.scenes.synthetic.warp import record_path, turn, warp_of, write_warped
+    from pcbench.scenes.synthetic.warp import make_warp, record_path, similarity_from_angles, write_warped
 
     for path in (out, record_path(out)):
         check_output(path, (cloud,))
@@ -219,8 +219,8 @@ def warp(
         data = read_cloud(cloud, on_warning=warn_unless(quiet))
         lower, upper = data.bounds
         pivot = center or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
-        motion = turn(angles, offset, scale, pivot)
+        motion = similarity_from_angles(angles, offset, scale, pivot)
         step(f"deforming, writing {out}")
-        record = write_warped(out, data, warp_of(kind, data.points, rms, motion))
+        record = write_warped(out, data, make_warp(kind, data.points, rms, motion))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")

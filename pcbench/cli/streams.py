@@ -47,7 +47,7 @@ def finish_output() -> None:
 def is_of_a_stream(error: OSError) -> bool:
     """Whether an OSError belongs to a standard stream.
 
-    It then has no file name; writers of files add theirs (`scratch.naming`).
+    It then has no file name; writers of files add theirs (`scratch.attribute_errors_to`).
     """
     return error.filename is None and error.errno in (errno.ENOSPC, errno.EFBIG, errno.EBADF)
 

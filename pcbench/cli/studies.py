@@ -54,11 +54,11 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
     from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
-    from pcbench.scratch import claim
+    from pcbench.scratch import lock_output
 
     check_demo_folder(out)
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    click.get_current_context().with_resource(claim(out))
+    click.get_current_context().with_resource(lock_output(out))
     with steps(quiet) as step:
         step("building the city")
         scene = make_demo(points, seed)
@@ -164,7 +164,7 @@ def bench(
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
              --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
     """
-    from pcbench.io.files import named_file
+    from pcbench.io.files import file_in_setting
     from pcbench.studies.bench.plan import Axis
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.studies.bench.score import Rules
@@ -173,7 +173,7 @@ def bench(
     rules = Rules(register, crop, threshold)
     job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
     output = JsonOutput(json_file)
-    named = filter(None, [masks, truth_mesh, named_file(register), named_file(crop)])
+    named = filter(None, [masks, truth_mesh, file_in_setting(register), file_in_setting(crop)])
     output.check([scene, reference, *named], folder=out)
     _bench_and_print(job, out, output, figures=not no_figures, quiet=quiet)
 
@@ -181,11 +181,11 @@ def bench(
 def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: bool, quiet: bool) -> None:
     from pcbench.report.plot import draw_if_possible
     from pcbench.studies.bench.charts import CHARTS
-    from pcbench.studies.bench.runs import Done
+    from pcbench.studies.bench.runs import FinishedRun
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
 
-    def say(done: Done) -> None:
+    def say(done: FinishedRun) -> None:
         if not quiet:
             click.echo(f"{done.number}/{done.of} {done.words}", err=output.on_stdout)
 

@@ -23,7 +23,7 @@ correlated over metres, so that a million points may hold a few hundred independ
 Everything is computed from `TileSums`, which are additive over pairs. Lengths are in the clouds' unit.
 """
 
-from pcbench.deformation.answer import judge
+from pcbench.deformation.answer import assess
 from pcbench.deformation.clouds import deform
 from pcbench.deformation.pairs import Side
 from pcbench.deformation.residual import residual_deformation
@@ -57,6 +57,6 @@ __all__ = [
     "Tiles",
     "Trend",
     "deform",
-    "judge",
+    "assess",
     "residual_deformation",
 ]

@@ -14,7 +14,7 @@ from pcbench.deformation.sums import TileSums
 from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
 
 
-def judge(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
+def assess(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """Assess the deformation of a pair of clouds.
 
     Args:

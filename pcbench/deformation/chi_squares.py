@@ -49,7 +49,7 @@ def chi_squares_tail(value: float, weights: FloatArray) -> float:
     return min(1.0, max(0.0, 1.0 - _integral(x, relative, -(0.5 * len(relative) + 1) / x, 0.0)))
 
 
-def chi_squares_point(tail: float, weights: FloatArray) -> float:
+def chi_squares_quantile(tail: float, weights: FloatArray) -> float:
     """Return the value at which `chi_squares_tail` equals the probability `tail`, strictly between 0 and 1."""
 
     def excess(value: float) -> float:

@@ -15,7 +15,7 @@ from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs
 from pcbench.deformation.result import POSE_NOT_FIXED, Deformation
 from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.errors import Notice
-from pcbench.geometry.arrays import FloatArray, rounding_of
+from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
@@ -50,7 +50,7 @@ def residual_deformation(
     if pairs is None or np.count_nonzero(pairs.weights) < MIN_PAIRS or extent(pairs.places[pairs.weights > 0]) == 0:
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
         text = f"only {count} pairs of points: too few to distinguish a deformation from noise"
-        return Deformation.unanswered(Notice("few-pairs", text))
+        return Deformation.undecided_because(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
     resolution = _RESOLUTION_SPACINGS * pairs.spacing
@@ -83,7 +83,7 @@ def residual_deformation(
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     if finding.verdict == "undecided" and finding.warnings[0].code in (_DOUBTFUL, POSE_NOT_FIXED):
         answer = answer.withheld()
-    answer = answer.without_rounding(rounding_of(reference.surface.points, origin))
+    answer = answer.without_rounding(rounding_bound(reference.surface.points, origin))
     return answer.shifted(origin).with_warnings(notes)
 
 
@@ -136,7 +136,7 @@ def _without_map_projection(
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
-        if sagitta > 0.2 * noise and noise > rounding_of(reference.surface.points, origin):
+        if sagitta > 0.2 * noise and noise > rounding_bound(reference.surface.points, origin):
             text = (
                 "coordinates look like those of a map, but no file names its projection: relative to a Euclidean cloud"
                 f" the Earth's curvature alone deforms it by {sagitta:.2g} (if the unit is the metre)"

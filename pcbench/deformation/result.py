@@ -238,7 +238,7 @@ class Deformation:
         return f"<Deformation: {self.verdict} ({self.model} model{size}{p})>"
 
     @classmethod
-    def unanswered(cls, reason: Notice) -> Deformation:
+    def undecided_because(cls, reason: Notice) -> Deformation:
         """Return an undecided result, for data that allow no test."""
         return cls("undecided", "rigid", warnings=(reason,))
 
@@ -301,7 +301,7 @@ class Deformation:
         return f"{name} is not deformed{whole}{unseen}{parts}"
 
     @property
-    def part_moved(self) -> bool:
+    def has_moved_part(self) -> bool:
         """Whether a part of the scene moved by itself, far beyond the noise."""
         return bool(self._parts_that_moved(""))
 

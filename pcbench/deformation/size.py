@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from pcbench.deformation.chi_squares import chi_squares_point
+from pcbench.deformation.chi_squares import chi_squares_quantile
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
 from pcbench.deformation.result import Amplitude, Interval, Observable
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 # The covariance is itself an estimate: if it is a third too small, a nominal p of 1e-5 is in fact 1e-3.
-MAX_P_SURE = 1e-5  # significance level of a verdict
+MAX_P_SIGNIFICANT = 1e-5  # significance level of a verdict
 DETECTION_POWER = 0.9  # power of the test at the minimum detectable deformation
 _POWER_Z = 1.282  # normal quantile of DETECTION_POWER
 
@@ -76,7 +76,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     if power <= MIN_INFORMATION * geometry.total * float(geometry.dome @ geometry.dome):
         return None
     covariance = geometry.covariance(step, noise)
-    limit = chi_squares_point(MAX_P_SURE, np.linalg.eigvalsh(covariance).astype(np.float64))
+    limit = chi_squares_quantile(MAX_P_SIGNIFICANT, np.linalg.eigvalsh(covariance).astype(np.float64))
     base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
     along = float(modes @ covariance @ modes)
     low, high = 0.0, 1.0

@@ -12,7 +12,7 @@ from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import TILE, Geometry, Noise, Scores, estimate_noise
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
 from pcbench.deformation.result import ModelScore
-from pcbench.deformation.size import MAX_P_SURE, amplitude, effective_count
+from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
 
@@ -47,12 +47,12 @@ class Evidence(NamedTuple):
     @property
     def significant(self) -> bool:
         """Whether the larger model is needed."""
-        return self.p <= MAX_P_SURE
+        return self.p <= MAX_P_SIGNIFICANT
 
     @property
     def doubtful(self) -> bool:
         """Whether the evidence is too weak for a decision."""
-        return MAX_P_SURE < self.p <= _MAX_P_DOUBTFUL
+        return MAX_P_SIGNIFICANT < self.p <= _MAX_P_DOUBTFUL
 
 
 class Finding(NamedTuple):

@@ -16,7 +16,7 @@ MAX_COORDINATE = 1e100  # squared distances overflow beyond it
 _ROUNDING_ULPS = 16  # rounding allowed after a few operations, in units in the last place of the largest coordinate
 
 
-def rounding_of(points: FloatArray, origin: FloatArray) -> float:
+def rounding_bound(points: FloatArray, origin: FloatArray) -> float:
     """Upper bound of the rounding error of points (N, 3) plus an origin (3,) after a few operations, as a length."""
     largest = max(float(np.abs(corner + origin).max()) for corner in bounds(points))
     return _ROUNDING_ULPS * float(np.finfo(np.float64).eps) * largest

@@ -170,7 +170,7 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1
     return Similarity(rotation, -rotation @ eye)
 
 
-def rotation_from(matrix: ArrayLike) -> FloatArray:
+def nearest_rotation(matrix: ArrayLike) -> FloatArray:
     """Return the rotation (3, 3) nearest to the matrix of a camera file, which is rounded to few digits.
 
     The nearest rotation is the orthogonal factor of the polar decomposition.

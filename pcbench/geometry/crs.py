@@ -32,7 +32,7 @@ def crs_name(text: str) -> str:
     return ":".join(authority) if authority else str(crs.name)
 
 
-def crs_line(text: str) -> str:
+def crs_label(text: str) -> str:
     """Return the name of a CRS and its authority code, if any, on one line of at most 100 characters.
 
     Without pyproj, the name is read from the start of the WKT; other texts are returned as they are.
@@ -48,12 +48,12 @@ def crs_line(text: str) -> str:
     return line if len(line) <= _MAX_LABEL_LENGTH else f"{line[: _MAX_LABEL_LENGTH - 3]}..."
 
 
-def is_known(text: str | None) -> bool:
+def is_known_crs(text: str | None) -> bool:
     """Whether pyproj is installed and knows the CRS."""
     return text is not None and _parse_crs(text) is not None
 
 
-def has_heights(text: str | None) -> bool:
+def is_projected_crs(text: str | None) -> bool:
     """Whether the CRS is projected, alone or with a vertical CRS, so that z is a height."""
     crs = None if text is None else _parse_crs(text)
     if crs is None:

@@ -159,7 +159,7 @@ class MeshIndex:
         return len(self.mesh)
 
     @cached_property
-    def has_inside(self) -> bool:
+    def supports_signed_distance(self) -> bool:
         """Whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""
         try:
             return bool(self._pseudo_normals)
@@ -178,7 +178,7 @@ class MeshIndex:
 
         Raises:
             InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed or has
-                degenerate faces (see `has_inside`).
+                degenerate faces (see `supports_signed_distance`).
         """
         queries = as_rows("points", points)
         if not np.isfinite(queries).all():
@@ -211,7 +211,7 @@ class MeshIndex:
         self._tree.cast(origins, directions, np.inf, *hits)
         return hits
 
-    def blocked(self, origins: ArrayLike, directions: ArrayLike, *, limit: float = np.inf) -> NDArray[np.bool_]:
+    def is_occluded(self, origins: ArrayLike, directions: ArrayLike, *, limit: float = np.inf) -> NDArray[np.bool_]:
         """Return whether each ray (N,) intersects the mesh before `limit` lengths of its direction.
 
         To test lines of sight, pass end points minus origins as directions and a limit of 1. The other arguments and

@@ -13,7 +13,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.native import _core
 
-__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_ways", "median_spacing"]
+__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions", "median_spacing"]
 
 _SPACING_SAMPLE = 20_000  # approximate number of points that a median spacing is estimated from
 _MAX_DUPLICATES = 8  # size of the neighbourhood, the point itself included, that is searched for a non-duplicate
@@ -172,7 +172,7 @@ class Index:
         self._tree.nearest_of(queries._tree, *matches)
         return matches
 
-    def nearest_of_with_ties(self, queries: "Index", slack: float) -> tuple[Matches, NDArray[np.bool_]]:
+    def query_index_with_ties(self, queries: "Index", slack: float) -> tuple[Matches, NDArray[np.bool_]]:
         """Find nearest points as `query_index` does, and report ties.
 
         Args:
@@ -226,7 +226,7 @@ class Index:
         return np.ascontiguousarray(rows, np.int64)
 
 
-def match_both_ways(reference: Index, candidate: Index) -> tuple[Matches, Matches]:
+def match_both_directions(reference: Index, candidate: Index) -> tuple[Matches, Matches]:
     """Match points in both directions: candidate to reference, then reference to candidate.
 
     The query points are already sorted in space by their own index, so this is faster than two calls of `query`.

@@ -88,9 +88,9 @@ class Surface:
         Raises:
             InputError: there are fewer than three points.
         """
-        return self.with_normals_at(rows)[rows]
+        return self.compute_normals(rows)[rows]
 
-    def with_normals_at(self, rows: IntArray | None) -> FloatArray:
+    def compute_normals(self, rows: IntArray | None) -> FloatArray:
         """Compute the normals at the indices `rows` (M,), or at all points if None, and return those of all points.
 
         The result (N, 3) is not a copy: unit normals where computed, NaN elsewhere.

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcbench.errors import InputError, MissingExtra
-from pcbench.extras import require, unavailable
+from pcbench.extras import import_problem, require
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
@@ -69,7 +69,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
     return Mesh(vertices[used] + origin, faces.reshape(-1, 3), crs=cloud.crs, unit=cloud.unit)
 
 
-def oriented(cloud: Cloud) -> Cloud:
+def orient_normals(cloud: Cloud) -> Cloud:
     """Orient the normals of a cloud consistently over the surface, most of them upwards.
 
     Open3D propagates signs along a minimum spanning tree of neighbours (Hoppe et al. 1992, section 3.3) over at most
@@ -100,7 +100,7 @@ def _reconstruct(points: FloatArray, normals: FloatArray, depth: int) -> tuple[F
     try:
         open3d = require("open3d")
     except MissingExtra:
-        if unavailable("pymeshlab"):
+        if import_problem("pymeshlab"):
             raise
         return _with_pymeshlab(points, normals, depth)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))

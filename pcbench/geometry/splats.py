@@ -60,7 +60,7 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
     return SplatModel(len(names), _SH_DEGREES.get(rest), opacities, axes)
 
 
-def is_of_splats(name: str) -> bool:
+def is_splat_attribute(name: str) -> bool:
     """Whether the attribute is one that every splat model has."""
     return name == "opacity" or name.startswith(("scale_", "rot_", "f_dc_", "f_rest_"))
 

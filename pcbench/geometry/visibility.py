@@ -11,7 +11,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import MeshIndex
 
-SEEN_BY = 3  # minimum number of cameras that see a point: what multi-view stereo needs
+MIN_VISIBLE_VIEWS = 3  # minimum number of cameras that see a point: what multi-view stereo needs
 _RAY_OFFSET_SHARE = 1e-7  # ray offset as a share of the scene size: above coordinate rounding, below any occluder
 
 
@@ -50,7 +50,7 @@ def sees(index: MeshIndex, camera: Camera, points: FloatArray, normals: FloatArr
     facing = np.einsum("ni,ni->n", lines, normals[visible]) > 0
     free = np.zeros(len(lines), dtype=np.bool_)
     if facing.any():
-        free[facing] = ~index.blocked(starts[facing], lines[facing], limit=1.0)
+        free[facing] = ~index.is_occluded(starts[facing], lines[facing], limit=1.0)
     visible[visible] = free
     return visible
 

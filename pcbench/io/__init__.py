@@ -22,7 +22,9 @@ from pcbench.io.formats import CLOUDS, CloudFormat
 __all__ = ["FILTERED", "CloudLike", "check_cloud_output", "is_path", "read_cloud", "to_cloud", "write_cloud"]
 
 CloudLike = Cloud | ArrayLike | os.PathLike[str]  # accepted by `to_cloud`; `ArrayLike` includes str, so paths too
-FILTERED = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # formats with classes and returns
+FILTERABLE_EXTENSIONS = tuple(
+    extension for extension, form in CLOUDS.items() if form.filtered
+)  # formats with classes and returns
 
 
 def read_cloud(
@@ -56,7 +58,9 @@ def read_cloud(
         form = _format(path)
         filters = {"classes": classes, "returns": returns} if classes is not None or returns is not None else {}
         if filters and not form.filtered:
-            raise InputError(f"expected {', '.join(FILTERED)} to filter by classes or returns, got another format")
+            raise InputError(
+                f"expected {', '.join(FILTERABLE_EXTENSIONS)} to filter by classes or returns, got another format"
+            )
         return filter_splats(finite_cloud(form.read(path, warn, **filters), warn), min_opacity, max_axis)
 
     return read_named(model_file(as_path(path)), read, on_warning)

@@ -51,7 +51,7 @@ def read_e57(path: Path, warn: Warn) -> Fields:
         if done.timed_out:
             raise InputError(f"damaged E57 data: not read within {limits.seconds:.0f} s: export the file again")
         if done.code:
-            reason = "".join(c if c.isprintable() else " " for c in done.last_words)[:200]
+            reason = "".join(c if c.isprintable() else " " for c in done.last_error_line)[:200]
             raise InputError(f"damaged E57 data: {reason or 'the reader crashed'}: export the file again")
         return _fields(folder, warn)
 

@@ -58,7 +58,7 @@ def read_json(path: Path) -> Any:
         raise InputError(f"expected JSON: {error}") from None
 
 
-def json_object(path: Path) -> dict[str, Any]:
+def read_json_object(path: Path) -> dict[str, Any]:
     """Parse a JSON file that contains an object; return {} if it contains something else or cannot be read."""
     try:
         values = read_json(path)
@@ -168,7 +168,7 @@ def digest(path: Path) -> str:
     return folder_hash.hexdigest()
 
 
-def named_file(setting: object) -> Path | None:
+def file_in_setting(setting: object) -> Path | None:
     """Return the file that a registration or region setting names, or None if it names none.
 
     Args:
@@ -217,7 +217,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         rename_open(file, temporary, target)
 
 
-def reading_seconds(path: Path) -> float:
+def estimate_reading_seconds(path: Path) -> float:
     """Estimate the seconds needed to read a file of points, for progress bars; 0 if the file does not exist."""
     try:
         size = path.stat().st_size

@@ -94,7 +94,7 @@ def _read_with_trimesh(path: Path) -> Mesh:
             raise InputError(f"trimesh did not finish within {2 * seconds} s: simplify the mesh or convert it to PLY")
         if done.code:
             require("trimesh")
-            reason_given = done.last_words or f"exit status {done.code}"
+            reason_given = done.last_error_line or f"exit status {done.code}"
             reason = "".join(c if c.isprintable() else " " for c in reason_given)[:200]
             raise InputError(f"trimesh cannot read it: {reason}")
         vertices, faces = (np.load(output, allow_pickle=False) for output in outputs)

@@ -73,7 +73,7 @@ def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint
     )
     if done.code == 3:
         raise MissingExtra("lazrs", "las", "it is installed but does not load")
-    if done.code == _EXIT_SOME_DIFFER and done.received == total and len(words := done.last_words.split()) == 2:
+    if done.code == _EXIT_SOME_DIFFER and done.received == total and len(words := done.last_error_line.split()) == 2:
         raise _damage_error(
             f"{words[0]} of {header.count} points, from point {int(words[1]) + 1} on, failed verification: encoding"
             " them again gives other bytes"

@@ -42,7 +42,7 @@ def holds_mesh(path: str | os.PathLike[str]) -> bool:
         return False  # its reader reports the error
 
 
-def is_mesh_alone(path: str | os.PathLike[str]) -> bool:
+def is_mesh_only(path: str | os.PathLike[str]) -> bool:
     """Whether the file's format stores meshes but not clouds."""
     suffix = Path(path).suffix.lower()
     return suffix in MESHES and suffix not in CLOUDS

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
+from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import Fields, Warn, check_readable, finite_cloud
@@ -246,7 +246,7 @@ def _camera(
         if not (np.abs([mounted.rotation, platform_rotation]) <= _MAX_ROTATION_ENTRY).all():
             raise InputError("expected rotation matrices for platform and camera, got others: export it again")
         intrinsics = mounted.intrinsics(size_of(image.name))
-        rotation = rotation_from(mounted.rotation @ platform_rotation)
+        rotation = nearest_rotation(mounted.rotation @ platform_rotation)
         translation = -rotation @ (platform_rotation.T @ mounted.center + center)
         if not np.isfinite(translation).all():
             raise InputError("expected a finite camera position: export the scene again")

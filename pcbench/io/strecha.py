@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
+from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.regular_files import read_text
 
@@ -35,7 +35,7 @@ def read_strecha(path: Path) -> Camera:
             )
         if abs(k[1]) > 1e-6 * k[0] or k[3] or k[6] or k[7] or k[8] != 1 or (size != size.round()).any():
             raise InputError("expected K without skew and a size in integer pixels: undistort the images or correct it")
-        world_from_cam = rotation_from(rotation.reshape(3, 3))
+        world_from_cam = nearest_rotation(rotation.reshape(3, 3))
         intrinsics = Intrinsics(int(size[0]), int(size[1]), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
         pose = Similarity(world_from_cam.T, -world_from_cam.T @ centre)
     except InputError as error:

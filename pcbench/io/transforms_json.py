@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.cameras import Camera, Intrinsics, rotation_from
+from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, read_json
 
@@ -135,7 +135,7 @@ def _pose(matrix: Any) -> Similarity:
     m = np.array(matrix, dtype=np.float64)
     if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
         raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}: export it again")
-    cam_from_world = (rotation_from(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
+    cam_from_world = (nearest_rotation(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
     return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
 
 

@@ -30,7 +30,7 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, CandidateComparisons, Difference
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
-from pcbench.progress import Plan
+from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration, register
 from pcbench.systems import peak_memory
 
@@ -71,7 +71,7 @@ def compare(
     read = replace(settings, m3c2=settings.m3c2.read()) if isinstance(settings.m3c2, M3C2Settings) else settings
     clouds = {name: as_cloud(cloud) for name, cloud in named.items()}
     given = reference if isinstance(reference, Mesh) else as_cloud(reference)
-    step = Plan(on_step or (lambda _: None), expected_seconds(given, clouds, settings))
+    step = ProgressPlan(on_step or (lambda _: None), expected_seconds(given, clouds, settings))
 
     step("indexing the reference")
     shared: dict[str, float] = {}
@@ -238,7 +238,7 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
     if forth.distances.to_planes is not None:
         scalars["plane_distance"] = forth.distances.to_planes
     for name, mesh in reference.meshes.items():
-        scalars[name] = mesh.query(forth.points, signed=mesh.has_inside).distances
+        scalars[name] = mesh.query(forth.points, signed=mesh.supports_signed_distance).distances
     along_normals = None
     if "m3c2" in settings.maps:
         how = settings.m3c2 if isinstance(settings.m3c2, M3C2Settings) else M3C2Settings()
@@ -249,7 +249,7 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
 def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
     """Crop both clouds to the region and match them; without a region they are matched as they are."""
     rows, given = reference.rows, reference.cloud.normals
-    normals = reference.surface.with_normals_at(rows) if reference.has_normals else None
+    normals = reference.surface.compute_normals(rows) if reference.has_normals else None
     if rows is None:
         return presets.match(reference.index, candidate, reference.nearest_other, normals, given)
     normals, given = (None if n is None else n[rows] for n in (normals, given))

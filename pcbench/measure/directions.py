@@ -108,7 +108,7 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) 
     distances, closest = matches
     planes = None
     if reference.has_normals:
-        n = reference.surface.with_normals_at(closest)
+        n = reference.surface.compute_normals(closest)
         planes = metrics.plane_distances(queries, reference.points, n, closest_rows=closest, normal_rows=closest)
     floor = _means(floors.to_reference(reference, queries))
     return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
@@ -130,7 +130,7 @@ def from_reference(
     rows, queries = reference.rows, reference.measured_points
     planes = None
     if reference.has_normals:
-        n = reference.surface.with_normals_at(rows)
+        n = reference.surface.compute_normals(rows)
         planes = metrics.plane_distances(queries, candidate.points, n, closest_rows=back.indices, normal_rows=rows)
     cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
     error = 0.0

@@ -108,7 +108,7 @@ def _shrink_to_surface(
     closest = matches[rows]
     known = closest >= 0
     at = closest[known]
-    n = reference.surface.with_normals_at(at)[at]
+    n = reference.surface.compute_normals(at)[at]
     positions[known] -= error * np.einsum("ni,ni->n", positions[known] - reference.points[at], n)[:, None] * n
     return positions
 

@@ -15,7 +15,7 @@ from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure.deviation import M3C2, m3c2
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.reference import Reference
-from pcbench.measure.wording import counted
+from pcbench.measure.wording import pluralize
 from pcbench.registration import Registration
 
 _MAX_CORES = 50_000  # default core points: the reference, voxel-downsampled
@@ -74,7 +74,7 @@ def m3c2_warnings(found: M3C2) -> Iterator[Notice]:
     measured = int(np.count_nonzero(np.isfinite(found.distances)))
     text = (
         f"M3C2 has no result: cylinders of radius {found.radius:.3g} and half length {found.half_length:.3g} contain"
-        f" points of both clouds at {measured} of {counted(len(found.cores), 'core point')}, and the five points per"
+        f" points of both clouds at {measured} of {pluralize(len(found.cores), 'core point')}, and the five points per"
         " cloud that a level of detection needs at none: enlarge them with --m3c2 radius=... and depth=..., and check"
         " that cores are in the reference's coordinates"
     )

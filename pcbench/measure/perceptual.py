@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import MissingExtra, Notice
-from pcbench.extras import require, unavailable
+from pcbench.extras import import_problem, require
 from pcbench.measure.images import ViewScores, psnr, ssim, unit_range
 
 _WEIGHTS = "vgg16-397923af.pth"  # torchvision's, of VGG-16 on ImageNet
@@ -74,7 +74,7 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
 
     if find_spec("lpips") is None or find_spec("torch") is None:  # torch takes seconds to load
         return missing("the package lpips is not installed (pip install lpips)")
-    if why := unavailable("torch"):
+    if why := import_problem("torch"):
         return missing(why)
     import torch
 
@@ -101,7 +101,7 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
 
 
 def _find_flip() -> tuple[Metric | None, Notice | None]:
-    if why := unavailable("flip_evaluator"):
+    if why := import_problem("flip_evaluator"):
         return None, Notice("no-flip", f"FLIP is not measured: {why}")
 
     def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index, Matches, match_both_ways
+from pcbench.geometry.neighbors import Index, Matches, match_both_directions
 from pcbench.geometry.voxels import cell_means
 from pcbench.measure import metrics
 from pcbench.native import _core
@@ -122,8 +122,8 @@ def match(
     raw_normals: FloatArray | None,
 ) -> CroppedPair:
     """Match a cropped pair in both directions, with the ties that presets need."""
-    to_reference, tied_to_reference = reference.nearest_of_with_ties(candidate, _TIE_TOLERANCE)
-    to_candidate, tied_to_candidate = candidate.nearest_of_with_ties(reference, _TIE_TOLERANCE)
+    to_reference, tied_to_reference = reference.query_index_with_ties(candidate, _TIE_TOLERANCE)
+    to_candidate, tied_to_candidate = candidate.query_index_with_ties(reference, _TIE_TOLERANCE)
     matches = (to_reference, to_candidate, tied_to_reference, tied_to_candidate)
     return CroppedPair(reference, candidate, *matches, nearest_other, normals, raw_normals)
 
@@ -182,7 +182,7 @@ def tnt(pair: CroppedPair, thresholds: tuple[float, ...]) -> Tnt:
     rows = []
     for threshold in thresholds:
         downsampled = (Index(_voxel_down(cloud.points, threshold / 2)) for cloud in (pair.reference, pair.candidate))
-        a, b = match_both_ways(*downsampled)
+        a, b = match_both_directions(*downsampled)
         rows.append(metrics.fscore(a.distances, b.distances, threshold))
     return Tnt(tuple(rows))
 

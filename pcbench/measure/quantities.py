@@ -9,13 +9,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
-from pcbench.deformation.size import DETECTION_POWER, MAX_P_SURE
+from pcbench.deformation.size import DETECTION_POWER, MAX_P_SIGNIFICANT
 from pcbench.measure.deviation import M3C2, Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import DirectedValues, Preset
 from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Headline, Quantity
-from pcbench.measure.results import BACK, FORTH, Candidate, Estimate
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 
 _UNITS = {0: RATIO, 1: LENGTH, 2: SQUARED_LENGTH}  # by the power of the unit of length
 _SPREAD_DEFINITIONS = {  # the numbers of a `Spread`
@@ -41,7 +41,7 @@ def quantities(candidate: Candidate) -> Iterator[Quantity]:
 
 def _means(candidate: Candidate) -> Iterator[Quantity]:
     for metric in MEAN_METRICS:
-        for way in (FORTH, BACK):
+        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             yield from _mean(candidate.metrics.directed[metric.name][way], metric, way)
         larger = candidate.metrics.directed[metric.name].symmetric_max
         if larger is not None:
@@ -55,7 +55,7 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
     name, text, unit = metric.name, metric.definition, _UNITS[metric.power]
     headline = floor_headline = None
     if metric.headline:
-        rank, floor_rank = metric.ranks[way != FORTH]
+        rank, floor_rank = metric.ranks[way != CANDIDATE_TO_REFERENCE]
         headline = Headline(metric.headline, column=metric.column, rank=rank)
         floor_headline = Headline("  sampling floor", column="floor", rank=floor_rank)
     root = metric.root_name  # which stands in the summary in place of the mean square
@@ -106,7 +106,7 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
 def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
     """Yield the distribution of the distances of one kind, in both directions."""
     both = candidate.metrics.spreads[kind]
-    for way in (FORTH, BACK):
+    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
         for key, definition in _SPREAD_DEFINITIONS.items():
             signed = ", signed" if kind == "plane_distance" and key == "median" else ""
             yield Quantity(
@@ -122,7 +122,7 @@ def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
 def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
     found = candidate.metrics.hausdorff
     for rank in ("p95", "p99"):
-        for way in (FORTH, BACK):
+        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             yield Quantity(
                 f"hausdorff_{rank}",
                 way,
@@ -133,8 +133,8 @@ def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
                 headline=Headline("95% lie within", column="95%", rank=6) if rank == "p95" else None,
             )
     for way, value in (
-        (FORTH, found.accuracy.largest),
-        (BACK, found.completeness.largest),
+        (CANDIDATE_TO_REFERENCE, found.accuracy.largest),
+        (REFERENCE_TO_CANDIDATE, found.completeness.largest),
         ("symmetric_max", found.symmetric_max),
     ):
         is_directed = way != "symmetric_max"
@@ -170,7 +170,7 @@ def _map(spread: Spread, name: str, title: str, *, is_new: bool) -> Iterator[Qua
         label = labels.get(key, "")
         yield Quantity(
             name,
-            FORTH,
+            CANDIDATE_TO_REFERENCE,
             f"{definition} of the deviation map",
             getattr(spread, key),
             variant=key,
@@ -192,7 +192,7 @@ def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
     ):
         yield Quantity(
             f"m3c2_{key}",
-            FORTH,
+            CANDIDATE_TO_REFERENCE,
             definition,
             value,
             unit,
@@ -234,8 +234,8 @@ def _fscores(candidate: Candidate) -> Iterator[Quantity]:
         )
         label = "  precision, recall"
         for metric, way, whose, found in (
-            ("precision", FORTH, "candidate", scores.precision),
-            ("recall", BACK, "reference", scores.recall),
+            ("precision", CANDIDATE_TO_REFERENCE, "candidate", scores.precision),
+            ("recall", REFERENCE_TO_CANDIDATE, "reference", scores.recall),
         ):
             share = _estimate_quantity(metric, way, f"share of the {whose}'s points within the threshold", found, RATIO)
             yield replace(
@@ -286,7 +286,8 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     else:
         yield replace(cell, metric="deformation_rms", value=size.rms, interval=Interval(*size.ci))
         yield Quantity("deformation_max", "", text, size.max, section="deformation")
-    text = f"RMS of a dome that is found in {100 * DETECTION_POWER:g} % of all cases at p <= {MAX_P_SURE:g}; {verdict}"
+    power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
+    text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
     least = bend.minimum_detectable_rms
     yield replace(cell, metric="minimum_detectable_rms", definition=text, value=least, second=True)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
-from pcbench.measure.results import BACK
+from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 
 # Units as powers of the reference's unit of length; other units ("deg", "dB") are written as they are.
 LENGTH, SQUARED_LENGTH, RATIO = "length", "length^2", "1"
@@ -34,7 +34,7 @@ class Quantity:
 
     Attributes:
         metric: what was measured.
-        direction: `FORTH`, `BACK`, "symmetric_max", "both", or "" without a direction.
+        direction: `CANDIDATE_TO_REFERENCE`, `REFERENCE_TO_CANDIDATE`, "symmetric_max", "both", or "" if there is none.
         definition: definition in words.
         value: measured value; None if it does not exist.
         unit: `LENGTH`, `SQUARED_LENGTH`, `RATIO`, another unit, or "" if a quoted tool gives none.
@@ -76,7 +76,7 @@ class Quantity:
     @property
     def column(self) -> int:
         """Column in tables: 0 for c→r and values without direction, 1 for r→c and second values."""
-        return int(self.second or self.direction == BACK)
+        return int(self.second or self.direction == REFERENCE_TO_CANDIDATE)
 
     def unit_name(self, length: str) -> str:
         """Return the unit in words; `length` is the unit of lengths."""

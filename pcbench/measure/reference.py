@@ -60,7 +60,7 @@ class Reference:
         surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
         rows = None if region is None else np.flatnonzero(inside)
         if len(surface) >= 3:
-            surface.with_normals_at(rows)  # sufficient for D2; registration estimates further ones as needed
+            surface.compute_normals(rows)  # sufficient for D2; registration estimates further ones as needed
         nearest_other = surface.nearest_other() if len(surface) > 1 else None
         return cls(
             cloud=cloud,
@@ -82,13 +82,13 @@ class Reference:
         Raises:
             InputError: the reference is too small for normals.
         """
-        from pcbench.geometry.poisson import oriented, poisson_mesh
+        from pcbench.geometry.poisson import orient_normals, poisson_mesh
 
         if not self.has_normals:
             raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
         rows = voxel_downsample_to(self.points, _MAX_POISSON_POINTS, start=self.spacing)
         cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
-        mesh = poisson_mesh(cloud if self.cloud.normals is not None else oriented(cloud))
+        mesh = poisson_mesh(cloud if self.cloud.normals is not None else orient_normals(cloud))
         return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
 
     @property

@@ -20,12 +20,12 @@ from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import Preset
 from pcbench.measure.settings import Settings
-from pcbench.measure.wording import counted
+from pcbench.measure.wording import pluralize
 from pcbench.registration import Registration
 
 # The directions as keys of comparison.json and as arrows in tables.
-FORTH, BACK = "candidate_to_reference", "reference_to_candidate"
-ARROWS = {FORTH: "c→r", BACK: "r→c"}
+CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE = "candidate_to_reference", "reference_to_candidate"
+ARROWS = {CANDIDATE_TO_REFERENCE: "c→r", REFERENCE_TO_CANDIDATE: "r→c"}
 
 
 class Estimate(NamedTuple):
@@ -57,8 +57,8 @@ class DirectedMetric:
     symmetric_max: Estimate | None = None
 
     def __getitem__(self, direction: str) -> Estimate:
-        """Return the estimate of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
-        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+        """Return the estimate of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
+        return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
     def root(self) -> DirectedMetric:
         """Return the square roots of both values: a mean square as a length."""
@@ -82,8 +82,8 @@ class Hausdorff:
     completeness: Extremes
 
     def __getitem__(self, direction: str) -> Extremes:
-        """Return the extremes of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
-        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+        """Return the extremes of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
+        return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
     @property
     def symmetric_max(self) -> float:
@@ -122,8 +122,8 @@ class DirectedSpread:
     completeness: Spread
 
     def __getitem__(self, direction: str) -> Spread:
-        """Return the distribution of the direction `FORTH` (accuracy) or `BACK` (completeness)."""
-        return {FORTH: self.accuracy, BACK: self.completeness}[direction]
+        """Return the distribution of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
+        return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,12 +284,12 @@ class CandidateComparisons:
 
     def __repr__(self) -> str:
         unit = f" {self.reference.unit}" if self.reference.unit else ""
-        count, spacing = counted(self.reference.points, "point"), self.reference.spacing_median
+        count, spacing = pluralize(self.reference.points, "point"), self.reference.spacing_median
         lines = [f"Comparison with {count}, spacing {spacing:.3g}{unit}"]
         for candidate in self.candidates:
             distance = candidate.metrics.mean_distance
             lines.append(
-                f"  {candidate.name}: {counted(candidate.points, 'point')}, mean distance"
+                f"  {candidate.name}: {pluralize(candidate.points, 'point')}, mean distance"
                 f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
                 f" deformation {candidate.deformation.verdict}"
             )

@@ -10,14 +10,14 @@ import numpy as np
 
 from pcbench.errors import Notice
 from pcbench.geometry import voxels
-from pcbench.geometry.arrays import FloatArray, rounding_of
+from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction
 from pcbench.measure.intervals import LinearizedScore, ScoreUncertainty
 from pcbench.measure.results import (
     ARROWS,
-    BACK,
-    FORTH,
+    CANDIDATE_TO_REFERENCE,
+    REFERENCE_TO_CANDIDATE,
     Chamfer,
     DirectedMetric,
     DirectedSpread,
@@ -27,7 +27,7 @@ from pcbench.measure.results import (
     Metrics,
     ThresholdScores,
 )
-from pcbench.measure.wording import counted
+from pcbench.measure.wording import pluralize
 
 MIN_INDEPENDENT_REGIONS = 10  # with fewer, the correlation length is poorly known
 _CHAMFER = {"sum_unsquared": "mean_distance", "sum_squared": "d1_mse"}  # mean that each variant adds over directions
@@ -70,13 +70,13 @@ def measure(
         corner: (3,) origin of those voxels.
         origin: (3,) offset added to the coordinates of the worst points.
     """
-    ways = {FORTH: forth, BACK: back}
+    ways = {CANDIDATE_TO_REFERENCE: forth, REFERENCE_TO_CANDIDATE: back}
     shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
-    uneven = shares[FORTH] - shares[BACK]
+    uneven = shares[CANDIDATE_TO_REFERENCE] - shares[REFERENCE_TO_CANDIDATE]
     means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
     compared = _linearized_scores(means, thresholds)
     within = {f"{way}/{_within_key(t)}": means[way][_within_key(t)] for way in ways for t in thresholds}
-    both = 0.5 * (shares[FORTH] + shares[BACK])
+    both = 0.5 * (shares[CANDIDATE_TO_REFERENCE] + shares[REFERENCE_TO_CANDIDATE])
     known = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
     spreads = _distributions(forth, back)
@@ -86,12 +86,12 @@ def measure(
         hausdorff=Hausdorff(*(_extremes(direction, ranks[way], origin) for way, direction in ways.items())),
         chamfer=Chamfer(**{name: _chamfer(name, ways, known) for name in _CHAMFER}),
         fscores=tuple(_threshold_scores(threshold, known) for threshold in thresholds),
-        percentiles_accuracy=ranks[FORTH],
-        percentiles_completeness=ranks[BACK],
+        percentiles_accuracy=ranks[CANDIDATE_TO_REFERENCE],
+        percentiles_completeness=ranks[REFERENCE_TO_CANDIDATE],
         spreads=spreads,
     )
     doubts = _interval_warnings(
-        {name: known.spreads[name] for name in compared}, compared, rounding_of(forth.points, origin)
+        {name: known.spreads[name] for name in compared}, compared, rounding_bound(forth.points, origin)
     )
     return Measurement(found, compared, both, tuple(doubts))
 
@@ -115,7 +115,7 @@ def _directed(
     found = {}
     for metric in MEAN_METRICS:
         key = metric.name
-        if f"{key}/{FORTH}" not in known.sampled:  # no normals, no distances to planes
+        if f"{key}/{CANDIDATE_TO_REFERENCE}" not in known.sampled:  # no normals, no distances to planes
             found[key] = DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
             continue
         estimates = {}
@@ -127,7 +127,7 @@ def _directed(
                 floor=direction.floors[key], area_weighted=area_weighted
             )
         larger = known.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
-        found[key] = DirectedMetric(estimates[FORTH], estimates[BACK], larger)
+        found[key] = DirectedMetric(estimates[CANDIDATE_TO_REFERENCE], estimates[REFERENCE_TO_CANDIDATE], larger)
     return found
 
 
@@ -139,8 +139,8 @@ def _chamfer(name: str, ways: Mapping[str, Direction], known: _ScoreTable) -> Es
 def _threshold_scores(threshold: float, known: _ScoreTable) -> ThresholdScores:
     return ThresholdScores(
         threshold,
-        precision=known.estimate(f"{FORTH}/{_within_key(threshold)}"),
-        recall=known.estimate(f"{BACK}/{_within_key(threshold)}"),
+        precision=known.estimate(f"{CANDIDATE_TO_REFERENCE}/{_within_key(threshold)}"),
+        recall=known.estimate(f"{REFERENCE_TO_CANDIDATE}/{_within_key(threshold)}"),
         fscore=known.estimate(f"fscore/{threshold!r}"),
     )
 
@@ -163,11 +163,11 @@ def _linearized_scores(
 ) -> dict[str, LinearizedScore]:
     """Linearise each score that is compared between candidates: means, symmetric maxima, sums and F-scores."""
     found: dict[str, LinearizedScore] = {}
-    forth, back = means[FORTH], means[BACK]
+    forth, back = means[CANDIDATE_TO_REFERENCE], means[REFERENCE_TO_CANDIDATE]
     for metric in MEAN_METRICS:
         key = metric.name
         if key in forth and key in back:
-            found[f"{key}/{FORTH}"], found[f"{key}/{BACK}"] = forth[key], back[key]
+            found[f"{key}/{CANDIDATE_TO_REFERENCE}"], found[f"{key}/{REFERENCE_TO_CANDIDATE}"] = forth[key], back[key]
             if metric.has_symmetric_max:
                 found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
     for name, key in _CHAMFER.items():
@@ -198,7 +198,7 @@ def _interval_warnings(
     if worst.independent_regions < MIN_INDEPENDENT_REGIONS:
         over = f"errors are correlated over {worst.reach:.3g}, which leaves" if worst.reach > 0 else "the scene holds"
         metric, _, way = name.partition("/")
-        regions = counted(round(worst.independent_regions), "independent region")
+        regions = pluralize(round(worst.independent_regions), "independent region")
         yield Notice(
             "few-pieces",
             f"intervals are approximate: {over} about {regions}; reliable intervals need at least"

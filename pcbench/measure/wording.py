@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 
-def counted(count: int, noun: str) -> str:
+def pluralize(count: int, noun: str) -> str:
     """Return a count with its noun: "1 point", "2,000 points"."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
-def times_as(ratio: float, what: str) -> str:
+def ratio_in_words(ratio: float, what: str) -> str:
     """Return a ratio in words: "4 times as much", or "as much" if it rounds to 1."""
     shown = f"{ratio:.2g}"
     return f"as {what}" if shown == "1" else f"{shown} times as {what}"

@@ -1,9 +1,9 @@
 """Compiled kernels. A missing or broken build raises ImportError at the first import; there is no silent fallback."""
 
 from pcbench.errors import InputError
-from pcbench.threads import fit_threads
+from pcbench.threads import limit_threads
 
-fit_threads()
+limit_threads()
 try:
     from pcbench.native import _core
 except ImportError as error:  # pragma: no cover - only on a broken installation

@@ -8,7 +8,7 @@ from pcbench.plugins.plugin import (
     Reconstructor,
     Setting,
     find_plugin,
-    installed,
+    installed_reconstructors,
 )
 
 __all__ = [
@@ -19,5 +19,5 @@ __all__ = [
     "Reconstructor",
     "Setting",
     "find_plugin",
-    "installed",
+    "installed_reconstructors",
 ]

@@ -169,7 +169,7 @@ def find_plugin(spec: str) -> Plugin:
     return _check_plugin(spec, _origin(found[0]), _get_attribute(spec, _import(spec, found[0].module), found[0].attr))
 
 
-def installed() -> tuple[str, ...]:
+def installed_reconstructors() -> tuple[str, ...]:
     """Return the names of the installed reconstructors, sorted."""
     return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
 

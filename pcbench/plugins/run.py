@@ -19,7 +19,7 @@ from pcbench.native import _core
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import follow_log
 from pcbench.registration import SurveyResiduals
-from pcbench.scratch import claim, scratch_folder
+from pcbench.scratch import lock_output, scratch_folder
 from pcbench.systems import SIGKILL, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
@@ -103,7 +103,7 @@ class Run:
     warnings: tuple[str, ...]
     reconstruction: Reconstruction | None
 
-    def required(self) -> Reconstruction:
+    def require_reconstruction(self) -> Reconstruction:
         """Return the reconstruction.
 
         Raises:
@@ -137,7 +137,7 @@ def run(
         OSError: the workspace cannot be written.
     """
     (workspace / PLUGIN).mkdir(parents=True, exist_ok=True)
-    with claim(workspace):
+    with lock_output(workspace):
         return _run(job, workspace, time_limit_s, on_progress)
 
 
@@ -196,13 +196,13 @@ def check_workspace(folder: Path) -> None:
         raise InputError(f"{folder}: expected an empty folder or an earlier workspace: choose another, or empty it")
 
 
-def note_made(workspace: Path, out: Path) -> None:
-    """Record in a workspace the digest of the file to which its cloud was written, for `was_made`."""
+def record_output(workspace: Path, out: Path) -> None:
+    """Record in a workspace the digest of the file to which its cloud was written, for `is_recorded_output`."""
     with atomic_write(workspace / _OUTPUT_DIGEST_FILE) as file:
         file.write(digest(out).encode())
 
 
-def was_made(workspace: Path, out: Path) -> bool:
+def is_recorded_output(workspace: Path, out: Path) -> bool:
     """Whether a file is the unchanged output of an earlier run in the workspace, which may be replaced."""
     try:
         return (workspace / _OUTPUT_DIGEST_FILE).read_text(encoding="utf-8") == digest(out)

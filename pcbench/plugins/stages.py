@@ -12,7 +12,7 @@ from typing import Any
 
 from pcbench.extras import installed_versions
 from pcbench.plugins.code import code_digest
-from pcbench.scratch import naming
+from pcbench.scratch import attribute_errors_to
 
 _RECORD_FILE = "stage.json"
 # COLMAP increments these counters in the header of a database at each opening, even without changes.
@@ -45,7 +45,7 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
         if old.exists():
             shutil.rmtree(old)
     temporary.mkdir()
-    with naming(folder, temporary):
+    with attribute_errors_to(folder, temporary):
         make(temporary)
         record = {"inputs": recorded, "files": _record_files(temporary)}
         (temporary / _RECORD_FILE).write_text(json.dumps(record, sort_keys=True, indent=1), encoding="utf-8")

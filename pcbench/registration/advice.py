@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 
 _COARSE_ALIGNMENT = "--register points:FILE or matrix:FILE"
 _INSTALL = "pip install 'pcbench[global]'"
@@ -26,4 +26,4 @@ def find_any_scale() -> str:
 
 def has_global() -> bool:
     """Return whether registration from any pose can run: KISS-Matcher is installed and loads."""
-    return unavailable("kiss_matcher") is None
+    return import_problem("kiss_matcher") is None

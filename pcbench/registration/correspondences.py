@@ -55,7 +55,7 @@ def match_features(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
         done = run_script(kiss_child.__file__, str(source), str(target), limits=Limits(one_cpu=True))
         if done.code:
             require("kiss_matcher")
-            raise RegistrationError(f"KISS-Matcher failed: {done.last_words or f'exit code {done.code}'}")
+            raise RegistrationError(f"KISS-Matcher failed: {done.last_error_line or f'exit code {done.code}'}")
         with np.load(target) as found:
             both = [
                 [found[f"{name}{k}"].astype(np.float64) for name in FeaturePairs._fields] for k in range(len(clouds))

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray, IntArray, rounding_of
+from pcbench.geometry.arrays import FloatArray, IntArray, rounding_bound
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity, fit_similarity
@@ -264,7 +264,7 @@ def _run_both_stages(problem: _Problem, start: _Start, constrained: FloatArray) 
     coarse = (replace(settings, with_scale=False), np.zeros((6, 0))) if rigid else (settings, constrained)
     T = Similarity.identity()
     closest = target.surface.index.query(problem.sample.points)
-    if closest.distances.max() <= rounding_of(problem.sample.points, np.zeros(3)):
+    if closest.distances.max() <= rounding_bound(problem.sample.points, np.zeros(3)):
         return _IcpResult(T, 0, True, closest.indices)  # a candidate on the reference stays exactly where it is
     stages = (target.coarse, problem.coarse_sample), (target.surface, problem.sample)
     first = _iterate(*stages[0], T, *coarse, problem.coarse_schedule(start), target.extent)
@@ -335,7 +335,7 @@ def _plane_step(
     which is least squares under the equality constraints `constrained.T @ motion = 0` (see `degeneracy`).
     """
     hessian, gradient, center = np.empty((7, 7)), np.empty(7), np.empty(3)
-    normals = target.with_normals_at(pairs.indices)
+    normals = target.compute_normals(pairs.indices)
     radius = _core.plane_system(
         pairs.moved, normals, pairs.indices, pairs.residuals, pairs.weights, hessian, gradient, center
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, RegistrationError
-from pcbench.geometry.crs import has_heights
+from pcbench.geometry.crs import is_projected_crs
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike, to_cloud
@@ -95,7 +95,7 @@ def register(
             T = fit.T_local.about(origin)
         elif isinstance(method, ControlPoints):
             T, residuals = fit_pairs(method)
-            residuals = replace(residuals, z_is_up=method.z_is_up or has_heights(reference.crs))
+            residuals = replace(residuals, z_is_up=method.z_is_up or is_projected_crs(reference.crs))
             fit = assess_given(target, points, T.about(-origin), origin, method.text)
         else:
             T = method.T_reference_candidate

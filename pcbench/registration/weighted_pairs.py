@@ -49,7 +49,7 @@ def weigh(
         kept_share: Share of the pairs within the maximum distance that are used if the weights are not robust.
     """
     distances, indices = nearest
-    normals = target.with_normals_at(indices)
+    normals = target.compute_normals(indices)
     residuals, weights = np.empty(len(moved)), np.empty(len(moved))
     near_count, sigma = _core.weigh(
         moved, distances, target.points, indices, normals, max_distance, robust, kept_share, residuals, weights

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
-from pcbench.measure.results import BACK, FORTH, Candidate
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.words import joined, length, rounding, shortened
@@ -258,7 +258,7 @@ class _Writer:
         result, notes = candidate.deformation, []
         if result.amplitude is not None and _verdict(candidate) == "non-affine":
             notes.append(f"{self.length(result.amplitude.rms)} RMS")
-        if result.part_moved:
+        if result.has_moved_part:
             notes.append("a part moved separately")
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
@@ -282,16 +282,18 @@ def _off_surface(candidate: Candidate) -> _Distance:
     if d2.value is not None:
         floor = None if d2.floor is None else d2.floor**0.5
         ends = None if d2.interval is None else Interval(d2.interval.low**0.5, d2.interval.high**0.5)
-        return _Distance(d2.value**0.5, floor, ends, f"d2_mse/{FORTH}", "RMS", "surface")
+        return _Distance(d2.value**0.5, floor, ends, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")
     mean = candidate.metrics.mean_distance.accuracy
-    return _Distance(mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{FORTH}", "on average")
+    return _Distance(
+        mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{CANDIDATE_TO_REFERENCE}", "on average"
+    )
 
 
 def _away(candidate: Candidate) -> _Distance:
     """Return the mean distance from the reference's points to the candidate."""
     mean = candidate.metrics.mean_distance.completeness
     label = "mean distance from the reference"
-    return _Distance(mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{BACK}", label)
+    return _Distance(mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{REFERENCE_TO_CANDIDATE}", label)
 
 
 def _nmad(candidate: Candidate) -> float | None:

@@ -82,7 +82,7 @@ class Range:
         return colors
 
 
-def largest_but_strays(values: FloatArray) -> float:
+def robust_maximum(values: FloatArray) -> float:
     """Return the 95th percentile of |values|, which is robust against outliers; 0 without values."""
     return float(np.percentile(np.abs(values), 95)) if len(values) else 0.0
 

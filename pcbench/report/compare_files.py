@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from pcbench.errors import InputError
-from pcbench.io import FILTERED
-from pcbench.io.files import named_file, reading_seconds
+from pcbench.io import FILTERABLE_EXTENSIONS
+from pcbench.io.files import estimate_reading_seconds, file_in_setting
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
-from pcbench.progress import Plan
+from pcbench.progress import ProgressPlan
 from pcbench.report.comparison import Comparison, compare_inputs
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
@@ -89,9 +89,11 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
     if isinstance(settings.m3c2, M3C2Settings):
         settings = replace(settings, m3c2=settings.m3c2.absolute())
-    if (settings.classes or settings.returns) and not any(p.suffix.lower() in FILTERED for p in job.inputs):
+    if (settings.classes or settings.returns) and not any(
+        p.suffix.lower() in FILTERABLE_EXTENSIONS for p in job.inputs
+    ):
         raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
-    plan = Plan(step, _expected_seconds(job, outputs))
+    plan = ProgressPlan(step, _expected_seconds(job, outputs))
     if outputs.folder is None:
         outcome = ComparisonOutcome(_run(job, settings, plan))
     else:
@@ -105,7 +107,7 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
     return outcome
 
 
-def _run(job: ComparisonJob, settings: Settings, step: Plan) -> Comparison:
+def _run(job: ComparisonJob, settings: Settings, step: ProgressPlan) -> Comparison:
     measured = compare_inputs(job.reference, job.candidates, settings, step)
     assert measured.inputs is not None  # all clouds come from files
     inputs = measured.inputs
@@ -127,7 +129,7 @@ def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
 
 def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
     """Return a rough duration of each announced step, in seconds, for the progress bar."""
-    reading = [reading_seconds(path) for path in (job.reference, *job.candidates.values())]
+    reading = [estimate_reading_seconds(path) for path in (job.reference, *job.candidates.values())]
     pairs = [reading[0] + seconds for seconds in reading[1:]]
     writing = sum(pairs) if outputs.folder is not None else 0.0
     return [*reading, sum(2.0 + 20 * pair for pair in pairs), writing, drawing_seconds(len(pairs))]
@@ -135,7 +137,7 @@ def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
 
 def _absolute(setting: _Setting) -> _Setting | str:
     """Make the path in a text such as `matrix:FILE` absolute."""
-    file = named_file(setting)
+    file = file_in_setting(setting)
     if file is None or not isinstance(setting, str):
         return setting
     return f"{setting.partition(':')[0]}:{file.absolute()}"

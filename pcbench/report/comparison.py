@@ -18,7 +18,7 @@ from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
-from pcbench.progress import Plan
+from pcbench.progress import ProgressPlan
 from pcbench.report import plot
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_report
@@ -123,7 +123,7 @@ def compare_inputs(
             step(f"reading {given}")
             named[name], files[name] = read_candidate(Path(given), settings)
     filtered, named = _without_transparent_splats(reference, named, settings)
-    within = step.within() if isinstance(step, Plan) else step
+    within = step.within() if isinstance(step, ProgressPlan) else step
     measured = comparison.compare(filtered, named, settings, on_step=within)
     inputs = None
     if reference_file is not None and files.keys() == named.keys():  # all clouds came from files

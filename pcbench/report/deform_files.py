@@ -10,8 +10,8 @@ from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
-from pcbench.io.files import named_file, reading_seconds
-from pcbench.progress import Plan
+from pcbench.io.files import estimate_reading_seconds, file_in_setting
+from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.report.figures import Figures, record_figures
 from pcbench.report.folder import report_folder, write_deformation
@@ -59,8 +59,8 @@ def deform_files(
     """
     warnings: list[str] = []
     clouds = []
-    reading = [reading_seconds(path) for path in (reference, candidate)]
-    plan = Plan(
+    reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
+    plan = ProgressPlan(
         step, [*reading, 1.0 + 20 * sum(reading), *([sum(reading), drawing_seconds(1)] if out is not None else [])]
     )
     for path in (reference, candidate):
@@ -76,7 +76,9 @@ def deform_files(
     if out is None:
         registration, deformation = run()
     else:
-        with report_folder(out, keep=[reference, candidate, *filter(None, map(named_file, (method, crop)))]) as folder:
+        with report_folder(
+            out, keep=[reference, candidate, *filter(None, map(file_in_setting, (method, crop)))]
+        ) as folder:
             registration, deformation = run()
             plan("writing the report")
             rows = voxel_downsample_to(cloud.points, _MAX_ALIGNED_POINTS, start=1e-4 * robust_extent(cloud.points))

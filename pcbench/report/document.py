@@ -24,10 +24,10 @@ from pcbench.measure.deviation import M3C2
 from pcbench.measure.presets import Preset
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import BACK, FORTH, Candidate
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.registration import Registration
 from pcbench.report.inputs import InputFile, SourcedComparison
-from pcbench.systems import cpus
+from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.comparison/1"
 REGISTRATION_SCHEMA = "pcbench.registration/1"
@@ -119,10 +119,15 @@ def _measured(candidate: Candidate) -> dict[str, Any]:
         if quantity.path:
             _insert(tree, quantity)
     metrics, maps = tree["metrics"], tree["deviation"]
-    metrics["hausdorff"]["worst_point"] = {direction: m.hausdorff[direction].worst_point for direction in (FORTH, BACK)}
-    metrics["percentiles"] = {FORTH: m.percentiles_accuracy, BACK: m.percentiles_completeness}
+    metrics["hausdorff"]["worst_point"] = {
+        direction: m.hausdorff[direction].worst_point for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
+    }
+    metrics["percentiles"] = {
+        CANDIDATE_TO_REFERENCE: m.percentiles_accuracy,
+        REFERENCE_TO_CANDIDATE: m.percentiles_completeness,
+    }
     for kind, both in m.spreads.items():
-        for direction in (FORTH, BACK):
+        for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             metrics["spreads"][kind][direction]["percentiles"] = both[direction].percentiles
     for name, values in maps["maps"].items():
         values["percentiles"] = deviation.spreads[name].percentiles
@@ -192,7 +197,7 @@ def provenance(seed: int | None) -> dict[str, Any]:
         "version": pcbench.__version__,
         "commit": _commit(),
         "seed": seed,
-        "machine": f"{platform.system()} {platform.machine()}, {cpus()} cores,"
+        "machine": f"{platform.system()} {platform.machine()}, {cpu_count()} cores,"
         f" Python {platform.python_version()}, numpy {np.__version__}",
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pcbench.deformation import Deformation
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import is_known
+from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
 from pcbench.io.files import read_json
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
-from pcbench.report.colors import Range, largest_but_strays, ranges
+from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
@@ -29,7 +29,7 @@ from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
 from pcbench.report.recorded import record, restore
 from pcbench.report.table import Row, markdown, rows
-from pcbench.scratch import claim, scratch_folder
+from pcbench.scratch import lock_output, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _COMPARISON = "comparison.json"
@@ -60,7 +60,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     check_figures_folder(out)
     created = _make_parents(out.absolute().parent)
     try:
-        with claim(out), scratch_folder(out) as scratch:
+        with lock_output(out), scratch_folder(out) as scratch:
             yield scratch
             replace_report(scratch, out)
     except BaseException:
@@ -154,9 +154,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
     """
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
-    highest = [
-        {name: largest_but_strays(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps
-    ]
+    highest = [{name: robust_maximum(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps]
     forth, back = (ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest)
     for candidate in comparison.candidates:
         deviation = candidate.deviation
@@ -168,7 +166,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         inputs = comparison.inputs
         if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
             # LAS needs a known coordinate system, not just a name.
-            write_cloud(f"{stem}_deviation.laz", cloud if is_known(cloud.crs) else replace(cloud, crs=None))
+            write_cloud(f"{stem}_deviation.laz", cloud if is_known_crs(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, json_object
+from pcbench.io.files import atomic_write, read_json_object
 from pcbench.report.figures import FORMATS
 
 MANIFEST = "manifest.json"
@@ -53,8 +53,8 @@ def is_report(folder: Path) -> bool:
     """Whether the folder has a report, of this version or of an earlier one without a manifest."""
     return (
         _listed(folder / MANIFEST) is not None
-        or str(json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
-        or {"verdict", "model"} <= json_object(folder / "deformation.json").keys()
+        or str(read_json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
+        or {"verdict", "model"} <= read_json_object(folder / "deformation.json").keys()
     )
 
 
@@ -156,7 +156,7 @@ def _old_files(folder: Path) -> set[str]:
     pictures: set[str] = set()
     candidates: list[Any] = []
     if (folder / "comparison.json").is_file():
-        rows = json_object(folder / "comparison.json").get("candidates")
+        rows = read_json_object(folder / "comparison.json").get("candidates")
         candidates = [row.get("name") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
         names |= {*_COMPARISON_FILES, *(f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_SUFFIXES)}
         pictures |= {f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_PICTURES}
@@ -170,7 +170,7 @@ def _old_files(folder: Path) -> set[str]:
 
 def _listed(manifest: Path) -> set[str] | None:
     """Return the files in a manifest; None if it is missing or invalid."""
-    values = json_object(manifest)
+    values = read_json_object(manifest)
     files = values.get("files")
     if values.get("schema") != SCHEMA or not isinstance(files, list):
         return None

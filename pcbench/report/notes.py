@@ -6,14 +6,19 @@ from collections.abc import Iterator
 
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate, Difference
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Difference
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import joined, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # with a smaller overlap, points beyond the reference dominate the distances
-_REPORTED_DIFFERENCES = (f"d1_mse/{FORTH}", f"d1_mse/{BACK}", f"d2_mse/{FORTH}", "chamfer/sum_squared")
+_REPORTED_DIFFERENCES = (
+    f"d1_mse/{CANDIDATE_TO_REFERENCE}",
+    f"d1_mse/{REFERENCE_TO_CANDIDATE}",
+    f"d2_mse/{CANDIDATE_TO_REFERENCE}",
+    "chamfer/sum_squared",
+)
 
 
 def warnings(comparison: SourcedComparison) -> list[str]:

@@ -14,7 +14,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.results import BACK
+from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 from pcbench.report.manifest import complete_replacement
 
 _MESH_SAMPLES = 500_000
@@ -143,6 +143,6 @@ def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
         m3c2=table("m3c2"),
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
-        percentiles_completeness=values["metrics"]["percentiles"][BACK],
+        percentiles_completeness=values["metrics"]["percentiles"][REFERENCE_TO_CANDIDATE],
         completeness_path=folder / f"{values['name']}_completeness.ply",
     )

@@ -7,8 +7,8 @@ from typing import Any
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.io import FILTERED, read_cloud
-from pcbench.io.files import digest, named_file
+from pcbench.io import FILTERABLE_EXTENSIONS, read_cloud
+from pcbench.io.files import digest, file_in_setting
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
@@ -33,7 +33,7 @@ def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
     """Read a cloud and record its file; it raises the errors of `read_reference`."""
     warnings: list[str] = []
     filters: dict[str, Any] = {}
-    if path.suffix.lower() in FILTERED:  # candidates may have other formats than a filtered LAS reference
+    if path.suffix.lower() in FILTERABLE_EXTENSIONS:  # candidates may have other formats than a filtered LAS reference
         filters = {"classes": settings.classes, "returns": settings.returns}
     cloud = read_cloud(path, on_warning=warnings.append, **filters)
     return cloud, InputFile(str(path), digest(path), tuple(warnings))
@@ -42,7 +42,7 @@ def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
 def paths_in(settings: Settings) -> list[Path]:
     """Return the files named in settings, such as a matrix."""
     cores = settings.m3c2.file if isinstance(settings.m3c2, M3C2Settings) else None
-    return [*filter(None, (named_file(settings.register), named_file(settings.crop), cores))]
+    return [*filter(None, (file_in_setting(settings.register), file_in_setting(settings.crop), cores))]
 
 
 def named_files(settings: Settings) -> tuple[InputFile, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import named_file
+from pcbench.io.files import file_in_setting
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
@@ -66,7 +66,7 @@ def _recorded(value: Any) -> Any:
 
 
 def _absolute(text: str) -> str:
-    file = named_file(text)
+    file = file_in_setting(text)
     return text if file is None else f"{text.partition(':')[0]}:{file.absolute()}"
 
 

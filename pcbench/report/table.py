@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import ARROWS, BACK, FORTH, Candidate
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.words import UNKNOWN, number, title
 
-_DIRECTIONS = {FORTH: "accuracy", BACK: "completeness"}
+_DIRECTIONS = {CANDIDATE_TO_REFERENCE: "accuracy", REFERENCE_TO_CANDIDATE: "completeness"}
 _LEGEND = (
     "c→r: candidate to reference (accuracy); r→c: reference to candidate (completeness). Lengths in {unit}, mean"
     " squares in its square, [95 % confidence interval]. The sampling floor is the score of independent, error-free"

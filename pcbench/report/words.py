@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 from pcbench.measure.intervals import Interval
-from pcbench.measure.wording import counted
+from pcbench.measure.wording import pluralize
 from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
@@ -82,4 +82,4 @@ def title(comparison: SourcedComparison) -> str:
     reference = comparison.reference
     unit = f" {reference.unit}" if reference.unit else ""
     name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))
-    return f"{name}: {counted(reference.points, 'point')}, spacing {reference.spacing_median:.3g}{unit}"
+    return f"{name}: {pluralize(reference.points, 'point')}, spacing {reference.spacing_median:.3g}{unit}"

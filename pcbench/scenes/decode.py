@@ -55,7 +55,7 @@ def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
     return np.array(_load(path, "L", size, smooth=False)) > 0
 
 
-def why_unreadable(path: Path) -> str | None:
+def find_decoding_error(path: Path) -> str | None:
     """Describe why an image cannot be decoded (too large, truncated or unreadable); None if it can be.
 
     Checksums are verified too: Pillow ignores those of a PNG's pixels, but other decoders refuse wrong ones.

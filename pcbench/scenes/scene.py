@@ -21,7 +21,7 @@ from pcbench.io.earth_studio import wgs84_from_sphere
 from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
 from pcbench.scenes.folders import scene_name
-from pcbench.scenes.splits import Split, every, in_blocks
+from pcbench.scenes.splits import Split, split_blocks, split_every
 
 
 def cameras_in_wgs84(cameras: Mapping[str, Camera], origin: Gps) -> dict[str, Camera]:
@@ -180,7 +180,7 @@ class Scene:
         Raises:
             InputError: there are too few images.
         """
-        return self._select_split(every(self.images, n))
+        return self._select_split(split_every(self.images, n))
 
     def split_blocks(self, n: int = 8, blocks: int = 8) -> tuple[Scene, Scene]:
         """Split into training and test images with `pcbench.scenes.splits.in_blocks`.
@@ -192,7 +192,7 @@ class Scene:
             InputError: there are too few images.
         """
         positions = {name: camera.position for name, camera in self.cameras.items()}
-        return self._select_split(in_blocks(self.images, blocks, 1 / n, positions))
+        return self._select_split(split_blocks(self.images, blocks, 1 / n, positions))
 
     def _select_split(self, split: Split) -> tuple[Scene, Scene]:
         return self.select(split.train), self.select(split.test)

@@ -53,10 +53,10 @@ def hold_out(names: Sequence[str], how: HoldOut, positions: Mapping[str, FloatAr
     """
     if how == "none":
         return Split(tuple(names), (), "no image")
-    return every(names) if how == "every" else in_blocks(names, positions=positions)
+    return split_every(names) if how == "every" else split_blocks(names, positions=positions)
 
 
-def every(names: Sequence[str], n: int = 8) -> Split:
+def split_every(names: Sequence[str], n: int = 8) -> Split:
     """Hold out every n-th image, starting with the first, as is usual since Mip-NeRF 360 (Barron et al. 2022).
 
     Each held-out image is between training images, which is the easy case.
@@ -74,7 +74,7 @@ def every(names: Sequence[str], n: int = 8) -> Split:
     return Split(_without(names, test), tuple((name,) for name in test), f"one image in {n}")
 
 
-def in_blocks(
+def split_blocks(
     names: Sequence[str],
     count: int = _DEFAULT_BLOCKS,
     share: float = 1 / 8,
@@ -108,15 +108,15 @@ def in_blocks(
     return Split(_without(names, held_out), blocks, f"{count} blocks of {length} images")
 
 
-def for_choosing(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
+def split_for_selection(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
     """Hold out images for model selection: 8 blocks if there are at least 32 images, else every 8th or 3rd image.
 
     Raises:
         InputError: there are fewer than four images.
     """
     if len(names) >= _DEFAULT_BLOCKS * _MIN_BLOCK_IMAGES * 2:
-        return in_blocks(names, _DEFAULT_BLOCKS, positions=positions)
-    return every(names, _DEFAULT_BLOCKS if len(names) >= 3 * _DEFAULT_BLOCKS else 3)
+        return split_blocks(names, _DEFAULT_BLOCKS, positions=positions)
+    return split_every(names, _DEFAULT_BLOCKS if len(names) >= 3 * _DEFAULT_BLOCKS else 3)
 
 
 def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> tuple[str, ...]:

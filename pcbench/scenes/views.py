@@ -26,10 +26,10 @@ from pcbench.scenes.splits import Split
 
 SCHEMA = "pcbench.views/1"
 DOCUMENT = "views.json"
-RENDERED = "rendered"  # name of the folder in a reconstructor's workspace
+VIEWS_FOLDER = "rendered"  # name of the folder in a reconstructor's workspace
 
 
-class Pictures(NamedTuple):
+class ViewImages(NamedTuple):
     """Rendering, photograph and mask of one view.
 
     Attributes:
@@ -68,7 +68,7 @@ class RenderedView:
         """Whether the view was held out."""
         return self.block is not None
 
-    def read(self) -> Pictures:
+    def read(self) -> ViewImages:
         """Read the images, as uint8.
 
         Raises:
@@ -85,7 +85,7 @@ class RenderedView:
                     f" {header.height}: render the views again"
                 )
         mask = None if self.mask is None else decode_mask(self.mask, size)
-        return Pictures(self.name, decode_image(self.rendering, size), decode_image(self.photograph, size), mask)
+        return ViewImages(self.name, decode_image(self.rendering, size), decode_image(self.photograph, size), mask)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class RenderedViews:
     views: tuple[RenderedView, ...]
 
 
-def write_views(folder: Path, scene: str, method: str, split: Split, render: Callable[[str], Pictures]) -> None:
+def write_views(folder: Path, scene: str, method: str, split: Split, render: Callable[[str], ViewImages]) -> None:
     """Write a folder for `read_views`. `views.json` is written last, so a folder that has it is complete.
 
     Args:
@@ -173,7 +173,7 @@ def read_views(folder: Path) -> RenderedViews:
 
 def find_views(folder: Path) -> Path | None:
     """Return the folder of rendered views: this folder, or one inside it if it is a reconstructor's workspace."""
-    candidates = (folder, folder / RENDERED, folder / "plugin" / RENDERED)
+    candidates = (folder, folder / VIEWS_FOLDER, folder / "plugin" / VIEWS_FOLDER)
     return next((candidate for candidate in candidates if (candidate / DOCUMENT).is_file()), None)
 
 

@@ -37,12 +37,12 @@ def write_cameras(path: Path, cameras: Mapping[str, Camera], images: Path, point
     write_transforms(path, ordered, Path(os.path.relpath(images, path.absolute().parent)).as_posix())
 
 
-def cameras_files(path: Path) -> list[Path]:
+def camera_output_files(path: Path) -> list[Path]:
     """Return the paths of the files that `write_cameras` writes."""
     return [path] if path.suffix.lower() == ".json" else [path / name for name in MODEL_FILES]
 
 
-def check_cameras_kept(path: Path, scene: Path, source: Path | None) -> None:
+def check_cameras_not_replaced(path: Path, scene: Path, source: Path | None) -> None:
     """Check that `write_cameras` would not replace cameras that were read.
 
     Args:
@@ -53,7 +53,7 @@ def check_cameras_kept(path: Path, scene: Path, source: Path | None) -> None:
     Raises:
         InputError: a file that would be written exists in the scene's folder or in the source.
     """
-    for file in cameras_files(path):
+    for file in camera_output_files(path):
         for owner in (scene, source):
             if owner is not None and file.exists() and file.resolve().is_relative_to(owner.resolve()):
                 raise InputError(f"{file}: would be replaced, but belongs to {owner}: choose another output")

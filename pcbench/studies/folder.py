@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pcbench.errors import InputError
-from pcbench.io.files import atomic_write, json_object, read_json
+from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
-from pcbench.scratch import claim
+from pcbench.scratch import lock_output
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -78,7 +78,7 @@ def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Ite
     """
     check_folder(out, kind)
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with claim(out):
+    with lock_output(out):
         out.mkdir(exist_ok=True)
         mark = {"schema": SCHEMA, "study": kind.name, "settings": asdict(settings)}
         write_pages(out, {MARK: json.dumps(mark, indent=1, default=str) + "\n"})
@@ -140,8 +140,8 @@ def unique_name(stem: str, reserved: Iterable[str]) -> str:
 
 
 def _is_study_folder(out: Path, kind: StudyKind) -> bool:
-    mark = json_object(out / MARK)
+    mark = read_json_object(out / MARK)
     if mark.get("schema") == SCHEMA:
         return bool(mark.get("study") == kind.name)
     former = bool(kind.former_marks) and all((out / name).exists() for name in kind.former_marks)
-    return former or json_object(out / kind.document).get("schema") == kind.schema
+    return former or read_json_object(out / kind.document).get("schema") == kind.schema

@@ -18,7 +18,7 @@ from reconstructors.mvs.bundled import GEOMETRIC_FOLDER, Matching, stage_digest
 from reconstructors.mvs.fusion import Track, short_names, write_workspace
 from reconstructors.mvs.maps import DepthMap, read_raster, write_map
 from reconstructors.mvs.sources import MatchedImage
-from reconstructors.mvs.sparse import Sparse
+from reconstructors.mvs.sparse import SparseModel
 from reconstructors.mvs.views import IMAGE, stage_location
 
 Backend = Literal["auto", "colmap", "bundled"]
@@ -51,11 +51,11 @@ def colmap_problem() -> str | None:
     ended = run_module(_CHILD_MODULE, "probe")
     if ended.code == 0:
         return None
-    return ended.last_words or f"pycolmap ended its process with exit code {ended.code}"
+    return ended.last_error_line or f"pycolmap ended its process with exit code {ended.code}"
 
 
 def compute_colmap_maps(
-    matching: Matching, references: Sequence[MatchedImage], sparse: Sparse, workspace: Path
+    matching: Matching, references: Sequence[MatchedImage], sparse: SparseModel, workspace: Path
 ) -> dict[str, Path]:
     """Compute depth maps with COLMAP's dense stereo; return the stages by image name.
 
@@ -94,7 +94,7 @@ def compute_colmap_maps(
         str(matching.plan.photometric_iterations + matching.plan.geometric_iterations),
     )
     if ended.code != 0:
-        raise ReconstructionError(f"COLMAP's dense stereo failed: {ended.last_words or f'exit code {ended.code}'}")
+        raise ReconstructionError(f"COLMAP's dense stereo failed: {ended.last_error_line or f'exit code {ended.code}'}")
 
     short = dict(zip(matching.photographs.cameras, short_names(matching.photographs.cameras), strict=True))
     stages = {}
@@ -108,7 +108,9 @@ def compute_colmap_maps(
     return stages
 
 
-def _prepare_workspace(folder: Path, matching: Matching, references: Sequence[MatchedImage], sparse: Sparse) -> None:
+def _prepare_workspace(
+    folder: Path, matching: Matching, references: Sequence[MatchedImage], sparse: SparseModel
+) -> None:
     cameras = matching.photographs.cameras
     images = {name: matching.views[name] / IMAGE for name in cameras}
     rows = sparse.visibility.tocsr()

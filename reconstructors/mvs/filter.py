@@ -77,7 +77,7 @@ def filter_map(
         rows, columns = np.nonzero(candidates)
         for start in range(0, len(rows), _BLOCK_PIXELS):
             at = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
-            indices = confirmed(camera, depth_map, at, other, map_, criteria).indices
+            indices = confirm(camera, depth_map, at, other, map_, criteria).indices
             agree[k, at[0][indices], at[1][indices]] = True
     kept = candidates & (1 + agree.sum(axis=0) >= criteria.views)
     return FilteredMap(depth_map.where(kept), agree & kept)
@@ -116,7 +116,7 @@ class Confirmation(NamedTuple):
     depths: FloatArray
 
 
-def confirmed(
+def confirm(
     camera: Camera,
     depth_map: DepthMap,
     at: tuple[NDArray[np.int64], NDArray[np.int64]],
@@ -144,7 +144,7 @@ def confirmed(
     usable = (other_map.depth[row, column] > 0) & (other_map.confidence[row, column] >= criteria.confidence)
     left, row, column = left[usable], row[usable], column[usable]
 
-    depths = depths_beside(other, other_map, row, column, x[left], y[left])
+    depths = depths_on_planes(other, other_map, row, column, x[left], y[left])
     close = np.abs(depths - z[left]) <= criteria.depth * z[left]
     left, row, column, depths = left[close], row[close], column[close], depths[close]
 
@@ -157,7 +157,7 @@ def confirmed(
     return Confirmation(left[close], back_z[close])
 
 
-def depths_beside(
+def depths_on_planes(
     camera: Camera, depth_map: DepthMap, row: NDArray[np.int64], column: NDArray[np.int64], u: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Return depths (N,) at coordinates off the pixel centres, on the plane through each pixel's depth and normal."""

@@ -25,7 +25,7 @@ from pcbench.io.meshes import read_mesh
 from pcbench.scenes.synthetic.files import write_mesh_ply
 from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import DEPTH, NORMAL, DepthMap
-from reconstructors.sfm.model import check_written, not_written
+from reconstructors.sfm.model import check_written, truncated_output_error
 
 FUSED = "fused.ply"  # in the folder of the stage, with the images of each point in fused.ply.vis
 
@@ -178,7 +178,7 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: 
         if len(read_visibility(_visibility_path(out))[0]):  # `read_fused` reports a cloud without points
             read_cloud(out, on_warning=lambda _: None)
     except (InputError, OSError) as error:
-        raise not_written(out) from error
+        raise truncated_output_error(out) from error
 
 
 def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], min_views: int) -> Cloud:

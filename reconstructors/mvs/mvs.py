@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.colmap_model import write_colmap_model
@@ -42,15 +42,15 @@ from reconstructors.mvs.fusion import (
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MatchedImage, choose_references
-from reconstructors.mvs.sparse import Sparse, recentered_camera, sparse_from_colmap
+from reconstructors.mvs.sparse import SparseModel, recentered_camera, sparse_from_colmap
 from reconstructors.mvs.views import IMAGE, ViewCache, luminance, pinhole, stage_location, view_stage
-from reconstructors.sfm.features import some
+from reconstructors.sfm.features import join_names
 from reconstructors.sfm.sfm import ColmapSfm
 
 MAPS = "maps"  # in the workspace: one folder per image, and the model of their cameras
 MESH = "mesh.ply"  # in the workspace
 
-COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
+VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
 _OVERLAP_FILE = "links.npz"
 _SFM = "sfm"  # in the workspace: the files of `sfm`
 _MIN_IMAGES = 3  # each sparse point is observed by at least three images
@@ -106,7 +106,7 @@ class DenseMvs:
     @classmethod
     def missing(cls) -> str | None:
         """Return why the reconstructor cannot run here; None if it can."""
-        return unavailable("pycolmap", "PIL", extra="mvs")
+        return import_problem("pycolmap", "PIL", extra="mvs")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Compute the cloud; stages in the workspace that are complete are used again.
@@ -156,7 +156,7 @@ class DenseMvs:
         notes += _describe_missing_maps(filtered, references)
         write_colmap_model(workspace / MAPS, [recentered_camera(cameras[name], -origin) for name in filtered.folders])
         fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
-        counts = {name: folder / COUNTS for name, folder in filtered.folders.items()}
+        counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
         cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
         cloud = replace(cloud, points=cloud.points + origin, unit=solved.cloud.unit)
         notes.append(
@@ -178,7 +178,7 @@ class DenseMvs:
         sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
         return sfm.reconstruct(scene, workspace / _SFM)
 
-    def _plan_matching(self, scene: Scene, sparse: Sparse) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
+    def _plan_matching(self, scene: Scene, sparse: SparseModel) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
         """Choose the sources of each image and the matching plan; the notes name the images that are left out."""
         references, isolated = choose_references(sparse, _MAX_CONFIRMING_VIEWS)
         plan = make_plan(_survey_images(scene, sparse, references), self.spacing, self.sources)
@@ -189,7 +189,9 @@ class DenseMvs:
             )
         notes = []
         if isolated:
-            notes.append(f"{len(isolated)} images overlap too little with others to compute depths: {some(isolated)}")
+            notes.append(
+                f"{len(isolated)} images overlap too little with others to compute depths: {join_names(isolated)}"
+            )
         return references, plan, notes
 
     def _filter_maps(
@@ -210,7 +212,7 @@ class DenseMvs:
                 others = [(photographs.cameras[source], photographs.map(maps[source])) for source in sources]
                 kept, agree = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
                 write_map(folder, kept)
-                np.save(folder / COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
+                np.save(folder / VIEW_COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
                 overlap = sample_overlap(camera, kept, agree, sources)
                 names = np.array(sources, dtype=str)
                 np.savez(folder / _OVERLAP_FILE, points=overlap.points, agree=overlap.agreement, sources=names)
@@ -218,7 +220,7 @@ class DenseMvs:
             inputs = {
                 "maps": {name: stage_digest(maps[name]) for name in (reference.name, *sources)},
                 "criteria": repr(criteria),
-                "files": [COUNTS, _OVERLAP_FILE],
+                "files": [VIEW_COUNTS, _OVERLAP_FILE],
             }
             folder = stage(*stage_location(workspace / MAPS, reference.name), inputs, make)
             if read_map(folder).known.any():
@@ -250,7 +252,7 @@ class DenseMvs:
         return stage(workspace, "fused", inputs, make)
 
 
-def _local_sparse_model(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[Sparse, FloatArray]:
+def _local_sparse_model(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[SparseModel, FloatArray]:
     """Return the cameras and sparse points of `sfm`, recentred at the first camera, and that origin.
 
     Fusion computes in float32, which needs small coordinates.
@@ -267,7 +269,7 @@ def _matched_names(references: Sequence[MatchedImage]) -> list[str]:
     return list(dict.fromkeys(name for r in references for name in (r.name, *r.sources)))
 
 
-def _survey_images(scene: Scene, sparse: Sparse, references: Sequence[MatchedImage]) -> ImageSurvey:
+def _survey_images(scene: Scene, sparse: SparseModel, references: Sequence[MatchedImage]) -> ImageSurvey:
     """Measure image size, footprint, angles, overlap and texture for the matching plan."""
     cameras = [sparse.cameras[r.name].intrinsics for r in references]
     names = [r.name for r in references][:: max(1, len(references) // _MAX_TEXTURE_SAMPLES)]
@@ -312,7 +314,7 @@ def _describe_missing_maps(filtered: _FilteredStages, references: Sequence[Match
     missing = [r.name for r in references if r.name not in filtered.folders]
     if not missing:
         return []
-    return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {some(missing)}"]
+    return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {join_names(missing)}"]
 
 
 def _read_overlap(folder: Path) -> OverlapSamples:

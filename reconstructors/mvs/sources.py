@@ -11,7 +11,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.visibility import in_frame
-from reconstructors.mvs.sparse import Sparse
+from reconstructors.mvs.sparse import SparseModel
 
 _MIN_POINTS = 30  # observed by an image; with fewer, all points in its frame count
 _MIN_SHARED_POINTS = 5  # that two images must share at a useful angle
@@ -41,7 +41,7 @@ class MatchedImage(NamedTuple):
     angle_deg: float
 
 
-def choose_references(sparse: Sparse, max_sources: int) -> tuple[list[MatchedImage], list[str]]:
+def choose_references(sparse: SparseModel, max_sources: int) -> tuple[list[MatchedImage], list[str]]:
     """Choose the sources of each image; return the references and the names of the images without sources.
 
     Sources are chosen greedily: each gains most for points that it observes at a good angle and that the sources before
@@ -67,7 +67,7 @@ def choose_references(sparse: Sparse, max_sources: int) -> tuple[list[MatchedIma
     return references, isolated
 
 
-def _choose_sources(sparse: Sparse, name: str, max_sources: int) -> MatchedImage | None:
+def _choose_sources(sparse: SparseModel, name: str, max_sources: int) -> MatchedImage | None:
     camera = sparse.cameras[name]
     indices = sparse.observed_points(name)
     by_frame = len(indices) < _MIN_POINTS
@@ -128,7 +128,7 @@ def _relative_resolution(camera: Camera, others: Sequence[Camera], points: Float
     return ratio
 
 
-def _observations(sparse: Sparse, others: Sequence[str], indices: IntArray) -> FloatArray:
+def _observations(sparse: SparseModel, others: Sequence[str], indices: IntArray) -> FloatArray:
     """Return (others, N): 1 if another image has a feature of the point."""
     columns = [sparse.names.index(other) for other in others]
     observed: FloatArray = sparse.visibility[indices][:, columns].toarray().T.astype(np.float64)
@@ -155,7 +155,7 @@ def _choose_greedily(weights: FloatArray, max_count: int, initial: Sequence[int]
     return chosen
 
 
-def _explain_no_sources(sparse: Sparse) -> str:
+def _explain_no_sources(sparse: SparseModel) -> str:
     """Explain why no image has a source."""
     if not len(sparse.points):
         return (

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Sparse:
+class SparseModel:
     """Cameras and sparse points in one frame.
 
     Args:
@@ -42,7 +42,7 @@ class Sparse:
         rows = self.visibility.indices[self.visibility.indptr[k] : self.visibility.indptr[k + 1]]
         return np.asarray(rows, dtype=np.int64)
 
-    def recentered(self, origin: FloatArray) -> Sparse:
+    def recentered(self, origin: FloatArray) -> SparseModel:
         """Return the model relative to an origin (3,); small coordinates are accurate in float32."""
         moved = {name: recentered_camera(camera, origin) for name, camera in self.cameras.items()}
         return replace(self, cameras=moved, points=self.points - origin)
@@ -54,7 +54,7 @@ def recentered_camera(camera: Camera, origin: FloatArray) -> Camera:
     return replace(camera, cam_from_world=Similarity(pose.rotation, pose.translation + pose.rotation @ origin))
 
 
-def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera], min_views: int = 3) -> Sparse:
+def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera], min_views: int = 3) -> SparseModel:
     """Return the points of a COLMAP model that at least `min_views` images observe, in the order of their ids."""
     from scipy.sparse import csc_matrix
 
@@ -69,4 +69,4 @@ def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera], min_views: int
             points.append(point.xyz)
     shape = (len(points), len(cameras))
     visibility = csc_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=shape)
-    return Sparse(cameras, np.array(points, dtype=np.float64).reshape(-1, 3), visibility)
+    return SparseModel(cameras, np.array(points, dtype=np.float64).reshape(-1, 3), visibility)

@@ -98,7 +98,7 @@ def _unscored_note(survey: ControlSurvey) -> list[str]:
     return ["control and check points are not scored: the cloud is not in their frame"]
 
 
-def moved(camera: Camera, transform: Similarity) -> Camera:
+def transform_camera(camera: Camera, transform: Similarity) -> Camera:
     """Return the same camera after `transform` of the world."""
     rotation = camera.cam_from_world.rotation @ transform.rotation.T
     position = transform.apply(camera.position[None])[0]
@@ -152,7 +152,7 @@ def _onto_cameras(solved_cameras: Mapping[str, Camera], given_cameras: Mapping[s
     reference = np.array([given_cameras[name].position for name in names]).reshape(-1, 3)
     fit = robust_similarity(candidate, reference)
     positions, angles = camera_errors(
-        {name: moved(camera, fit) for name, camera in solved_cameras.items()}, given_cameras
+        {name: transform_camera(camera, fit) for name, camera in solved_cameras.items()}, given_cameras
     )
     _check_fit(positions, reference)
     return fit, (

@@ -112,7 +112,7 @@ def check_cameras(database_file: Path, cameras: Mapping[str, Camera]) -> Agreeme
     Raises:
         ReconstructionError: So few matches agree that the cameras must belong to other images.
     """
-    found = agreement(database_file, cameras)
+    found = epipolar_agreement(database_file, cameras)
     if found.share < _MIN_AGREEING_SHARE:
         raise ReconstructionError(
             f"the given cameras do not fit the images: {found.share:.1%} of the verified matches agree with them;"
@@ -121,7 +121,7 @@ def check_cameras(database_file: Path, cameras: Mapping[str, Camera]) -> Agreeme
     return found
 
 
-def agreement(database_file: Path, cameras: Mapping[str, Camera]) -> Agreement:
+def epipolar_agreement(database_file: Path, cameras: Mapping[str, Camera]) -> Agreement:
     """Compute the share of verified matches within 4 pixels of their epipolar lines, per pair of images with cameras.
 
     Counting the matches that have a triangulated point would be less reliable: COLMAP drops tracks of two images and

@@ -130,9 +130,9 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
             f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
             f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )
-    return [f"{len(too_few)} images have fewer than {MIN_FEATURES} features: {some(too_few)}"]
+    return [f"{len(too_few)} images have fewer than {MIN_FEATURES} features: {join_names(too_few)}"]
 
 
-def some(names: list[str]) -> str:
+def join_names(names: list[str]) -> str:
     """Join the first three names for a note."""
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -8,7 +8,7 @@ from pathlib import Path
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
-from pcbench.scenes.decode import why_unreadable
+from pcbench.scenes.decode import find_decoding_error
 
 _FAULTS = "faults.json"
 
@@ -25,7 +25,7 @@ def drop_unreadable(scene: Scene, workspace: Path) -> tuple[Scene, list[str]]:
     """
 
     def make(folder: Path) -> None:
-        faults = {name: why_unreadable(scene.folder / name) for name in scene.images}
+        faults = {name: find_decoding_error(scene.folder / name) for name in scene.images}
         (folder / _FAULTS).write_text(
             json.dumps({name: reason for name, reason in faults.items() if reason}), encoding="utf-8"
         )

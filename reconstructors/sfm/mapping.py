@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
-from reconstructors.sfm.features import DATABASE, some, working_images
+from reconstructors.sfm.features import DATABASE, join_names, working_images
 from reconstructors.sfm.model import Refine, check_written
 
 Mapper = Literal["incremental", "global"]
@@ -75,7 +75,7 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
     if unregistered:
-        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {some(unregistered)}")
+        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {join_names(unregistered)}")
     return largest, notes
 
 

@@ -15,7 +15,7 @@ from pcbench.children import run_module
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
-from pcbench.systems import cpus
+from pcbench.systems import cpu_count
 from reconstructors.sfm.features import DATABASE, LensGroup, shared_intrinsics
 
 _MIN_INLIERS = 15  # of a usable pair: COLMAP's default
@@ -42,7 +42,7 @@ def match_pairs(features: Path, pairs: Sequence[tuple[str, str]], workspace: Pat
         names = _rename_images(folder / DATABASE, {})
         image_ids = {name: number for number, name in names.items()}
         id_pairs = [(image_ids[a], image_ids[b]) for a, b in pairs]
-        processes = max(1, min(cpus(), _MAX_PROCESSES, len(pairs) // _MIN_PAIRS_PER_PROCESS))
+        processes = max(1, min(cpu_count(), _MAX_PROCESSES, len(pairs) // _MIN_PAIRS_PER_PROCESS))
         # Neighbouring pairs share an image: a process that gets them builds fewer indices.
         bounds = [len(pairs) * k // processes for k in range(processes + 1)]
         _match_in_processes(folder, [id_pairs[start:end] for start, end in pairwise(bounds)])

@@ -37,7 +37,7 @@ def check_written(folder: Path) -> None:
             if offset > len(data):
                 raise ValueError("truncated")
     except (OSError, ValueError, struct.error) as error:
-        raise not_written(folder) from error
+        raise truncated_output_error(folder) from error
 
 
 def _end_of_image(data: bytes, offset: int) -> int:
@@ -61,7 +61,7 @@ _ENTRY_ENDS: dict[str, Callable[[bytes, int], int]] = {
 }
 
 
-def not_written(path: Path) -> ReconstructionError:
+def truncated_output_error(path: Path) -> ReconstructionError:
     """Return the error for a file or folder that COLMAP truncated without an error."""
     return ReconstructionError(
         f"{path.name} could not be written completely: the disk is full or the file size is limited; free some space"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pcbench.errors import InputError, ReconstructionError
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
 from reconstructors.sfm.alignment import Align, AlignedModel, align, level_model
@@ -25,7 +25,7 @@ from reconstructors.sfm.features import (
     check_features,
     count_features,
     extract_features,
-    some,
+    join_names,
     working_images,
 )
 from reconstructors.sfm.images import drop_unreadable
@@ -89,7 +89,7 @@ class ColmapSfm:
     @classmethod
     def missing(cls) -> str | None:
         """Return what keeps the plugin from running on this machine, if anything."""
-        return unavailable("pycolmap", "PIL")
+        return import_problem("pycolmap", "PIL")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Reconstruct sparse points and cameras from a scene.
@@ -188,9 +188,8 @@ def _usable_images(scene: Scene, given: bool, survey: ControlSurvey) -> tuple[Sc
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
         if without_camera := [name for name in scene.images if name not in scene.cameras]:
-            notes.append(
-                f"{len(without_camera)} of {len(scene)} images without a camera are left out: {some(without_camera)}"
-            )
+            names = join_names(without_camera)
+            notes.append(f"{len(without_camera)} of {len(scene)} images without a camera are left out: {names}")
             scene = scene.select(set(scene.cameras))
     if len(scene) < 2:
         raise InputError(f"expected at least two images, got {len(scene)}")

@@ -17,8 +17,8 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import robust_similarity
 from pcbench.scenes import Scene
-from reconstructors.sfm.epipolar import MIN_STRONG_MATCHES, Agreement, agreement, ambiguity_warning
-from reconstructors.sfm.features import DATABASE, some
+from reconstructors.sfm.epipolar import MIN_STRONG_MATCHES, Agreement, ambiguity_warning, epipolar_agreement
+from reconstructors.sfm.features import DATABASE, join_names
 from reconstructors.sfm.mapping import Mapper, largest_component, map_images
 from reconstructors.sfm.matches import remove_pairs
 from reconstructors.sfm.model import Refine, cameras_of
@@ -81,7 +81,7 @@ def solve(verified: Path, scene: Scene, workspace: Path, mapper: Mapper, refine:
         model, notes = largest_component(map_images(matches, scene, workspace, method, refine, seed, name), scene)
         cameras = cameras_of(model)
         return SolvedModel(
-            f"{method} mapping{description}", model, cameras, agreement(verified / DATABASE, cameras), notes
+            f"{method} mapping{description}", model, cameras, epipolar_agreement(verified / DATABASE, cameras), notes
         )
 
     requested = solve_with(mapper, verified)
@@ -157,7 +157,7 @@ def describe_differences(best: SolvedModel, other: SolvedModel) -> list[str]:
         if not is_separate.any():
             return []
         order = [int(k) for k in np.argsort(-separations) if is_separate[k]]
-        named = some([f"{names[k]} {separations[k]:.3g}" for k in order])
+        named = join_names([f"{names[k]} {separations[k]:.3g}" for k in order])
         separation_text = f"{named} away, the others {median:.3g} (median): these cameras are weakly constrained"
     return [f"{other.describe()}, and puts {separation_text}"]
 

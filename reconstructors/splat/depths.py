@@ -13,7 +13,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.sources import MatchedImage, choose_references
-from reconstructors.mvs.sparse import Sparse
+from reconstructors.mvs.sparse import SparseModel
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.photographs import NEAREST
@@ -128,7 +128,7 @@ def find_overlap(gaussians: Gaussians, depths: RenderedMaps, max_sources: int) -
             " of the model"
         )
     visible = csc_matrix(np.array(visibility, dtype=np.int8).T.reshape(len(points), len(visibility)))
-    references, _ = choose_references(Sparse(depths.cameras, points, visible), max_sources)
+    references, _ = choose_references(SparseModel(depths.cameras, points, visible), max_sources)
     return Overlap(references, float(np.median(footprints)))
 
 

@@ -20,7 +20,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import with_time_left
-from reconstructors.mvs.filter import Criteria, confirmed, world_points
+from reconstructors.mvs.filter import Criteria, confirm, world_points
 from reconstructors.mvs.sources import MatchedImage
 from reconstructors.splat.depths import RenderedMaps, find_overlap
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame
@@ -163,7 +163,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
         ray_depths = np.full((1 + len(others), len(block[0])), np.nan)
         ray_depths[0] = depth_map.depth[block]
         for k, (other, other_map) in enumerate(others, start=1):
-            matched, depths_on_ray = confirmed(camera, depth_map, block, other, other_map, criteria)
+            matched, depths_on_ray = confirm(camera, depth_map, block, other, other_map, criteria)
             ray_depths[k, matched] = depths_on_ray
         views = np.isfinite(ray_depths).sum(axis=0)
         enough = views >= criteria.views

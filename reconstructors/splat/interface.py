@@ -151,7 +151,8 @@ class Adam(Protocol):
         step: int,
         betas: tuple[float, float] = ...,
         eps: float = ...,
-    ) -> None: ...
+    ) -> None:
+        """Update parameters and moments."""
 
 
 class Kernels(Protocol):

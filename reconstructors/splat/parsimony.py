@@ -62,14 +62,14 @@ class Budget(NamedTuple):
         return self.gaussians * (_PARAMETERS_WITHOUT_SH + 3 * (self.degree + 1) ** 2)
 
 
-class Loss(NamedTuple):
+class PsnrLoss(NamedTuple):
     """PSNR loss of a budget relative to another: mean over the blocks, and its standard error, in dB."""
 
     mean: float
     error: float
 
     @classmethod
-    def of(cls, budget: Budget, best: Budget) -> Loss:
+    def of(cls, budget: Budget, best: Budget) -> PsnrLoss:
         """Return what `budget` loses relative to `best`."""
         losses = np.subtract(best.psnr, budget.psnr)
         return cls(float(losses.mean()), float(losses.std(ddof=1) / np.sqrt(len(losses))))
@@ -88,7 +88,7 @@ def find_best(budgets: Sequence[Budget]) -> Budget:
 def select_budget(budgets: Sequence[Budget]) -> int:
     """Return the index of the smallest budget within one standard error of the best; needs at least two blocks."""
     best = find_best(budgets)
-    good = [k for k, budget in enumerate(budgets) if budget is best or Loss.of(budget, best).is_insignificant]
+    good = [k for k, budget in enumerate(budgets) if budget is best or PsnrLoss.of(budget, best).is_insignificant]
     return min(good, key=lambda k: budgets[k].numbers)
 
 
@@ -125,7 +125,7 @@ class Curve:
             )
         if selected is best:
             return f"{words}; the other models have less"
-        loss = Loss.of(selected, best)
+        loss = PsnrLoss.of(selected, best)
         return (
             f"{words}, {loss.mean:.2f} ± {loss.error:.2f} dB below the best of {len(self.budgets)} models"
             f" ({best.gaussians:,} of degree {best.degree})"
@@ -139,7 +139,7 @@ class Curve:
         writer.writerow([*_COLUMNS, "bytes", "psnr_db", "loss_db", "loss_standard_error_db", "chosen", *blocks])
         best, selected = self.best, self.chosen
         for budget in self.budgets:
-            loss = Loss.of(budget, best)
+            loss = PsnrLoss.of(budget, best)
             counts = (budget.gaussians, budget.degree, f"{budget.step_ms:.2f}", 4 * budget.numbers)
             judged = (f"{value:.4f}" for value in (budget.mean, loss.mean, loss.error))
             writer.writerow([*counts, *judged, int(budget is selected), *map(repr, budget.psnr)])
@@ -195,7 +195,7 @@ class Parsimonious(Density["Training"]):
         due = self._trial_start.step + max(1, round(_TRIAL_SHARE * steps))
         if training.step < min(due, steps):
             return
-        self._trials.append(_Trial(self._judged(training), self._trial_start))
+        self._trials.append(_Trial(self._evaluate(training), self._trial_start))
         if due <= steps and self._start_next_trial(training):
             self._trial_start, self._timer = training.snapshot(), None
         else:
@@ -205,7 +205,7 @@ class Parsimonious(Density["Training"]):
         """Whether a model has been selected."""
         return self.curve is not None
 
-    def _judged(self, training: Training) -> Budget:
+    def _evaluate(self, training: Training) -> Budget:
         model = training.model
         assert self._timer is not None
         first_step, start = self._timer

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
@@ -24,8 +24,8 @@ from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
-from pcbench.scenes.splits import HoldOut, Split, for_choosing, hold_out
-from pcbench.scenes.views import RENDERED, Pictures, write_views
+from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
+from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
 from reconstructors.mvs.mvs import MAPS, DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
@@ -47,7 +47,7 @@ FINAL_STEP = "steps.txt"  # beside it: the step after which training ended
 CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 
 # Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
-BEGINNING = DenseMvs(views=2, confidence=0.1)
+INITIAL_MVS = DenseMvs(views=2, confidence=0.1)
 
 _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface
@@ -118,7 +118,7 @@ class GaussianSplatting:
     @classmethod
     def missing(cls) -> str | None:
         """Return how to install what is missing, or None."""
-        return unavailable("torch", "pycolmap", "PIL", extra="splat")
+        return import_problem("torch", "pycolmap", "PIL", extra="splat")
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Train a model in the workspace and return its cloud; a finished stage is not repeated."""
@@ -189,10 +189,10 @@ class GaussianSplatting:
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
         if split.test:
-            self._write_views(workspace / RENDERED, scene, split, model, photographs)
-            notes.append(f"renderings: pcbench views {workspace / RENDERED}")
+            self._write_views(workspace / VIEWS_FOLDER, scene, split, model, photographs)
+            notes.append(f"renderings: pcbench views {workspace / VIEWS_FOLDER}")
         else:
-            shutil.rmtree(workspace / RENDERED, ignore_errors=True)  # renderings of an earlier model
+            shutil.rmtree(workspace / VIEWS_FOLDER, ignore_errors=True)  # renderings of an earlier model
         cloud = self._extract_cloud(model, frame, pinholes)
         return Reconstruction(
             Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=initial.cloud.unit),
@@ -230,7 +230,7 @@ class GaussianSplatting:
         folder = workspace / self.start
         folder.mkdir(exist_ok=True)
         if self.start == "mvs":
-            return replace(BEGINNING, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+            return replace(INITIAL_MVS, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
         return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
 
     def _image_scale(self, camera: Camera) -> float:
@@ -264,7 +264,7 @@ class GaussianSplatting:
             return Density(), usable
         if self._densification is not None:
             return replace(self._densification, max_gaussians=self.gaussians), usable
-        selection_split = for_choosing(names, {name: camera.position for name, camera in cameras.items()})
+        selection_split = split_for_selection(names, {name: camera.position for name, camera in cameras.items()})
         held_out_blocks = [[photographs[name] for name in block] for block in selection_split.blocks]
         return Parsimonious(held_out_blocks), [photographs[name] for name in selection_split.train]
 
@@ -285,7 +285,7 @@ class GaussianSplatting:
         if self._uses_depths:
             supervised = [pyramids[name] for name in split.train]
             supervision = read_supervision(workspace / self.start / MAPS, supervised, frame.unit)
-        model = first_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
+        model = initial_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
             model.to(photographs[0][0].color.device),
             training_photographs,
@@ -310,11 +310,11 @@ class GaussianSplatting:
     ) -> None:
         full_size = {pyramid[0].name: pyramid[0] for pyramid in photographs}
 
-        def pictures(name: str) -> Pictures:
+        def pictures(name: str) -> ViewImages:
             photograph = full_size[name]
             valid = None if photograph.valid is None else photograph.valid.cpu().numpy()
             rendering = render(model, photograph.view).cpu().numpy()
-            return Pictures(name, rendering, photograph.color.cpu().numpy(), valid)
+            return ViewImages(name, rendering, photograph.color.cpu().numpy(), valid)
 
         progress("rendering the images")
         write_views(folder, scene.name, "splat", split, pictures)
@@ -325,7 +325,7 @@ class GaussianSplatting:
         return extract.surface(model, frame, pinholes)
 
 
-def first_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
+def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
     """Create the Gaussians that training starts with, at points of a cloud or at random in their bounding box.
 
     Args:

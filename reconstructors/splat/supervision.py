@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.cameras import Camera
 from pcbench.io.colmap_model import read_colmap_cameras
-from reconstructors.mvs.filter import Criteria, depths_beside
+from reconstructors.mvs.filter import Criteria, depths_on_planes
 from reconstructors.mvs.maps import DepthMap, read_map
-from reconstructors.mvs.mvs import COUNTS
+from reconstructors.mvs.mvs import VIEW_COUNTS
 from reconstructors.splat.interface import RasterOutput
 from reconstructors.splat.photographs import Photograph, Pyramid
 from reconstructors.splat.view import View
@@ -83,7 +83,7 @@ def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) ->
     for pyramid in photographs:
         name = pyramid[0].name
         if name in pinholes:
-            depth_map, counts = read_map(maps / name), np.load(maps / name / COUNTS)
+            depth_map, counts = read_map(maps / name), np.load(maps / name / VIEW_COUNTS)
             depth_map = depth_map.where((depth_map.confidence >= criteria.confidence) & (counts >= criteria.views))
             local = [
                 resample_depths(photograph.view, pinholes[name], depth_map) / np.float32(unit) for photograph in pyramid
@@ -106,5 +106,5 @@ def resample_depths(view: View, pinhole: Camera, depth_map: DepthMap) -> NDArray
     inside = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))
     x, y = x[inside], y[inside]
     depths = np.zeros(view.height * view.width, dtype=np.float32)
-    depths[inside] = depths_beside(pinhole, depth_map, y.astype(np.int64), x.astype(np.int64), x, y)
+    depths[inside] = depths_on_planes(pinhole, depth_map, y.astype(np.int64), x.astype(np.int64), x, y)
     return depths.reshape(view.height, view.width)

@@ -21,8 +21,8 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.transform import robust_similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import Scene, read_scene
-from reconstructors.sfm.alignment import camera_errors, moved
-from reconstructors.sfm.epipolar import agreement
+from reconstructors.sfm.alignment import camera_errors, transform_camera
+from reconstructors.sfm.epipolar import epipolar_agreement
 from reconstructors.sfm.features import DATABASE
 from reconstructors.sfm.mapping import largest_component, map_images
 from reconstructors.sfm.model import cameras_of
@@ -61,7 +61,7 @@ def worst_camera(found, truth) -> str:
     """Return the number of solved cameras and the largest errors of position and direction."""
     names = sorted(found)
     fit = robust_similarity(*(np.array([cameras[name].position for name in names]) for cameras in (found, truth)))
-    positions, angles = camera_errors({name: moved(camera, fit) for name, camera in found.items()}, truth)
+    positions, angles = camera_errors({name: transform_camera(camera, fit) for name, camera in found.items()}, truth)
     return f"{len(names)}: {positions.max():.3f} m, {angles.max():.1f} deg"
 
 
@@ -83,7 +83,7 @@ def rows(case: Case) -> Iterator[str]:
                 continue
 
             def contradictions(cameras) -> int:
-                return len(agreement(work / "verified" / DATABASE, cameras).contradicting_pairs)
+                return len(epipolar_agreement(work / "verified" / DATABASE, cameras).contradicting_pairs)
 
             model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
             alone = f"{worst_camera(cameras_of(model), truth)} | {contradictions(cameras_of(model))}"

@@ -31,7 +31,7 @@ def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], ob
     """Return functions that build both indices from float64 arrays and search in both directions."""
     import numpy as np
 
-    from pcbench.geometry.neighbors import Index, match_both_ways
+    from pcbench.geometry.neighbors import Index, match_both_directions
 
     def scipy(points, queries):
         from scipy.spatial import cKDTree
@@ -71,7 +71,9 @@ def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], ob
         "open3d": open3d,
         "point-cloud-utils": point_cloud_utils,
     }
-    runs: dict[str, Callable[[], object]] = {"pcbench": lambda: match_both_ways(Index(reference), Index(candidate))}
+    runs: dict[str, Callable[[], object]] = {
+        "pcbench": lambda: match_both_directions(Index(reference), Index(candidate))
+    }
     for name, search in one_way.items():
         if importlib.util.find_spec(PEERS[name]):
             runs[name] = lambda search=search: (search(reference, candidate), search(candidate, reference))

@@ -22,13 +22,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from splat_cities import CASES, EXTENT, CloudScore, city, score_cloud
 from splat_train import Inputs, prepare
 
-from pcbench.scenes.splits import for_choosing
+from pcbench.scenes.splits import split_for_selection
 from reconstructors.splat import extract
 from reconstructors.splat.density import Density
 from reconstructors.splat.model import Gaussians
-from reconstructors.splat.parsimony import Budget, Loss, Parsimonious
+from reconstructors.splat.parsimony import Budget, Parsimonious, PsnrLoss
 from reconstructors.splat.photographs import Pyramid
-from reconstructors.splat.splat import first_model
+from reconstructors.splat.splat import initial_model
 from reconstructors.splat.train import Schedule, Training, evaluate
 
 DEGREE = 2
@@ -43,8 +43,8 @@ class SurfaceMeasuringDensity(Parsimonious):
         self.scores: list[CloudScore] = []
         self.measuring_s = 0.0  # CPU time
 
-    def _judged(self, training: Training) -> Budget:
-        budget = super()._judged(training)
+    def _evaluate(self, training: Training) -> Budget:
+        budget = super()._evaluate(training)
         start = time.process_time()
         self.scores.append(surface(self.inputs, training.model))
         self.measuring_s += time.process_time() - start
@@ -62,7 +62,7 @@ def train(
     """Train a model; return the training and its CPU seconds."""
     schedule = Schedule(steps=steps, sh_degree=DEGREE)
     training = Training(
-        first_model(inputs.dense.cloud, inputs.frame, count, 0), shown, schedule, density, inputs.supervision
+        initial_model(inputs.dense.cloud, inputs.frame, count, 0), shown, schedule, density, inputs.supervision
     )
     start = time.process_time()
     training.run(steps)
@@ -73,7 +73,7 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
     """Compare the selected budget with the initial one and print both."""
     names = [pyramid[0].name for pyramid in inputs.shown]
     of = dict(zip(names, inputs.shown, strict=True))
-    choosing = for_choosing(names, {name: inputs.cameras[name].position for name in names})
+    choosing = split_for_selection(names, {name: inputs.cameras[name].position for name in names})
     density = SurfaceMeasuringDensity(inputs, [[of[name] for name in block] for block in choosing.blocks])
     ours, seconds = train(inputs, count, steps, density, [of[name] for name in choosing.train])
     seconds -= density.measuring_s
@@ -81,7 +81,7 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
     assert curve is not None
     print(f"{'N':>9}{'degree':>8}{'judged':>8}{'loss':>14}{'ms a step':>11}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
     for budget, score in zip(curve.budgets, density.scores, strict=True):
-        loss = Loss.of(budget, curve.best)
+        loss = PsnrLoss.of(budget, curve.best)
         print(
             f"{budget.gaussians:9,}{budget.degree:8}{budget.mean:8.2f}{f'{loss.mean:.2f} ± {loss.error:.2f}':>14}"
             f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"

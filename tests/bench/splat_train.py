@@ -36,7 +36,7 @@ from reconstructors.splat.density import Density
 from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
-from reconstructors.splat.splat import BEGINNING, first_model
+from reconstructors.splat.splat import INITIAL_MVS, initial_model
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate
 from reconstructors.splat.view import View
@@ -77,7 +77,7 @@ class Run(NamedTuple):
 def prepare(made: City, work: Path, device: torch.device) -> Inputs:
     """Reconstruct the dense cloud and read the photographs."""
     scene = made.scene
-    dense = BEGINNING.reconstruct(scene, work)
+    dense = INITIAL_MVS.reconstruct(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
     frame = LocalFrame.of(list(cameras.values()))
     split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
@@ -92,7 +92,7 @@ def prepare(made: City, work: Path, device: torch.device) -> Inputs:
 def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
     """Train a model and score it."""
     training = Training(
-        first_model(inputs.dense.cloud, inputs.frame, count, seed).to(device),
+        initial_model(inputs.dense.cloud, inputs.frame, count, seed).to(device),
         inputs.shown,
         Schedule(steps=steps, sh_degree=2, seed=seed),
         Density(),

@@ -79,13 +79,13 @@ def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
         'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],'
         'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]]'
     )
-    assert crs.crs_line(wkt) == "Somewhere / in the north"
-    assert crs.crs_line("EPSG:32632") == ("WGS 84 / UTM zone 32N (EPSG:32632)" if known else "EPSG:32632")
-    assert len(crs.crs_line("x" * 5000)) == 100
+    assert crs.crs_label(wkt) == "Somewhere / in the north"
+    assert crs.crs_label("EPSG:32632") == ("WGS 84 / UTM zone 32N (EPSG:32632)" if known else "EPSG:32632")
+    assert len(crs.crs_label("x" * 5000)) == 100
     write_cloud("named.ply", Cloud(read_cloud("a.ply").points, crs="EPSG:32632"))
     code, out, _ = run("info", "named.ply")
     assert code == 0
-    assert f"colours no, crs {crs.crs_line('EPSG:32632')}\n" in out
+    assert f"colours no, crs {crs.crs_label('EPSG:32632')}\n" in out
 
 
 def test_no_file_that_a_setting_names_is_replaced(files, run):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pcbench.deformation.chi_squares import chi_square_tails, chi_squares_point, chi_squares_tail
+from pcbench.deformation.chi_squares import chi_square_tails, chi_squares_quantile, chi_squares_tail
 
 TAILS = np.array([0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-8, 1e-10])
 UNEVEN = np.array([3.0, 1.0, 1.0, 0.5, 0.5, 0.5])
@@ -64,7 +64,7 @@ def test_long_simulations_at_one_in_a_hundred_thousand(weights, value, share, er
 @pytest.mark.parametrize("weights", [UNEVEN, MODES, ONE_AND_MANY])
 def test_short_simulations_in_the_tail(weights):
     """Draws from normals of a variance that brings the mean to where the tail is 1e-5, weighted for it."""
-    value = chi_squares_point(1e-5, weights)
+    value = chi_squares_quantile(1e-5, weights)
     grid = 0.5 / weights.max() * np.linspace(0, 1, 10_001)[1:-1]
     t = grid[np.argmin(np.abs([(weights / (1 - 2 * t * weights)).sum() - value for t in grid]))]
     rng = np.random.default_rng(3)
@@ -79,7 +79,7 @@ def test_short_simulations_in_the_tail(weights):
 @pytest.mark.parametrize("weights", [np.ones(1), np.ones(48), UNEVEN, MODES, ONE_AND_MANY])
 @pytest.mark.parametrize("tail", [0.999, 0.5, 1e-2, 1e-5, 1e-10])
 def test_the_point_of_a_tail_has_it(weights, tail):
-    assert chi_squares_tail(chi_squares_point(tail, weights), weights) == pytest.approx(tail, rel=1e-8)
+    assert chi_squares_tail(chi_squares_quantile(tail, weights), weights) == pytest.approx(tail, rel=1e-8)
 
 
 def test_the_tail_falls_with_the_value_and_knows_no_unit():
@@ -94,7 +94,7 @@ def test_the_tail_falls_with_the_value_and_knows_no_unit():
 def test_the_ends():
     assert chi_squares_tail(0.0, np.zeros(3)) == 1.0
     assert chi_squares_tail(1.0, np.zeros(3)) == 0.0
-    assert chi_squares_point(0.01, np.zeros(3)) == 0.0
+    assert chi_squares_quantile(0.01, np.zeros(3)) == 0.0
     assert chi_squares_tail(1e-320, UNEVEN) == 1.0
     assert chi_squares_tail(1e300, np.array([1e-300, 1e-310])) == 0.0
     assert chi_squares_tail(1e4, np.ones(3)) == 0.0  # exp(-5000)

@@ -32,7 +32,7 @@ def bent(clouds):
 def test_an_answer_is_read_back_as_it_was_written(bent):
     assert bent.verdict == "non-affine"
     noted = bent.with_warnings([Notice("few-tiles", "only 3 tiles")])
-    for found in (bent, noted, Deformation.unanswered(Notice("few-pairs", "12 pairs of points"))):
+    for found in (bent, noted, Deformation.undecided_because(Notice("few-pairs", "12 pairs of points"))):
         again = Deformation.from_json(json.loads(to_json(found)))
         assert again == found  # the field takes no part
         assert again.field is None
@@ -78,9 +78,9 @@ def test_an_answer_in_words(bent):
     assert f"{size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS" in said(bent.sentence("a.ply", "m"))
     assert f"{size.rms:.3g} RMS, p < 1e-9" in said(repr(bent))
     text = "only 12 pairs of points: too few to distinguish a deformation from noise"
-    unanswered = Deformation.unanswered(Notice("few-pairs", text))
-    said(unanswered.sentence("a.ply"), masked=False)
-    said(repr(unanswered))
+    undecided_because = Deformation.undecided_because(Notice("few-pairs", text))
+    said(undecided_because.sentence("a.ply"), masked=False)
+    said(repr(undecided_because))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])

@@ -287,8 +287,11 @@ def test_signed_refusals():
     with refused():
         MeshIndex(mesh).query([(0, 0, 0)], signed=True)
     assert MeshIndex(mesh).query([(0, 0, 0)]).distances == 1
-    assert not MeshIndex(mesh).has_inside and not MeshIndex(Mesh(vertices, faces[1:])).has_inside
-    assert MeshIndex(Mesh(vertices, faces)).has_inside
+    assert (
+        not MeshIndex(mesh).supports_signed_distance
+        and not MeshIndex(Mesh(vertices, faces[1:])).supports_signed_distance
+    )
+    assert MeshIndex(Mesh(vertices, faces)).supports_signed_distance
 
 
 # ---- refusals ----

@@ -39,7 +39,7 @@ def test_hits_lie_in_the_plane_of_their_face():
     at = origins + hits.distances[:, None] * directions
     a, n = vertices[faces[hits.faces, 0]], index.mesh.normals()[hits.faces]
     assert np.abs(np.einsum("ni,ni->n", at - a, n)).max() < 1e-14  # rounding of coordinates of about 1
-    np.testing.assert_array_equal(index.blocked(origins, directions), np.ones(2000, dtype=bool))
+    np.testing.assert_array_equal(index.is_occluded(origins, directions), np.ones(2000, dtype=bool))
 
 
 def test_rays_are_watertight():
@@ -62,9 +62,9 @@ def test_ray_limit():
     start = (low + high) / 2 - [0, 0, 10 * (high - low)[2]]
     up = np.array([[0.0, 0.0, (high - low)[2]]])
     assert index.cast(start, up).distances[0] == pytest.approx(9.5)
-    assert index.blocked(start, up, limit=9.6)[0]
-    assert not index.blocked(start, up, limit=9.4)[0]
-    assert not index.blocked(start, -up)[0]  # nothing behind the origin
+    assert index.is_occluded(start, up, limit=9.6)[0]
+    assert not index.is_occluded(start, up, limit=9.4)[0]
+    assert not index.is_occluded(start, -up)[0]  # nothing behind the origin
 
 
 def test_ray_refusals():

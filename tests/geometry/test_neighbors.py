@@ -13,7 +13,7 @@ from optional import import_or_skip
 from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
 from wording import refused
 
-from pcbench.geometry.neighbors import Index, match_both_ways, median_spacing
+from pcbench.geometry.neighbors import Index, match_both_directions, median_spacing
 
 
 def squared_distances(queries, points):
@@ -119,14 +119,14 @@ def test_nearest_other_excludes_the_point_itself(shape, n):
 def test_matching_in_both_directions_equals_two_queries(shape):
     rng = np.random.default_rng(5)
     reference, candidate = shape(rng, 1100), shape(rng, 333)
-    to_reference, to_candidate = match_both_ways(Index(reference), Index(candidate))
+    to_reference, to_candidate = match_both_directions(Index(reference), Index(candidate))
     assert_matches(to_reference, brute_nearest(candidate, reference))
     assert_matches(to_candidate, brute_nearest(reference, candidate))
 
 
 def test_an_index_matched_with_itself_finds_every_point():
     index = Index(uniform(np.random.default_rng(6), 50))
-    for found in match_both_ways(index, index):
+    for found in match_both_directions(index, index):
         assert_matches(found, (np.zeros(50), np.arange(50)))
 
 
@@ -141,7 +141,7 @@ def test_tied_equals_brute_force(shape, fraction):
     others = squared - squared[every, nearest, None] < slack
     others[every, nearest] = False
     index, source = Index(points), Index(queries)
-    matches, tied = index.nearest_of_with_ties(source, slack)
+    matches, tied = index.query_index_with_ties(source, slack)
     np.testing.assert_array_equal(tied, others.any(axis=1))
     for found, expected in zip(matches, index.query_index(source), strict=True):
         np.testing.assert_array_equal(found, expected)
@@ -155,14 +155,14 @@ def test_tie_slack_is_exact(shape):
     index = Index(points)
     for row in range(0, len(queries), 3):
         slack, source = squared[row, 1] - squared[row, 0], Index(queries[row : row + 1])
-        assert not index.nearest_of_with_ties(source, slack)[1].any()
-        assert index.nearest_of_with_ties(source, np.nextafter(slack, np.inf))[1].all()
+        assert not index.query_index_with_ties(source, slack)[1].any()
+        assert index.query_index_with_ties(source, np.nextafter(slack, np.inf))[1].all()
 
 
 def test_ties_of_many_duplicates_cost_no_more_than_matches():
     """Points at one position, or all within the slack: the search stops after one tie."""
     for points in (np.zeros((40_000, 3)), 3e-5 * np.random.default_rng(18).random((40_000, 3))):
-        matches, tied = Index(points).nearest_of_with_ties(Index(points.copy()), 1e-8)
+        matches, tied = Index(points).query_index_with_ties(Index(points.copy()), 1e-8)
         assert tied.all()
         assert not matches.distances.any()
 
@@ -172,8 +172,8 @@ def test_tied_counts_every_point_but_the_match():
     index = Index(points)
     duplicated = index.nearest_other().distances == 0
     assert 0 < duplicated.sum() < 300
-    np.testing.assert_array_equal(index.nearest_of_with_ties(Index(points), 1e-8)[1], duplicated)
-    assert not Index(np.zeros((1, 3))).nearest_of_with_ties(Index(np.ones((2, 3))), 1.0)[1].any()
+    np.testing.assert_array_equal(index.query_index_with_ties(Index(points), 1e-8)[1], duplicated)
+    assert not Index(np.zeros((1, 3))).query_index_with_ties(Index(np.ones((2, 3))), 1.0)[1].any()
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.03, 0.3, 10.0])
@@ -296,7 +296,7 @@ def moved_with_hint(hint):
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], np.eye(3), 1, 1),
-        lambda: Index(np.eye(3)).nearest_of_with_ties(Index(np.eye(3)), -1.0),
+        lambda: Index(np.eye(3)).query_index_with_ties(Index(np.eye(3)), -1.0),
         lambda: Index(np.zeros((3, 3))).local_planes(4),
         lambda: Index(np.zeros((3, 3))).local_planes(3, [-1]),
         lambda: Index(np.zeros((3, 3))).local_planes(3, [0.5]),

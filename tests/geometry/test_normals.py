@@ -71,10 +71,10 @@ def test_uncomputed_rows_are_nan(given):
     points = shapes.plane_grid(10)
     normals = np.zeros((100, 3)) if given else None
     surface = Surface(Index(points), given=normals)
-    some = surface.with_normals_at(np.array([3, 50]))
+    some = surface.compute_normals(np.array([3, 50]))
     np.testing.assert_allclose(some[[3, 50]], [[0, 0, 1]] * 2, atol=1e-12)
     assert np.isnan(np.delete(some, [3, 50], axis=0)).all()
-    np.testing.assert_allclose(surface.with_normals_at(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
+    np.testing.assert_allclose(surface.compute_normals(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
 
 
 def test_duplicates_and_too_few():

@@ -7,7 +7,7 @@ from shapes import UTM, fibonacci_sphere
 from wording import refused
 
 from pcbench.errors import MissingExtra
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.geometry import poisson
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -16,18 +16,18 @@ from pcbench.geometry.poisson import poisson_mesh
 
 @pytest.fixture
 def library():
-    if unavailable("open3d"):
+    if import_problem("open3d"):
         import_or_skip("pymeshlab")
 
 
-def oriented(points, normals, **fields):
+def orient_normals(points, normals, **fields):
     return Cloud(points, normals=normals, **fields)
 
 
 @pytest.mark.usefixtures("library")
 def test_sphere_far_from_the_origin():
     points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(oriented(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
+    mesh = poisson_mesh(orient_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
     radii = np.linalg.norm(mesh.vertices - UTM, axis=1)
     assert np.abs(radii - 10).max() < 0.1  # a fifth of the spacing
     assert mesh.is_closed
@@ -40,7 +40,7 @@ def test_sphere_far_from_the_origin():
 def test_an_open_surface_ends_where_its_points_end():
     points, normals = fibonacci_sphere(6000, 10.0)
     half = points[:, 2] > 0
-    mesh = poisson_mesh(oriented(points[half], normals[half]))
+    mesh = poisson_mesh(orient_normals(points[half], normals[half]))
     spacing = 20 / np.sqrt(6000) * np.sqrt(np.pi)  # side of the area per point
     assert not mesh.is_closed
     assert mesh.vertices[:, 2].min() > -4 * spacing
@@ -50,7 +50,7 @@ def test_an_open_surface_ends_where_its_points_end():
 @pytest.mark.usefixtures("library")
 def test_reconstruction_is_reproducible():
     points, normals = fibonacci_sphere(3000)
-    first, second = (poisson_mesh(oriented(points, normals), depth=6) for _ in range(2))
+    first, second = (poisson_mesh(orient_normals(points, normals), depth=6) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.faces, second.faces)
 
@@ -60,16 +60,16 @@ def test_refusals():
     with refused():
         poisson_mesh(Cloud(points))
     with refused():
-        poisson_mesh(oriented(points, normals), depth=0)
+        poisson_mesh(orient_normals(points, normals), depth=0)
     normals[20:] = 0
     with refused():
-        poisson_mesh(oriented(points, normals))
+        poisson_mesh(orient_normals(points, normals))
 
 
 def test_without_a_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "pymeshlab", None)
     break_library(monkeypatch, tmp_path, "open3d", None)
-    cloud = oriented(*fibonacci_sphere(60))
+    cloud = orient_normals(*fibonacci_sphere(60))
     for call in (poisson_mesh, poisson.oriented):
         with refused(MissingExtra):
             call(cloud)
@@ -79,10 +79,10 @@ def test_pymeshlab_is_used_if_open3d_does_not_load(monkeypatch, tmp_path):
     import_or_skip("pymeshlab")
     break_library(monkeypatch, tmp_path, "open3d")
     points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(oriented(points, normals))
+    mesh = poisson_mesh(orient_normals(points, normals))
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 10).max() < 0.1  # a fifth of the spacing
     with refused(MissingExtra):
-        poisson.oriented(oriented(points, normals))
+        poisson.oriented(orient_normals(points, normals))
 
 
 def test_orientation_is_consistent_over_a_sphere():

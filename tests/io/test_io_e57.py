@@ -14,7 +14,7 @@ from wording import refused
 
 from pcbench import read_cloud
 from pcbench.errors import InputError, MissingExtra, PcbenchError
-from pcbench.geometry.cameras import rotation_from
+from pcbench.geometry.cameras import nearest_rotation
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.uniform(-5, 5, (200, 3))
@@ -44,7 +44,7 @@ def read(path):
 def test_scan_poses_are_applied(pye57, tmp_path):
     # A quarter turn about z, and another about x.
     poses = [((HALF, 0, 0, HALF), (100, 200, 300)), ((HALF, HALF, 0, 0), (-1, 0, 1))]
-    turns = [rotation_from([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), rotation_from([[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
+    turns = [nearest_rotation([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), nearest_rotation([[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
     scans = [cartesian(POINTS, pose=poses[0]), spherical(POINTS) | {"pose": poses[1]}, cartesian(POINTS)]
     cloud, notes = read(write(tmp_path / "a.e57", scans))
     expected = [POINTS @ turn.T + pose[1] for turn, pose in zip(turns, poses, strict=True)]

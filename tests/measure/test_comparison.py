@@ -17,7 +17,7 @@ from pcbench import Cloud, Settings, Sphere, compare
 from pcbench.errors import RegistrationError
 from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity, format_matrix
-from pcbench.measure.results import BACK, FORTH
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
 
@@ -62,7 +62,7 @@ def pair():
 def test_shifted_plane_in_closed_form():
     plane = shapes.plane_grid(20)
     m = metrics_of(plane, plane + [0, 0, 0.25])
-    for way in (FORTH, BACK):
+    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
         assert m.d1_mse[way].value == m.d2_mse[way].value == 0.0625
         assert m.d1_rms[way].value == 0.25
         assert m.hausdorff[way].largest == m.mean_distance[way].value == 0.25
@@ -86,13 +86,13 @@ def test_every_metric_against_brute_force(pair):
     reference, candidate = pair
     m = metrics_of(reference, candidate, Settings(register="none", thresholds=(0.5, 1.0)))
     normals = oracles.normals(reference, 20)
-    assert m.d1_mse[FORTH].value == pytest.approx(oracles.d1(candidate, reference), rel=1e-12)
-    assert m.d1_mse[BACK].value == pytest.approx(oracles.d1(reference, candidate), rel=1e-12)
+    assert m.d1_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(oracles.d1(candidate, reference), rel=1e-12)
+    assert m.d1_mse[REFERENCE_TO_CANDIDATE].value == pytest.approx(oracles.d1(reference, candidate), rel=1e-12)
     # 1e-9: normals of noisy patches agree to about 1e-8 degrees.
-    assert m.d2_mse[FORTH].value == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
+    assert m.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
     _, closest = oracles.nearest(reference, candidate)
     back = ((reference - candidate[closest]) * normals).sum(axis=1)
-    assert m.d2_mse[BACK].value == pytest.approx(np.mean(back**2), rel=1e-9)
+    assert m.d2_mse[REFERENCE_TO_CANDIDATE].value == pytest.approx(np.mean(back**2), rel=1e-9)
     assert m.hausdorff.symmetric_max == pytest.approx(oracles.hausdorff(reference, candidate), rel=1e-12)
     assert m.chamfer.sum_unsquared.value == pytest.approx(oracles.chamfer_unsquared(reference, candidate), rel=1e-12)
     assert m.chamfer.sum_squared.value == pytest.approx(oracles.chamfer_squared(reference, candidate), rel=1e-12)
@@ -100,13 +100,15 @@ def test_every_metric_against_brute_force(pair):
         found = (row.precision.value, row.recall.value, row.fscore.value)
         assert found == pytest.approx(oracles.fscore(candidate, reference, row.threshold))
     floors = oracles.floor_distances(candidate, reference), oracles.floor_distances(reference, candidate)
-    assert m.d1_mse[FORTH].floor == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
-    assert m.mean_distance[FORTH].floor == pytest.approx(np.mean(floors[0]), rel=1e-12)
-    assert m.d1_mse[BACK].floor == pytest.approx(
+    assert m.d1_mse[CANDIDATE_TO_REFERENCE].floor == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
+    assert m.mean_distance[CANDIDATE_TO_REFERENCE].floor == pytest.approx(np.mean(floors[0]), rel=1e-12)
+    assert m.d1_mse[REFERENCE_TO_CANDIDATE].floor == pytest.approx(
         np.mean(floors[1] ** 2), rel=0.05
     )  # the candidate's noise is taken off
-    worst = np.array(m.hausdorff[BACK].worst_point)
-    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(m.hausdorff[BACK].largest, rel=1e-9)
+    worst = np.array(m.hausdorff[REFERENCE_TO_CANDIDATE].worst_point)
+    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(
+        m.hausdorff[REFERENCE_TO_CANDIDATE].largest, rel=1e-9
+    )
 
 
 def test_area_weighting_against_the_slow_version(pair):
@@ -116,7 +118,9 @@ def test_area_weighting_against_the_slow_version(pair):
     side, origin = comparison.reference.voxel_side, np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
     lower = (reference - origin).min(axis=0)
     expected = oracles.voxel_mean(distances**2, candidate - origin, side, lower)
-    assert comparison.candidates[0].metrics.d1_mse[FORTH].area_weighted == pytest.approx(expected, rel=1e-12)
+    assert comparison.candidates[0].metrics.d1_mse[CANDIDATE_TO_REFERENCE].area_weighted == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("register", ["none", "icp"])
@@ -132,7 +136,10 @@ def test_a_utm_offset_changes_no_metric(pair, register):
 def test_swapping_the_clouds_swaps_the_directions(pair):
     reference, candidate = map(on_grid, pair)  # subtracting the local origin is exact then
     one, two = metrics_of(reference, candidate), metrics_of(candidate, reference)
-    for way, back in ((FORTH, BACK), (BACK, FORTH)):
+    for way, back in (
+        (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE),
+        (REFERENCE_TO_CANDIDATE, CANDIDATE_TO_REFERENCE),
+    ):
         assert one.d1_mse[way].value == two.d1_mse[back].value
         assert one.mean_distance[way].value == two.mean_distance[back].value
         assert one.hausdorff[way].largest == two.hausdorff[back].largest
@@ -165,7 +172,7 @@ def test_differences_between_candidates():
     up = np.array([0, 0, 1.0])
     good, same, bad = (grid + rng.normal(0, s, len(grid))[:, None] * up for s in (0.1, 0.1, 0.2))
     rows = compare(grid, {"good": good, "same": same, "bad": bad}, NONE).differences
-    d1 = {(r.a, r.b): r for r in rows if r.metric == f"d1_mse/{FORTH}"}
+    d1 = {(r.a, r.b): r for r in rows if r.metric == f"d1_mse/{CANDIDATE_TO_REFERENCE}"}
     assert len(d1) == 3
     assert d1["good", "bad"].interval.high < 0
     assert d1["good", "bad"].difference == pytest.approx(-0.03, abs=0.005)
@@ -245,16 +252,16 @@ def test_document_keys_and_null_instead_of_nan(pair):
 
 def test_two_points_have_no_normals_and_no_d2():
     m = metrics_of(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 0.5]]))
-    assert m.d2_mse[FORTH].value is None
+    assert m.d2_mse[CANDIDATE_TO_REFERENCE].value is None
     assert m.presets["gao2025"].d2_mse is None
     assert m.presets["mpeg"].d2_mse.symmetric is None
-    assert m.d1_mse[FORTH].value == 0.25
+    assert m.d1_mse[CANDIDATE_TO_REFERENCE].value == 0.25
 
 
 def test_one_point_each():
     m = metrics_of(np.zeros((1, 3)), np.array([[0, 0, 3.0]]))
-    assert m.d1_mse[FORTH].value == 9
-    assert m.d1_mse[FORTH].floor is None
+    assert m.d1_mse[CANDIDATE_TO_REFERENCE].value == 9
+    assert m.d1_mse[CANDIDATE_TO_REFERENCE].floor is None
     assert m.fscores == ()
 
 
@@ -309,7 +316,7 @@ def test_a_mesh_as_the_reference():
     scalars = comparison.candidates[0].deviation.scalars
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
     np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
-    assert comparison.candidates[0].metrics.d2_mse[FORTH].value == pytest.approx(0.01)
+    assert comparison.candidates[0].metrics.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(0.01)
 
 
 def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():

@@ -5,7 +5,7 @@ import pytest
 from floor_cases import Case, measured
 
 from pcbench import Cloud, Settings, compare
-from pcbench.measure.results import BACK, FORTH
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 
 
 @pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
@@ -17,12 +17,12 @@ def test_a_poisson_plane_has_its_closed_form(reference, candidate):
         clouds = [np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (reference, candidate)]
         settings = Settings(register="none", crop="box:0.1,0.1,-1,0.9,0.9,1")
         found.append(compare(*clouds, settings).candidates[0].metrics)
-    for way, density in ((FORTH, reference), (BACK, candidate)):
+    for way, density in ((CANDIDATE_TO_REFERENCE, reference), (REFERENCE_TO_CANDIDATE, candidate)):
         d1 = np.mean([metrics.d1_mse[way].floor for metrics in found])
         assert d1 == pytest.approx(1 / (np.pi * density), rel=0.08)
         assert np.mean([m.mean_distance[way].floor for m in found]) == pytest.approx(0.5 * density**-0.5, rel=0.04)
         assert found[0].d2_mse[way].floor == pytest.approx(0, abs=1e-20)
-    sums = found[0].d1_mse[FORTH].floor + found[0].d1_mse[BACK].floor
+    sums = found[0].d1_mse[CANDIDATE_TO_REFERENCE].floor + found[0].d1_mse[REFERENCE_TO_CANDIDATE].floor
     assert found[0].chamfer.sum_squared.floor == pytest.approx(sums, rel=1e-12)
 
 
@@ -59,7 +59,7 @@ def test_duplicates_are_no_neighbours():
         ].metrics
         for times in (1, 2)
     )
-    for way in (FORTH, BACK):
+    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
         assert doubled.d1_mse[way].floor == pytest.approx(once.d1_mse[way].floor, rel=0.08)
 
 
@@ -69,8 +69,8 @@ def test_a_hole_of_the_candidate_is_not_in_its_floor():
     reference, candidate = (np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (4_000, 4_000))
     candidate = candidate[np.linalg.norm(candidate[:, :2] - 0.5, axis=1) > 0.3]
     d1 = compare(reference, candidate, Settings(register="none"))["candidate_1"].metrics.d1_mse
-    assert d1[BACK].floor == pytest.approx(1 / (np.pi * 4_000), rel=0.15)
-    assert d1[BACK].value > 30 * d1[BACK].floor
+    assert d1[REFERENCE_TO_CANDIDATE].floor == pytest.approx(1 / (np.pi * 4_000), rel=0.15)
+    assert d1[REFERENCE_TO_CANDIDATE].value > 30 * d1[REFERENCE_TO_CANDIDATE].floor
 
 
 def test_points_in_one_place_have_a_floor_of_nothing():
@@ -78,7 +78,9 @@ def test_points_in_one_place_have_a_floor_of_nothing():
     reference = np.column_stack([rng.random((50, 2)), np.zeros(50)])
     for clouds in ((reference, np.tile([0.5, 0.5, 0], (20, 1))), (np.tile(reference[:1], (9, 1)), reference)):
         found = compare(*clouds, Settings(register="none"))["candidate_1"].metrics
-        assert 0 in (found.d1_mse[FORTH].floor, found.d1_mse[BACK].floor)
+        assert 0 in (found.d1_mse[CANDIDATE_TO_REFERENCE].floor, found.d1_mse[REFERENCE_TO_CANDIDATE].floor)
         assert all(
-            np.isfinite(found.directed[name][way].floor or 0) for name in found.directed for way in (FORTH, BACK)
+            np.isfinite(found.directed[name][way].floor or 0)
+            for name in found.directed
+            for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
         )

@@ -100,7 +100,7 @@ def test_editing_a_plugins_package_outdates_its_stage(package, photographs, tmp_
 
     def log_and_point():
         result = run(job, tmp_path / "work")
-        return result.log.read_text(), result.required().cloud.points[0, 0]
+        return result.log.read_text(), result.require_reconstruction().cloud.points[0, 0]
 
     assert log_and_point() == ("made\n", 1.0)
     assert log_and_point() == ("", 1.0)

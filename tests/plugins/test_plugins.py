@@ -93,7 +93,7 @@ def test_run_returns_the_complete_reconstruction(scene, plugin, tmp_path):
     assert (result.status, result.message) == ("ok", "")
     assert result.settings == {"n": "5", "how": "x"}
     assert result.log.read_text() == "hello\n5 x\n"
-    made = result.required()
+    made = result.require_reconstruction()
     np.testing.assert_array_equal(made.cloud.points, POINTS)
     assert (made.gauge, made.notes) == ("georeferenced", ("all well",))
     assert list(made.cameras) == ["0.png", "2.png"]
@@ -146,7 +146,7 @@ def test_failures_are_results(scene, plugin, tmp_path, body, status):
     assert result.status == status
     assert result.reconstruction is None
     with refused(ReconstructionError) as raised:
-        result.required()
+        result.require_reconstruction()
     assert f"{status}: {result.message}" in str(raised.value)
     assert "log.txt" in str(raised.value)
 
@@ -174,14 +174,14 @@ def test_user_mistakes_are_refused(scene, plugin, tmp_path):
         result = run(job, tmp_path / "work")
         assert result.status == "refused"
         with refused():
-            result.required()
+            result.require_reconstruction()
 
     check_refusal(ReconstructionJob(spec, scene, {"m": "1"}))
     check_refusal(ReconstructionJob(spec, scene, {"n": "two"}))
     check_refusal(ReconstructionJob(spec, scene, {"how": "c"}))
     check_refusal(ReconstructionJob(spec.replace(":Mine", ":Yours"), scene))
     with pytest.raises(InputError, match="'nobody'"):  # followed by the installed names
-        run(ReconstructionJob("nobody", scene), tmp_path / "work").required()
+        run(ReconstructionJob("nobody", scene), tmp_path / "work").require_reconstruction()
     check_refusal(ReconstructionJob(spec, tmp_path / "nowhere"))
     (tmp_path / "broken.py").write_text("import numpy\n1 / 0\n")
     check_refusal(ReconstructionJob(f"{tmp_path}/broken.py:A", scene))
@@ -262,7 +262,7 @@ return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
     assert (first.status, first.log.read_text()) == ("crashed", "slow stage\n")
     second = run(job, tmp_path / "work")
     assert (second.status, second.log.read_text()) == ("ok", "")
-    np.testing.assert_array_equal(second.required().cloud.points, POINTS)
+    np.testing.assert_array_equal(second.require_reconstruction().cloud.points, POINTS)
 
 
 def test_survey_residuals_are_returned(scene, plugin, tmp_path):
@@ -271,7 +271,7 @@ def test_survey_residuals_are_returned(scene, plugin, tmp_path):
     found = SurveyResiduals.of(["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True)
     return Reconstruction(scene.points, "georeferenced", residuals=found)
     """
-    made = run(ReconstructionJob(plugin(textwrap.dedent(body)), scene), tmp_path / "work").required()
+    made = run(ReconstructionJob(plugin(textwrap.dedent(body)), scene), tmp_path / "work").require_reconstruction()
     assert made.residuals == SurveyResiduals.of(
         ["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True
     )

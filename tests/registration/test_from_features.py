@@ -15,7 +15,7 @@ from wording import refused
 
 from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import MissingExtra, RegistrationError
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity, read_matrix
 from pcbench.registration import register
@@ -23,7 +23,7 @@ from pcbench.registration.correspondences import FeaturePairs, likely_poses
 from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
-needs_kiss = pytest.mark.skipif(bool(missing := unavailable("kiss_matcher")), reason=str(missing))
+needs_kiss = pytest.mark.skipif(bool(missing := import_problem("kiss_matcher")), reason=str(missing))
 
 
 def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):

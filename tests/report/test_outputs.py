@@ -15,7 +15,7 @@ from pcbench.measure import directions, quantities, reference, scores
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.quantity import LENGTH, Headline, Quantity
-from pcbench.measure.results import BACK, FORTH
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report import document, markdown, rows, to_json
 from pcbench.report.summary import main_columns, main_lines
 from pcbench.report.table import lines
@@ -89,7 +89,10 @@ def test_every_difference_is_one_of_a_quantity(clouds):
 
 def largest(candidate):
     """A maximum, both ways."""
-    for way, values in ((FORTH, candidate.deviation), (BACK, candidate.completeness)):
+    for way, values in (
+        (CANDIDATE_TO_REFERENCE, candidate.deviation),
+        (REFERENCE_TO_CANDIDATE, candidate.completeness),
+    ):
         value = float(values.scalars["distance"].max())
         headline = Headline("farthest", column="far", rank=0)
         yield Quantity("farthest", way, "largest", value, LENGTH, label="Farthest", headline=headline)
@@ -100,7 +103,16 @@ def angle(candidate):
     value = 1.0 + len(candidate.name)
     interval = Interval(value - 0.5, value + 0.5)
     headline = Headline("normals", column="normals", rank=0)
-    yield Quantity("normals", FORTH, "angle", value, "deg", interval=interval, has_interval=True, headline=headline)
+    yield Quantity(
+        "normals",
+        CANDIDATE_TO_REFERENCE,
+        "angle",
+        value,
+        "deg",
+        interval=interval,
+        has_interval=True,
+        headline=headline,
+    )
 
 
 def color(candidate):
@@ -153,15 +165,24 @@ def test_a_mean_that_is_defined_in_one_place_is_in_every_output(monkeypatch):
         monkeypatch.setattr(module, "MEAN_METRICS", (*MEAN_METRICS, capped))
     found = compared("clouds")
     values = document(found)["candidates"][0]["metrics"]["capped"]
-    assert values[FORTH] == pytest.approx(np.minimum(found["a"].deviation.scalars["distance"], 0.5).mean())
-    assert values["ci"][FORTH][0] < values[FORTH] < values["ci"][FORTH][1]
-    assert values["floor"][BACK] > 0
+    assert values[CANDIDATE_TO_REFERENCE] == pytest.approx(
+        np.minimum(found["a"].deviation.scalars["distance"], 0.5).mean()
+    )
+    assert (
+        values["ci"][CANDIDATE_TO_REFERENCE][0]
+        < values[CANDIDATE_TO_REFERENCE]
+        < values["ci"][CANDIDATE_TO_REFERENCE][1]
+    )
+    assert values["floor"][REFERENCE_TO_CANDIDATE] > 0
     assert {(r.metric, r.direction) for r in rows(found) if r.metric == "capped"} == {
-        ("capped", w) for w in (FORTH, BACK)
+        ("capped", w) for w in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
     }
     assert "Capped" in [line.label for line in lines(found) if line]
     assert "capped mean" in [line.label for line in main_lines(found)]
-    assert {d.metric for d in found.differences} >= {f"capped/{FORTH}", f"capped/{BACK}"}
+    assert {d.metric for d in found.differences} >= {
+        f"capped/{CANDIDATE_TO_REFERENCE}",
+        f"capped/{REFERENCE_TO_CANDIDATE}",
+    }
 
 
 def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
@@ -172,7 +193,7 @@ def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
         return next(r.definition for r in rows(clouds) if r.metric == "minimum_detectable_rms")
 
     said(definition(), masked=False)
-    assert f"{100 * size.DETECTION_POWER:g} %" in definition() and f"p <= {size.MAX_P_SURE:g}" in definition()
+    assert f"{100 * size.DETECTION_POWER:g} %" in definition() and f"p <= {size.MAX_P_SIGNIFICANT:g}" in definition()
     monkeypatch.setattr(quantities, "DETECTION_POWER", 0.625)
     monkeypatch.setattr(quantities, "MAX_P_SURE", 0.25)
     assert "62.5 %" in definition() and "p <= 0.25" in definition()

@@ -5,7 +5,7 @@ import pytest
 from wording import said
 
 from pcbench import compare
-from pcbench.measure.wording import counted, times_as
+from pcbench.measure.wording import pluralize, ratio_in_words
 from pcbench.report.plot.panels import _bar_label
 from pcbench.report.words import title
 
@@ -14,14 +14,14 @@ from pcbench.report.words import title
     ("count", "words"), [(0, "0 points"), (1, "1 point"), (2, "2 points"), (12_000, "12,000 points")]
 )
 def test_a_number_with_its_noun(count, words):
-    assert counted(count, "point") == words
+    assert pluralize(count, "point") == words
 
 
 @pytest.mark.parametrize(
     ("ratio", "words"), [(0.5, "0.5 times as many"), (0.999, "as many"), (1.04, "as many"), (11.2, "11 times as many")]
 )
 def test_a_ratio(ratio, words):
-    assert times_as(ratio, "many") == words
+    assert ratio_in_words(ratio, "many") == words
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from wording import refused, said
 
 from pcbench import Cloud
 from pcbench.errors import InputError
-from pcbench.geometry.cameras import Intrinsics, look_at, rotation_from
+from pcbench.geometry.cameras import Intrinsics, look_at, nearest_rotation
 from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
@@ -292,7 +292,7 @@ def test_deeply_nested_json_is_a_one_line_error(photographs):
 
 def test_matrices_that_are_not_rotations_are_refused():
     rotation = look_at([1, 2, 3], [0, 0, 0]).rotation
-    found = rotation_from(np.round(rotation, 5))
+    found = nearest_rotation(np.round(rotation, 5))
     np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(found, rotation, atol=2e-5)
     for wrong in (
@@ -302,7 +302,7 @@ def test_matrices_that_are_not_rotations_are_refused():
         np.full((3, 3), np.nan),
     ):
         with refused():
-            rotation_from(wrong)
+            nearest_rotation(wrong)
 
 
 def test_damaged_binary_models_are_a_one_line_error(tmp_path):

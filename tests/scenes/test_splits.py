@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from wording import refused, said
 
-from pcbench.scenes.splits import capture_order, every, hold_out, in_blocks
+from pcbench.scenes.splits import capture_order, hold_out, split_blocks, split_every
 
 
 def named(count):
@@ -24,9 +24,9 @@ def along_a_way(count):
 @pytest.mark.parametrize("blocks", [1, 2, 5, 8, 11])
 def test_every_image_is_used_once(count, blocks):
     names = named(count)
-    splits = [every(names), every(names, 3)]
+    splits = [split_every(names), split_every(names, 3)]
     if count >= 4 * blocks + count // 8 + blocks:
-        splits.append(in_blocks(names, blocks))
+        splits.append(split_blocks(names, blocks))
     for split in splits:
         assert sorted(chain(split.train, split.test)) == sorted(names)
         assert len(split.train) >= len(split.test) > 0
@@ -35,7 +35,7 @@ def test_every_image_is_used_once(count, blocks):
 
 @pytest.mark.parametrize(("count", "blocks", "share"), [(32, 8, 1 / 8), (100, 8, 1 / 8), (61, 5, 0.3), (400, 8, 0.25)])
 def test_blocks_are_contiguous_separate_and_evenly_spaced(count, blocks, share):
-    split = in_blocks(named(count), blocks, share)
+    split = split_blocks(named(count), blocks, share)
     places = [[int(name.removesuffix(".jpg")) for name in block] for block in split.blocks]
     assert len(places) == blocks
     length = max(2, round(share * count / blocks))
@@ -51,25 +51,25 @@ def test_blocks_are_contiguous_separate_and_evenly_spaced(count, blocks, share):
 
 
 def test_every_eighth_starts_with_the_first():
-    split = every(named(17))
+    split = split_every(named(17))
     assert split.test == ("0.jpg", "8.jpg", "16.jpg")
     assert split.blocks == (("0.jpg",), ("8.jpg",), ("16.jpg",))
 
 
 def test_required_number_of_images_is_reported():
-    assert len(every(named(9)).train) == 7
+    assert len(split_every(named(9)).train) == 7
     with refused():
-        every(named(8))
+        split_every(named(8))
     with refused():
-        every(named(8), 1)
+        split_every(named(8), 1)
 
 
 def test_hold_out_settings():
     names = named(40)
     assert hold_out(names, "none").train == names
     assert hold_out(names, "none").test == ()
-    assert hold_out(names, "every") == every(names)
-    assert hold_out(names, "blocks") == in_blocks(names)
+    assert hold_out(names, "every") == split_every(names)
+    assert hold_out(names, "blocks") == split_blocks(names)
 
 
 def test_name_order_is_kept_unless_positions_contradict_it():
@@ -89,9 +89,9 @@ def test_blocks_of_unordered_names_contain_neighbors():
     places = along_a_way(64)[np.random.default_rng(1).permutation(64)]
     positions = dict(zip(names, places, strict=True))
     spread = [
-        np.ptp([positions[n] for n in block], axis=0).max() for block in in_blocks(names, 4, 0.25, positions).blocks
+        np.ptp([positions[n] for n in block], axis=0).max() for block in split_blocks(names, 4, 0.25, positions).blocks
     ]
-    by_name = [np.ptp([positions[n] for n in block], axis=0).max() for block in in_blocks(names, 4, 0.25).blocks]
+    by_name = [np.ptp([positions[n] for n in block], axis=0).max() for block in split_blocks(names, 4, 0.25).blocks]
     assert max(spread) < 0.5 * min(by_name)
 
 
@@ -103,8 +103,8 @@ def test_equal_positions_keep_the_name_order():
 def test_too_few_images_are_refused():
     for count, n in ((8, 8), (1, 8), (0, 8), (10, 1)):
         with refused():
-            every(named(count), n)
+            split_every(named(count), n)
     with refused():
-        in_blocks(named(31))
+        split_blocks(named(31))
     with refused():
-        in_blocks(named(40), 0)
+        split_blocks(named(40), 0)

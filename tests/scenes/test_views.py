@@ -9,7 +9,7 @@ from wording import refused
 
 from pcbench.errors import InputError
 from pcbench.scenes.splits import every
-from pcbench.scenes.views import Pictures, find_views, read_views, write_views
+from pcbench.scenes.views import ViewImages, find_views, read_views, write_views
 
 import_or_skip("PIL")
 
@@ -20,7 +20,7 @@ def pictures(name):
     rng = np.random.default_rng(NAMES.index(name))
     shape = (6 + NAMES.index(name), 9, 3)
     mask = None if name == "2.jpg" else rng.random(shape[:2]) < 0.5
-    return Pictures(name, rng.uniform(-0.2, 1.2, shape), rng.integers(0, 256, shape, dtype=np.uint8), mask)
+    return ViewImages(name, rng.uniform(-0.2, 1.2, shape), rng.integers(0, 256, shape, dtype=np.uint8), mask)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from wording import refused, said
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import Affine, Similarity
-from pcbench.scenes.synthetic.warp import KINDS, Warp, turn, warp_of
+from pcbench.scenes.synthetic.warp import KINDS, Warp, make_warp, similarity_from_angles
 
 RMS = 0.25
 
@@ -40,7 +40,7 @@ def again(record):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_amplitude_is_beyond_any_affine_map(kind):
     cloud = hills()
-    warp = warp_of(kind, cloud.points, RMS)
+    warp = make_warp(kind, cloud.points, RMS)
     moved = warp.apply(cloud.points)
     rest = beyond_affine(cloud.points, moved)
     assert np.sqrt(np.square(rest).sum(axis=1).mean()) == pytest.approx(RMS, rel=1e-9)
@@ -55,7 +55,7 @@ def test_the_amplitude_is_beyond_any_affine_map(kind):
 
 def test_what_each_kind_does():
     points = hills().points
-    moved = {kind: warp_of(kind, points, RMS).displacement(points) for kind in KINDS}
+    moved = {kind: make_warp(kind, points, RMS).displacement(points) for kind in KINDS}
     r = np.hypot(points[:, 0] - moved["dome"][:, 0], points[:, 1])
     for kind in ("dome", "bowl", "subsidence"):
         np.testing.assert_allclose(moved[kind][:, :2], 0, atol=1e-15)
@@ -74,15 +74,15 @@ def test_what_each_kind_does():
 
 def test_strips_drift_along_themselves():
     points = hills().points
-    turned = turn((0, 0, 90), (0, 0, 0), 1).apply(points)
-    one, two = (warp_of("drift", p, RMS).displacement(p) for p in (points, turned))
+    turned = similarity_from_angles((0, 0, 90), (0, 0, 0), 1).apply(points)
+    one, two = (make_warp("drift", p, RMS).displacement(p) for p in (points, turned))
     np.testing.assert_allclose(np.abs(one[:, 2]), np.abs(two[:, 2]), atol=1e-3)  # the axis follows the points
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_normals_turn_with_the_surface(kind):
     cloud = hills(300)
-    warp = warp_of(kind, cloud.points, 1.5, turn((10, -20, 70), (3, 4, 5), 1.3))
+    warp = make_warp(kind, cloud.points, 1.5, similarity_from_angles((10, -20, 70), (3, 4, 5), 1.3))
     moved = warp.apply_cloud(cloud)
     np.testing.assert_allclose(np.linalg.norm(moved.normals, axis=1), 1, atol=1e-9)
     for direction in ([1, 0, 0.3], [0.2, 1, -0.4]):  # tangents stay tangents
@@ -96,7 +96,7 @@ def test_far_from_the_origin():
     offset = np.array([468_012.25, 5_428_771.5, 312.0])
     near, far = hills().points, hills(offset=offset).points
     for kind in KINDS:
-        one, two = (warp_of(kind, p, RMS).displacement(p) for p in (near, far))
+        one, two = (make_warp(kind, p, RMS).displacement(p) for p in (near, far))
         np.testing.assert_allclose(one, two, atol=1e-7)  # float64 at 5e6 m is good to 1e-9 m
 
 
@@ -104,8 +104,8 @@ def test_a_flat_cloud_cannot_be_sheared_by_height():
     flat = hills().points * [1, 1, 0]
     for kind in ("shear", "twist"):
         with refused():
-            warp_of(kind, flat, RMS)
-    rest = beyond_affine(flat[:, :2], warp_of("dome", flat, RMS).apply(flat))
+            make_warp(kind, flat, RMS)
+    rest = beyond_affine(flat[:, :2], make_warp("dome", flat, RMS).apply(flat))
     assert np.sqrt(np.square(rest).sum(axis=1).mean()) == pytest.approx(RMS, rel=1e-9)
 
 
@@ -134,7 +134,9 @@ def test_the_command_and_its_record(run):
     np.testing.assert_allclose(T.motion_at((low + high) / 2).shift, [10, 20, 3])  # it turns about its own centre
     rest = beyond_affine(before.points, T.inverse().apply(after.points))
     assert np.sqrt(np.square(rest).sum(axis=1).mean()) == pytest.approx(0.1, rel=1e-9)
-    np.testing.assert_allclose(turn((0, 0, 90), (0, 0, 0), 1).apply(np.eye(3))[0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        similarity_from_angles((0, 0, 90), (0, 0, 0), 1).apply(np.eye(3))[0], [0, 1, 0], atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(("about", "place"), [("origin", [0, 0, 0]), ("5,-6,700", [5, -6, 700])])

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pcbench.children import Limits, run_module
-from pcbench.errors import InputError, PcbenchError, recorded
+from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import require
-from pcbench.opengl import OFF_SCREEN, NoFiguresError
+from pcbench.opengl import OFF_SCREEN_ENVIRONMENT, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
 
@@ -84,7 +84,7 @@ def draw(
         json.dumps(style.plain()),
         *names,
         limits=Limits(seconds=_MAX_SECONDS),
-        environment=OFF_SCREEN,
+        environment=OFF_SCREEN_ENVIRONMENT,
     )
     if result.timed_out:
         raise NoFiguresError(f"no pictures: drawing took longer than {_MAX_SECONDS} s")
@@ -93,7 +93,7 @@ def draw(
         raise InputError(lines[-1])
     if result.code != 0:
         require("matplotlib")
-        raise NoFiguresError(f"no pictures: drawing failed ({result.last_words or 'it crashed'})")
+        raise NoFiguresError(f"no pictures: drawing failed ({result.last_error_line or 'it crashed'})")
     record_files(report, lines)
     return [report / line for line in lines]
 
@@ -108,5 +108,5 @@ def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | N
     try:
         draw(report, drawer=drawer, figures=figures)
     except PcbenchError as error:
-        return recorded(error)
+        return record_error(error)
     return None

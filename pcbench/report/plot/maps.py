@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.measure.wording import counted
+from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
@@ -90,7 +90,7 @@ def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: F
         low, high = np.percentile(height[inside] if inside.any() else height, [0.5, 99.5])
         colors, note = Range(float(low), max(float(high), float(low) + 1e-12)).colors(height), ", coloured by height"
     image = _image(cloud.points, colors, shared, look, shaded=True)
-    compose(image, shared, f"reference ({counted(len(cloud), 'point')}{note})", unit, path, look)
+    compose(image, shared, f"reference ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
     return True
 
 

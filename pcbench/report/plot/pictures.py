@@ -10,8 +10,8 @@ import numpy as np
 from pcbench.deformation import Deformation
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
-from pcbench.measure.wording import counted
-from pcbench.report.colors import Range, largest_but_strays, ranges
+from pcbench.measure.wording import pluralize
+from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
 from pcbench.report.plot.views import Frame
@@ -83,13 +83,13 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
     }
     finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
     signed = any(bool((scalars < 0).any()) for scalars in finite.values())
-    highest = {name: largest_but_strays(scalars) for name, scalars in finite.items()}
+    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
     scales = ranges(highest, spacing=report.spacing_median, signed=signed, given=look.range)
     label = f"{maps.LABELS.get(scalar, scalar.replace('_', ' '))} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
 
     def picture(name: str, scale: Range) -> Picture:
-        title = f"{name} ({counted(len(clouds[name]), noun)})"
+        title = f"{name} ({pluralize(len(clouds[name]), noun)})"
         return Picture(
             lambda path: maps.coloured(clouds[name], values[name], title, scale, label, report.unit, frame, path, look)
         )
@@ -108,7 +108,7 @@ def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Pict
         def draw(path: Path) -> bool:
             cloud = candidate.completeness()
             assert cloud is not None
-            title = f"completeness of {candidate.name} (the reference's {counted(len(cloud), 'point')})"
+            title = f"completeness of {candidate.name} (the reference's {pluralize(len(cloud), 'point')})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
             return maps.coloured(cloud, values, title, scale, label, report.unit, frame, path, look)
 

@@ -17,7 +17,7 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.io.transforms_json import write_transforms
-from pcbench.progress import Plan
+from pcbench.progress import ProgressPlan
 from pcbench.scenes.synthetic.demos import Demo
 from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
@@ -25,7 +25,7 @@ from pcbench.scenes.synthetic.render import Optics, check_intrinsics, check_rend
 from pcbench.scenes.synthetic.rigs import Site, perturbed_positions, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import depth_map, surface_cloud
-from pcbench.scratch import claim, scratch_folder
+from pcbench.scratch import lock_output, scratch_folder
 
 _DEMO_MARKER = ".demo"  # file that marks a demo's folder
 
@@ -79,7 +79,9 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
     check_renderer()
     check_intrinsics(settings.intrinsics)
     with _new_folder(out) as folder:
-        progress = Plan(step, [2.0, 0.5 * settings.images, *([0.3] * settings.images), 2.0 + 5e-6 * settings.points])
+        progress = ProgressPlan(
+            step, [2.0, 0.5 * settings.images, *([0.3] * settings.images), 2.0 + 5e-6 * settings.points]
+        )
         progress("building the city")
         plan = lay_out(settings.city)
         site = Site(settings.city.extent, float(np.median(plan.terrain.heights)), plan.top)
@@ -190,6 +192,6 @@ def _new_folder(out: Path) -> Iterator[Path]:
     parent = out.absolute().parent
     if not parent.is_dir():
         raise InputError(f"{out}: expected an existing parent folder, got {parent}; create it first")
-    with claim(out), scratch_folder(out) as scratch:
+    with lock_output(out), scratch_folder(out) as scratch:
         yield scratch
         scratch.replace(out.absolute())

@@ -67,7 +67,7 @@ def compute_lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> lis
     """Compute light (rows, columns, 3) on a lattice over each chart: sun with shadows, sky by its visible share."""
     sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.base_texel) for c in charts]
     sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.base_texel) for c in charts]
-    sunny = ~index.blocked(*_rays([s.points for s in sun if s], SUN_DIRECTION))
+    sunny = ~index.is_occluded(*_rays([s.points for s in sun if s], SUN_DIRECTION))
     directions = _hemisphere(12)
     openness = np.zeros(sum(len(s.points) for s in sky if s), dtype=np.float32)
     weight = np.zeros_like(openness)
@@ -76,7 +76,7 @@ def compute_lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> lis
     for direction in directions:
         facing = normals @ direction
         upper = np.flatnonzero(facing > 0.02)
-        free = ~index.blocked(points[upper], np.broadcast_to(direction, (len(upper), 3)), limit=60.0)
+        free = ~index.is_occluded(points[upper], np.broadcast_to(direction, (len(upper), 3)), limit=60.0)
         openness[upper] += (free * facing[upper]).astype(np.float32)
     for direction in directions:
         weight += np.maximum(0, direction[2])

@@ -13,7 +13,7 @@ from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, PcbenchError
 from pcbench.extras import require
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.opengl import OFF_SCREEN, check_opengl
+from pcbench.opengl import OFF_SCREEN_ENVIRONMENT, check_opengl
 from pcbench.scenes.synthetic.surface import CitySurface
 from pcbench.scratch import scratch_folder
 
@@ -120,10 +120,10 @@ def render(
             str(job),
             str(folder.absolute()),
             limits=Limits(seconds=_MAX_SECONDS_PER_IMAGE * (1 + len(cameras))),
-            environment=OFF_SCREEN,
+            environment=OFF_SCREEN_ENVIRONMENT,
         )
     if process.timed_out:
         raise PcbenchError(f"no images: rendering took longer than {_MAX_SECONDS_PER_IMAGE} s per image")
     missing = [camera.name for camera in cameras if not (folder / camera.name).is_file()]
     if process.code != 0 or missing:
-        raise PcbenchError(f"no images: rendering failed ({process.last_words or 'it crashed'})")
+        raise PcbenchError(f"no images: rendering failed ({process.last_error_line or 'it crashed'})")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.reflect import Mirrors, build_mirrors, reflectance
-from pcbench.scratch import naming
+from pcbench.scratch import attribute_errors_to
 
 SUPERSAMPLING = 4  # samples along each side of a pixel
 _TILE_SAMPLES = 8192  # samples along a side of one OpenGL rendering
@@ -226,7 +226,7 @@ def main() -> int:
         rng = np.random.default_rng([values["seed"], 9, number])
         pixels = apply_sensor(view.photograph(camera), values["optics"], intrinsics, rng)
         path = folder / camera.name
-        with naming(path, path):
+        with attribute_errors_to(path, path):
             Image.fromarray(pixels).save(path, compress_level=4)
     return 0
 

@@ -11,7 +11,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.geometry.visibility import SEEN_BY, views
+from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, views
 from pcbench.scenes.synthetic.plan import CityPlan
 
 
@@ -42,7 +42,7 @@ def surface_cloud(plan: CityPlan, index: MeshIndex, cameras: Sequence[Camera], c
     sampled = index.mesh.sample(round(1.3 * count) + 1000, seed)
     exposed = sampled.select(np.flatnonzero(~_is_buried(plan, sampled.points))[:count])
     assert exposed.normals is not None
-    visible_mask = views(index, cameras, exposed.points, exposed.normals, enough=SEEN_BY) >= SEEN_BY
+    visible_mask = views(index, cameras, exposed.points, exposed.normals, enough=MIN_VISIBLE_VIEWS) >= MIN_VISIBLE_VIEWS
     return Cloud(
         exposed.points, normals=exposed.normals, attributes={"visible": visible_mask.astype(np.uint8)}, unit="m"
     )

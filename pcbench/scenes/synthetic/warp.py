@@ -164,7 +164,7 @@ def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
     return record
 
 
-def warp_of(kind: str, points: FloatArray, rms: float, after: Similarity | None = None) -> Warp:
+def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | None = None) -> Warp:
     """Create a deformation of points (N, 3) with a given RMS beyond the best affine map.
 
     Args:
@@ -222,7 +222,7 @@ def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(vectors).sum(axis=1))))
 
 
-def turn(
+def similarity_from_angles(
     angles_deg: tuple[float, float, float],
     shift: tuple[float, float, float],
     scale: float,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, PcbenchError, RegistrationError, recorded
-from pcbench.extras import unavailable
+from pcbench.errors import InputError, PcbenchError, RegistrationError, record_error
+from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import digest
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
@@ -39,7 +39,7 @@ from pcbench.studies.folder import (
     write_pages,
     write_record,
 )
-from pcbench.systems import cpus
+from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.bench/1"
 KIND = StudyKind("bench", "bench.json", SCHEMA, (".lock", "runs"))
@@ -113,7 +113,7 @@ class BenchJob:
 
 
 @dataclass(frozen=True)
-class Done:
+class FinishedRun:
     """A finished run.
 
     Args:
@@ -142,7 +142,7 @@ def bench(
     job: BenchJob,
     out: Path,
     *,
-    on_row: Callable[[Done], None] = lambda _: None,
+    on_row: Callable[[FinishedRun], None] = lambda _: None,
     on_step: Callable[[str], None] = lambda _: None,
     on_warning: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -196,7 +196,7 @@ def bench(
             mark_front(rows)
             doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
-            on_row(Done(row, number, len(todo), kept))
+            on_row(FinishedRun(row, number, len(todo), kept))
         stale = {p.name for p in (out / _RUNS_FOLDER).iterdir()} - {_folder_name(trial) for trial in todo}
         if stale:
             notes.append(f"{len(stale)} runs in {out / _RUNS_FOLDER} have other settings and are not in the tables")
@@ -232,7 +232,7 @@ class _Inputs:
             "scene": scene.fingerprint(),
             "sparse_points": hashlib.sha256(points).hexdigest(),
             "versions": library_versions(),
-            "machine": f"{platform.node()} {platform.machine()}, {cpus()} cores",
+            "machine": f"{platform.node()} {platform.machine()}, {cpu_count()} cores",
         }
         measured = {
             "reference": digest(job.reference),
@@ -241,7 +241,7 @@ class _Inputs:
             "rules": asdict(job.rules),
             "measures": _MEASURE_VERSION,
             "named_files": [digest(path) for path in _named_files(job.rules)],
-            "global": unavailable("kiss_matcher") is None,
+            "global": import_problem("kiss_matcher") is None,
         }
         return cls(run, measured)
 
@@ -346,15 +346,15 @@ def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identi
     try:
         reconstruction = read_reconstruction(folder)
     except (PcbenchError, OSError, ValueError, MemoryError) as error:  # not stored: the next run tries again
-        return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
+        return {"status": "unmeasured", "message": " ".join(record_error(error).split()) or "not enough memory"}, False
     try:
         values = score(protocol, reconstruction, folder).row()
     except (InputError, RegistrationError) as error:
-        values = {"status": "unmeasured", "message": recorded(error)}
+        values = {"status": "unmeasured", "message": record_error(error)}
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
-        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(recorded(error).split())}"}
+        values = {"status": "unmeasured", "message": f"{type(error).__name__}: {' '.join(record_error(error).split())}"}
     except (PcbenchError, MemoryError) as error:  # may be temporary: not stored, the next run measures the cloud again
-        return {"status": "unmeasured", "message": " ".join(recorded(error).split()) or "not enough memory"}, False
+        return {"status": "unmeasured", "message": " ".join(record_error(error).split()) or "not enough memory"}, False
     write_record(folder / _SCORE_FILE, key, values)
     return values, False
 

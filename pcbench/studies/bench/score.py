@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError, recorded
-from pcbench.extras import unavailable
+from pcbench.errors import InputError, record_error
+from pcbench.extras import import_problem
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
@@ -69,14 +69,14 @@ def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camer
         try:
             fit = robust_similarity(found, true, with_scale=free_scale)
         except InputError as error:
-            notes = (f"cannot register by cameras: {recorded(error)}",)
+            notes = (f"cannot register by cameras: {record_error(error)}",)
         else:
             errors = np.linalg.norm(fit.apply(found) - true, axis=1)
             spread = f"{np.median(errors):.3g} (median) and {errors.max():.3g} (largest)"
             note = f"registered by {len(names)} cameras; position errors: {spread}, in the reference's unit"
             return Alignment("cameras", fit, (note,))
     fine = "similarity" if free_scale else "icp"
-    if why := unavailable("kiss_matcher"):
+    if why := import_problem("kiss_matcher"):
         return Alignment(fine, None, (*notes, f"`{fine}` starts from the cloud's current pose: {why}"))
     return Alignment("global-similarity" if free_scale else "global", None, notes)
 

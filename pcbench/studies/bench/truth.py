@@ -16,7 +16,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.regions import Region
-from pcbench.geometry.visibility import SEEN_BY, pixel_sizes, sees, views
+from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, pixel_sizes, sees, views
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn
 from pcbench.io.meshes import holds_mesh, read_mesh
@@ -116,8 +116,8 @@ class Truth:
         assert drawn.normals is not None
         inside = np.flatnonzero(np.ones(len(drawn), bool) if region is None else region.contains(drawn.points))
         points, normals = drawn.points[inside], drawn.normals[inside]
-        counts = views(MeshIndex(self.surface), list(self.cameras.values()), points, normals, enough=SEEN_BY)
-        points = points[counts >= SEEN_BY]
+        counts = views(MeshIndex(self.surface), list(self.cameras.values()), points, normals, enough=MIN_VISIBLE_VIEWS)
+        points = points[counts >= MIN_VISIBLE_VIEWS]
         return (points, spacing) if len(points) else None
 
 
@@ -149,7 +149,7 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
         return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and there is no mesh")
     if not cameras:
         return Truth(cloud, cameras, None, "the scene has no cameras", surface)
-    how = f"seen by at least {SEEN_BY} of {len(cameras)} cameras, by ray casting against {mesh or reference}"
+    how = f"seen by at least {MIN_VISIBLE_VIEWS} of {len(cameras)} cameras, by ray casting against {mesh or reference}"
     return Truth(cloud, cameras, *_visibility_if_any(visible_mask(cloud, surface, cameras), how), surface)
 
 
@@ -172,6 +172,6 @@ def visible_mask(cloud: Cloud, mesh: Mesh, cameras: Mapping[str, Camera]) -> NDA
     """
     index = MeshIndex(mesh)
     _, closest, faces = index.query(cloud.points)
-    counts = views(index, list(cameras.values()), closest, mesh.normals()[faces], enough=SEEN_BY)
-    seen: NDArray[np.bool_] = counts >= SEEN_BY
+    counts = views(index, list(cameras.values()), closest, mesh.normals()[faces], enough=MIN_VISIBLE_VIEWS)
+    seen: NDArray[np.bool_] = counts >= MIN_VISIBLE_VIEWS
     return seen

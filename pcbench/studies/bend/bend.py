@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra, ReconstructionError, recorded
+from pcbench.errors import InputError, MissingExtra, ReconstructionError, record_error
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -51,7 +51,7 @@ _COMMON_SETTINGS = {"poses": "solve", "upsample": "false", "matching": "exhausti
 
 
 @dataclass(frozen=True)
-class Experiment:
+class SurveySettings:
     """Settings of the synthetic survey that is created if no scene is given."""
 
     images: int = 42
@@ -63,7 +63,7 @@ class Experiment:
 def run_bend(
     out: Path,
     scene: Path | None,
-    settings: Experiment,
+    settings: SurveySettings,
     *,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
@@ -157,7 +157,7 @@ def _run(
         try:
             draw_bend(study, out / "bend.png")
         except MissingExtra as error:
-            without_figures = recorded(error)
+            without_figures = record_error(error)
     return study, without_figures
 
 
@@ -185,7 +185,7 @@ def file_stem(name: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in name).split())
 
 
-def _synthetic_scene(out: Path, settings: Experiment, step: Callable[[str], None]) -> Path:
+def _synthetic_scene(out: Path, settings: SurveySettings, step: Callable[[str], None]) -> Path:
     """Create a city with nadir and some oblique drone images, taken through a lens with distortion."""
     from pcbench.scenes.synthetic.files import SceneSettings, write_scene
     from pcbench.scenes.synthetic.plan import CitySettings
@@ -276,7 +276,7 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
         near = np.argsort(np.square(level.points[:, :2] - target).sum(axis=1))[:50]
         points, starts = level.points[near], level.points[near] + _RAY_OFFSET * level.normals[near]
         visible = np.stack(
-            [in_frame(c, points) & ~mesh.blocked(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
+            [in_frame(c, points) & ~mesh.is_occluded(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
         )
         best = int(visible.sum(axis=1).argmax())
         if visible[best].sum() < 3:
@@ -304,7 +304,7 @@ def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Soluti
 
     def make(folder: Path) -> None:
         # Variants with the same images share features and matches.
-        made = run(job, inputs.out / "work" / variant.images).required()
+        made = run(job, inputs.out / "work" / variant.images).require_reconstruction()
         write_cloud(folder / "cloud.ply", made.cloud)
         write_colmap_model(folder / "cameras", list(made.cameras.values()))
         (folder / "notes.json").write_text(json.dumps(list(made.notes)), encoding="utf-8")
@@ -314,7 +314,7 @@ def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Soluti
         cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
         cloud = register_by_rays(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
     except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
-        return Solution(variant, len(images), failure=recorded(error))
+        return Solution(variant, len(images), failure=record_error(error))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
     intrinsics = next(iter(cameras.values())).intrinsics
     return Solution(variant, len(images), len(cameras), cloud, intrinsics, tuple(notes))

@@ -11,7 +11,7 @@ import numpy as np
 
 from pcbench.extras import require
 from pcbench.io.files import atomic_write
-from pcbench.report.colors import largest_but_strays, ranges
+from pcbench.report.colors import ranges, robust_maximum
 from pcbench.studies.bend.results import BendStudy, SolutionResult, measured_bends
 
 _COLORS = (
@@ -74,7 +74,7 @@ def draw_bend(study: BendStudy, path: Path) -> None:
             *growth_axis.get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=8
         )
         heights = [np.array(row.cells, dtype=np.float64)[:, 3] for row in rows]
-        highest = {row.name: largest_but_strays(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
+        highest = {row.name: robust_maximum(z[np.isfinite(z)]) for row, z in zip(rows, heights, strict=True)}
         # All maps share one scale, the most common range. Maps of much larger deformations saturate.
         limit = mode(scale.high for scale in ranges(highest).values())
         axes = np.atleast_1d(lower.subplots(map_rows, _MAP_COLUMNS, sharex=True, sharey=True)).ravel()

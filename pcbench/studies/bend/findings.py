@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, deform
-from pcbench.errors import InputError, Notice, RegistrationError, recorded
+from pcbench.errors import InputError, Notice, RegistrationError, record_error
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
@@ -242,7 +242,7 @@ def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: 
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
-        return Deformation.unanswered(Notice("not-registered", recorded(error))), candidate
+        return Deformation.undecided_because(Notice("not-registered", record_error(error))), candidate
     return found, candidate.transformed(registration.T_reference_candidate)
 
 

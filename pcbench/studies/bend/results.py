@@ -156,7 +156,7 @@ class BendStudy:
         return self.scene.unit or ""
 
     @property
-    def is_judged(self) -> bool:
+    def has_measured_bends(self) -> bool:
         """Whether the deformation of any solution was measured."""
         return bool(measured_bends(self.rows))
 

@@ -12,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import robust_similarity
-from pcbench.geometry.visibility import SEEN_BY, in_frame
+from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, in_frame
 from pcbench.studies.gao.results import CameraErrors, SurfaceDeformation
 
 _MAX_SURFACE_POINTS = 20_000  # sample of the surface whose deformation is computed
@@ -134,7 +134,7 @@ def retriangulate(
         matrix[rows] += across
         vector[rows] += across @ camera.position
         count[rows] += 1
-    fixed = count >= SEEN_BY
+    fixed = count >= MIN_VISIBLE_VIEWS
     smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, 2]].T
     fixed &= smallest > _MIN_EIGENVALUE_RATIO * largest
     triangulated = points.copy()

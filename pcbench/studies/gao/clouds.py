@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import InputError, ReconstructionError, recorded
+from pcbench.errors import InputError, ReconstructionError, record_error
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
@@ -130,7 +130,7 @@ class _CloudMaker:
         try:
             folder = stage(self.out / _RUNS_FOLDER, method.name, key, lambda target: self._run(method, solved, target))
         except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
-            return CloudRun(method, failure=recorded(error))
+            return CloudRun(method, failure=record_error(error))
         record: Mapping[str, Any] = read_json(folder / _RUN_FILE)
         return CloudRun(method, folder, **{**record, "notes": tuple(record["notes"])})
 
@@ -149,7 +149,7 @@ class _CloudMaker:
             self.job.time_limit,
             lambda text: self.step(Step(f"{self.scene.name}: {method.name}: {text}")),
         )
-        result = outcome.required()
+        result = outcome.require_reconstruction()
         cloud = result.cloud
         if cloud.unit is None and result.gauge == "georeferenced":
             cloud = replace(cloud, unit=self.unit)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError, RegistrationError, recorded
+from pcbench.errors import InputError, RegistrationError, record_error
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
@@ -75,7 +75,7 @@ def evaluate_against(
             job, outputs = ComparisonJob(reference, files, settings, {}), Outputs(folder, figures=False)
             return compare_files(job, outputs, lambda _: None).comparison
         except (InputError, RegistrationError) as error:
-            return recorded(error)
+            return record_error(error)
 
     def make(folder: Path) -> None:
         failed: dict[str, str] = {}
@@ -150,7 +150,7 @@ class _ReferenceRegion(NamedTuple):
         try:
             found = register(self.cloud, cloud, "icp", target=self.target)
         except (InputError, RegistrationError) as error:
-            return recorded(error)
+            return record_error(error)
         if self.region is None or self.region.contains(found.T_reference_candidate.apply(cloud.points)).any():
             return None
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from pcbench.deformation import Deformation, Trend
-from pcbench.measure.wording import times_as
+from pcbench.measure.wording import ratio_in_words
 from pcbench.report.words import joined, length
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import TRUTH, GaoStudy, ReferenceEvaluation, SceneResult
@@ -50,7 +50,7 @@ def _completeness_sentences(study: GaoStudy) -> Iterator[str]:
     both = [(sparse, means) for sparse, means in counts if sparse and means]
     if both:
         sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
-        yield f"Densification makes {means:,} points out of {sparse:,} ({times_as(means / sparse, 'many')})."
+        yield f"Densification makes {means:,} points out of {sparse:,} ({ratio_in_words(means / sparse, 'many')})."
     for reference, it, found in _densification_changes(study, _r2c_rms):
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
         yield f"{it} {word}: {reference} to cloud (r→c), {found.text}."

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.images import ViewScores, absolute_error
-from pcbench.report.colors import SEQUENTIAL, Range, largest_but_strays
+from pcbench.report.colors import SEQUENTIAL, Range, robust_maximum
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
-from pcbench.scenes.views import Pictures, RenderedView
+from pcbench.scenes.views import RenderedView, ViewImages
 from pcbench.studies.folder import unique_name
 from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
 
@@ -34,7 +34,7 @@ _MIN_ERROR_RANGE = 1.0  # grey level of 255; smaller errors are rounding
 
 class _Row(NamedTuple):
     caption: str
-    pictures: Pictures
+    pictures: ViewImages
     error: FloatArray
 
 
@@ -81,7 +81,7 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
         look: range of the colour bar and background.
     """
     rows = [_row(word, scored) for word, scored in views.items()]
-    limits = [largest_but_strays(row.error[np.isfinite(row.error)]) for row in rows]
+    limits = [robust_maximum(row.error[np.isfinite(row.error)]) for row in rows]
     found = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
     scale = found if look.range is None else Range(0.0, look.range, "range as set")
     figure, axis, color, height = _canvas(rows, look)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pcbench.errors import InputError, Notice, ReconstructionError, recorded
+from pcbench.errors import InputError, Notice, ReconstructionError, record_error
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
 from pcbench.scenes.views import find_views
@@ -69,7 +69,7 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
             try:
                 folders.append(_render_views(job, scene, out / _RUNS_FOLDER / name, step))
             except (InputError, ReconstructionError) as error:
-                failed.append(Notice("no-views", f"{scene}: {recorded(error)}"))
+                failed.append(Notice("no-views", f"{scene}: {record_error(error)}"))
         if not folders:
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
@@ -86,8 +86,12 @@ def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[s
         InputError: the reconstructor writes no views.
         PcbenchError: the reconstruction fails.
     """
-    asked = ReconstructionJob(job.method, scene, job.settings, cameras=job.cameras, image_scale=job.image_scale)
-    run(asked, workspace, job.time_limit, lambda text: step(f"{job.method}, {scene.name}: {text}")).required()
+    reconstruction = ReconstructionJob(
+        job.method, scene, job.settings, cameras=job.cameras, image_scale=job.image_scale
+    )
+    run(
+        wanted, workspace, job.time_limit, lambda text: step(f"{job.method}, {scene.name}: {text}")
+    ).require_reconstruction()
     found = find_views(workspace)
     if found is None:
         raise InputError(f"{job.method} wrote a cloud but no rendered views (pcbench.scenes.views.write_views)")

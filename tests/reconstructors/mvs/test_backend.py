@@ -24,7 +24,7 @@ pycolmap = import_or_skip("pycolmap")
 
 
 def fake_run(code, words=""):
-    return lambda *_, **__: SimpleNamespace(code=code, last_words=words)
+    return lambda *_, **__: SimpleNamespace(code=code, last_error_line=words)
 
 
 @pytest.mark.skipif(pycolmap.has_cuda, reason="this pycolmap has CUDA")
@@ -71,7 +71,7 @@ class FakeColmap:
     def __call__(self, module, command, *arguments, **_):
         if command == "match":
             self.match(arguments[0])
-        return SimpleNamespace(code=0, last_words="")
+        return SimpleNamespace(code=0, last_error_line="")
 
     def match(self, folder):
         from pathlib import Path
@@ -123,7 +123,7 @@ def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
 
 def test_missing_colmap_maps_are_explained(photographs, tmp_path, monkeypatch):
     def run(module, command, *_, **__):
-        return SimpleNamespace(code=0 if command == "probe" else -6, last_words="out of memory")
+        return SimpleNamespace(code=0 if command == "probe" else -6, last_error_line="out of memory")
 
     monkeypatch.setattr(backend, "run_module", run)
     with refused(ReconstructionError):

@@ -10,7 +10,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.visibility import in_frame
 from reconstructors.mvs.sources import angle_weights, angles_deg, choose_references
-from reconstructors.mvs.sparse import Sparse
+from reconstructors.mvs.sparse import SparseModel
 
 K = Intrinsics.from_fov(640, 480, 60.0)
 
@@ -22,7 +22,7 @@ def looking_down(name, x, y=0.0, z=10.0):
 def over_a_plane(cameras, extent=30.0, count=4000):
     points = np.random.default_rng(0).uniform(-extent, extent, (count, 3)) * [1, 1, 0]
     visibility = np.stack([in_frame(camera, points) for camera in cameras], axis=1)
-    return Sparse({c.name: c for c in cameras}, points, csc_matrix(visibility.astype(np.int8)))
+    return SparseModel({c.name: c for c in cameras}, points, csc_matrix(visibility.astype(np.int8)))
 
 
 def test_angles_match_trigonometry():
@@ -79,7 +79,7 @@ def test_frames_replace_missing_features():
     sparse = over_a_plane(cameras)
     visibility = sparse.visibility.toarray()
     visibility[10:, 0] = 0
-    references, isolated = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
+    references, isolated = choose_references(SparseModel(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
     assert not isolated
     assert set(references[0].sources) == {"b", "c"}
     assert references[0].depths == pytest.approx((7.5, 12.5))
@@ -89,7 +89,7 @@ def test_outliers_do_not_widen_the_depth_range():
     sparse = over_a_plane([looking_down("a", 0), looking_down("b", 2)])
     points = sparse.points.copy()
     points[np.flatnonzero(sparse.visibility.toarray()[:, 0])[0]] = [0, 0, -1000]
-    references, _ = choose_references(Sparse(sparse.cameras, points, sparse.visibility), 4)
+    references, _ = choose_references(SparseModel(sparse.cameras, points, sparse.visibility), 4)
     assert references[0].depths == pytest.approx((7.5, 12.5))
 
 
@@ -124,7 +124,7 @@ def test_images_with_shared_features_come_first():
     visibility = sparse.visibility.toarray()
     middle = np.flatnonzero(visibility[:, 3])
     visibility[np.ix_(middle, [0, 1, 5, 6])] = 0
-    references, _ = choose_references(Sparse(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
+    references, _ = choose_references(SparseModel(sparse.cameras, sparse.points, csc_matrix(visibility)), 4)
     (chosen,) = [r.sources for r in references if r.name == "3"]
     assert set(chosen[:2]) == {"2", "4"}
     assert set(chosen[2:]) == {"1", "5"}

@@ -5,7 +5,7 @@ import pytest
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity, robust_similarity
-from reconstructors.sfm.alignment import camera_errors, moved
+from reconstructors.sfm.alignment import camera_errors, transform_camera
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 
@@ -29,7 +29,7 @@ def test_a_camera_sees_the_same_after_it_is_moved():
     transform = Similarity(look_at([1, 2, 3], [0, 0, 0]).rotation, np.array([10, 20, 30.0]), 7.0)
     points = np.random.default_rng(0).normal(size=(10, 3)) * 0.3
     pixels, depths = camera.project(points)
-    after, far = moved(camera, transform).project(transform.apply(points))
+    after, far = transform_camera(camera, transform).project(transform.apply(points))
     np.testing.assert_allclose(after, pixels, atol=1e-9)
     np.testing.assert_allclose(far, 7 * depths)
 

@@ -11,7 +11,7 @@ from PIL import Image
 from pcbench.geometry.transform import robust_similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
-from reconstructors.sfm.alignment import camera_errors, moved
+from reconstructors.sfm.alignment import camera_errors, transform_camera
 from reconstructors.sfm.sfm import ColmapSfm
 
 import_or_skip("pycolmap")
@@ -32,7 +32,7 @@ def errors(made, truth):
     fit = robust_similarity(
         *(np.array([cameras[name].position for name in names]) for cameras in (made.cameras, truth))
     )
-    return camera_errors({name: moved(camera, fit) for name, camera in made.cameras.items()}, truth)
+    return camera_errors({name: transform_camera(camera, fit) for name, camera in made.cameras.items()}, truth)
 
 
 @pytest.mark.slow

@@ -13,13 +13,13 @@ from wording import refused, said
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
 from pcbench.geometry.transform import Similarity
-from reconstructors.sfm.alignment import moved
+from reconstructors.sfm.alignment import transform_camera
 from reconstructors.sfm.epipolar import (
     Agreement,
     VerifiedPair,
-    agreement,
     ambiguity_warning,
     check_cameras,
+    epipolar_agreement,
     write_pairs,
 )
 from reconstructors.sfm.features import DATABASE
@@ -86,7 +86,9 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
 
 def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_tolerated(known):
     folder, cameras = known
-    found = agreement(folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"})
+    found = epipolar_agreement(
+        folder / DATABASE, {name: camera for name, camera in cameras.items() if name != "000.png"}
+    )
     assert len(found.pairs) == 10
     assert len(found.contradicting_pairs) == 1
     assert found.is_sound
@@ -98,12 +100,12 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_tolerated(know
 
 def test_pairs_are_dropped_from_a_copy(known, tmp_path):
     folder, cameras = known
-    before = agreement(folder / DATABASE, cameras)
+    before = epipolar_agreement(folder / DATABASE, cameras)
     kept = remove_pairs(folder, tmp_path, "kept", dropped=[("003.png", "000.png")], min_matches=100)
-    left = {(pair.a, pair.b) for pair in agreement(kept / DATABASE, cameras).pairs}
+    left = {(pair.a, pair.b) for pair in epipolar_agreement(kept / DATABASE, cameras).pairs}
     dropped = {("000.png", "003.png"), ("002.png", "003.png")}
     assert left == {(pair.a, pair.b) for pair in before.pairs} - dropped
-    assert len(agreement(folder / DATABASE, cameras).pairs) == 15
+    assert len(epipolar_agreement(folder / DATABASE, cameras).pairs) == 15
 
 
 def test_groups_of_the_graph():
@@ -166,7 +168,7 @@ def test_significantly_different_cameras_are_named():
 
     def other(cameras):
         return SolvedModel(
-            "global mapping", None, {n: moved(c, elsewhere) for n, c in cameras.items()}, Agreement(()), []
+            "global mapping", None, {n: transform_camera(c, elsewhere) for n, c in cameras.items()}, Agreement(()), []
         )
 
     here = SolvedModel("incremental mapping", seen_by(kept), kept, Agreement(()), [])

@@ -7,7 +7,7 @@ from wording import said
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.rigs import Site, rig
-from reconstructors.sfm.alignment import moved
+from reconstructors.sfm.alignment import transform_camera
 from reconstructors.sfm.level import leveling_rotation
 
 K = Intrinsics(400, 300, 350, 350, 200, 150)
@@ -36,7 +36,7 @@ def rolled(camera, degrees):
 def tilt_after_levelling(cameras, seed=1):
     """Level cameras in another frame; return the angle in degrees between +z and true up, and the note."""
     frame = random_frame(seed)
-    turn, note = leveling_rotation({camera.name: moved(camera, frame) for camera in cameras})
+    turn, note = leveling_rotation({camera.name: transform_camera(camera, frame) for camera in cameras})
     if turn is None:
         return None, note
     assert turn.scale == 1
@@ -121,11 +121,11 @@ def test_a_level_model_stays_as_it_is():
     turn, _ = leveling_rotation({camera.name: camera for camera in cameras})
     np.testing.assert_allclose(turn.rotation, np.eye(3), atol=1e-7)
     upside_down = about_axis(180, 0)
-    turn, _ = leveling_rotation({camera.name: moved(camera, upside_down) for camera in cameras})
+    turn, _ = leveling_rotation({camera.name: transform_camera(camera, upside_down) for camera in cameras})
     np.testing.assert_allclose(turn.rotation @ upside_down.rotation[:, 2], [0, 0, 1], atol=1e-7)
 
 
 def test_the_same_cameras_are_levelled_to_the_bit():
-    cameras = {camera.name: moved(camera, random_frame(9)) for camera in rig("drone", 60, SITE, K)}
+    cameras = {camera.name: transform_camera(camera, random_frame(9)) for camera in rig("drone", 60, SITE, K)}
     first, again = leveling_rotation(cameras)[0], leveling_rotation(cameras)[0]
     assert first.rotation.tobytes() == again.rotation.tobytes()

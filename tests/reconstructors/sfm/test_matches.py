@@ -50,7 +50,7 @@ def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_pa
     monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     made = []
     for count in (1, 3):
-        monkeypatch.setattr(matches, "cpus", lambda count=count: count)
+        monkeypatch.setattr(matches, "cpu_count", lambda count=count: count)
         (tmp_path / str(count)).mkdir()
         made.append(_matched(features, scene, tmp_path / str(count)))
     assert made[0] == made[1]
@@ -90,7 +90,7 @@ def test_matches_are_the_same_in_many_runs(features, scene, tmp_path):
 
 def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
-    monkeypatch.setattr(matches, "cpus", lambda: 2)
+    monkeypatch.setattr(matches, "cpu_count", lambda: 2)
     monkeypatch.setattr(matches, "_write_list", lambda file, pairs: file)
     with refused(ReconstructionError):
         _matched(features, scene, tmp_path)

@@ -14,7 +14,7 @@ from pcbench.io.meshes import read_mesh
 from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic.files import SceneSettings, write_scene
 from pcbench.scenes.synthetic.plan import CitySettings
-from reconstructors.sfm.alignment import camera_errors, moved
+from reconstructors.sfm.alignment import camera_errors, transform_camera
 from reconstructors.sfm.sfm import ColmapSfm
 
 import_or_skip("pycolmap")
@@ -68,7 +68,7 @@ def test_a_city(renderer, tmp_path, seed):
     ):
         made = ColmapSfm(poses=poses).reconstruct(scene_, work)
         fit = fit_similarity(*(np.array([c[n].position for n in truth]) for c in (made.cameras, truth)))
-        positions, angles = camera_errors({n: moved(c, fit) for n, c in made.cameras.items()}, truth)
+        positions, angles = camera_errors({n: transform_camera(c, fit) for n, c in made.cameras.items()}, truth)
         assert len(positions) == 40
         # A pixel is 0.1 to 0.7 m on the ground.
         assert np.median(positions) < 0.2

@@ -10,7 +10,7 @@ from splat_training import grey, numbers, truth  # noqa: E402
 from wording import refused, said  # noqa: E402
 
 from reconstructors.splat.model import Gaussians  # noqa: E402
-from reconstructors.splat.parsimony import Budget, Curve, Loss, Parsimonious, select_budget  # noqa: E402
+from reconstructors.splat.parsimony import Budget, Curve, Parsimonious, PsnrLoss, select_budget  # noqa: E402
 from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
@@ -21,7 +21,7 @@ def budget(gaussians, *psnr, degree=2):
 
 def test_a_loss_is_the_mean_over_the_blocks_without_their_common_part():
     hard, easy = 20.0, 35.0
-    loss = Loss.of(budget(100, hard - 0.1, easy - 0.3), budget(200, hard, easy))
+    loss = PsnrLoss.of(budget(100, hard - 0.1, easy - 0.3), budget(200, hard, easy))
     assert loss.mean == pytest.approx(0.2)
     assert loss.error == pytest.approx(np.std([0.1, 0.3], ddof=1) / np.sqrt(2))
 

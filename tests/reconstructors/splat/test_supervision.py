@@ -15,7 +15,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import DepthMap, write_map
-from reconstructors.mvs.mvs import COUNTS, MAPS
+from reconstructors.mvs.mvs import MAPS, VIEW_COUNTS
 
 torch = import_or_skip("torch")
 
@@ -113,7 +113,7 @@ def wall():
 def save_map(folder, depth_map, counts):
     folder.mkdir()
     write_map(folder, depth_map)
-    np.save(folder / COUNTS, np.broadcast_to(np.uint8(counts), depth_map.depth.shape))
+    np.save(folder / VIEW_COUNTS, np.broadcast_to(np.uint8(counts), depth_map.depth.shape))
 
 
 def test_uncertain_depths_are_not_used(tmp_path):
@@ -183,7 +183,7 @@ class BluntMvs:
 
 
 def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypatch):
-    monkeypatch.setattr(plugin, "BEGINNING", BluntMvs())
+    monkeypatch.setattr(plugin, "INITIAL_MVS", BluntMvs())
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()
     scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))

@@ -9,7 +9,7 @@ from benches import METHODS, RIG, TRUTH
 from optional import import_or_skip
 
 from pcbench import Cloud, write_cloud
-from pcbench.children import Ended
+from pcbench.children import ChildResult
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import describe_child, reconstruct_child
 from pcbench.studies.bench.truth import read_truth
@@ -49,7 +49,7 @@ def in_process(monkeypatch):
                     reconstruct_child.main(Path(arguments[0]))
                 else:
                     describe_child.main(arguments[0], Path(arguments[1]))
-        return Ended(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
+        return ChildResult(code=0, timed_out=False, cpu_s=0.0, output="", errors="", received=0)
 
     # The code of the child process does not belong to the inputs of this run.
     monkeypatch.setattr(reconstruct_child, "register_plugin_code", lambda module: None)

@@ -6,7 +6,7 @@ import pytest
 from optional import break_library, import_or_skip
 from wording import refused
 
-from pcbench.extras import unavailable
+from pcbench.extras import import_problem
 from pcbench.plugins.run import Description
 
 
@@ -16,7 +16,7 @@ def test_demo_reports_why_it_cannot_bench(monkeypatch, tmp_path, library):
 
     monkeypatch.setattr(demo, "check_renderer", lambda: None)
     break_library(monkeypatch, tmp_path, library)
-    assert demo.why_not() == unavailable(library)
+    assert demo.why_not() == import_problem(library)
     assert "apt-get install libusb-1.0-0" in demo.why_not()
 
 

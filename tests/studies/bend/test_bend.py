@@ -21,7 +21,7 @@ from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
-from pcbench.scenes.synthetic.warp import turn, warp_of
+from pcbench.scenes.synthetic.warp import make_warp, similarity_from_angles
 from pcbench.studies.bend.bend import register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
@@ -42,7 +42,7 @@ from pcbench.studies.bend.results import (
     document,
     read_study,
 )
-from reconstructors.sfm.alignment import moved
+from reconstructors.sfm.alignment import transform_camera
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
 PLAIN = replace(INTRINSICS, distortion=(0.0, 0.0, 0.0, 0.0))
@@ -57,7 +57,7 @@ def sample(count, seed, noise):
 def solution(name, *factors, bend=None, seed=1, intrinsics=INTRINSICS):
     points = sample(8000, seed, 0.03)
     if bend:
-        points = warp_of("dome", points, bend).apply(points)
+        points = make_warp("dome", points, bend).apply(points)
     cloud = Cloud(points, attributes={"reprojection_error": np.full(len(points), 0.5)})
     return Solution(Variant(name, *factors), 12, 12, cloud, intrinsics)
 
@@ -204,8 +204,8 @@ def test_clouds_are_registered_by_rays():
     surface = MeshIndex(town.mesh)
     cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)}
     points = surface_cloud(town.plan, surface, list(cameras.values()), 3000).points
-    frame = turn((20, 30, 40), (5, 6, 7), 0.1)
-    found = {name: moved(camera, frame) for name, camera in cameras.items()}
+    frame = similarity_from_angles((20, 30, 40), (5, 6, 7), 0.1)
+    found = {name: transform_camera(camera, frame) for name, camera in cameras.items()}
     cloud = Cloud(
         frame.apply(points), attributes={"reprojection_error": np.ones(len(points)), "other": np.ones(len(points))}
     )

@@ -20,7 +20,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
 from pcbench.scenes.synthetic import city
 from pcbench.scenes.synthetic.rigs import Site, rig
-from pcbench.scenes.synthetic.warp import turn, warp_of
+from pcbench.scenes.synthetic.warp import make_warp, similarity_from_angles
 from pcbench.studies.gao import clouds, gao
 from pcbench.studies.gao.cameras import camera_deformation, camera_errors, cameras_in_cloud_frame, retriangulate
 from pcbench.studies.gao.evaluation import evaluate_against, visible_truth
@@ -30,7 +30,7 @@ from pcbench.studies.gao.results import (
     TRUTH,
     read_study,
 )
-from reconstructors.sfm.alignment import moved
+from reconstructors.sfm.alignment import transform_camera
 
 K = Intrinsics.from_fov(320, 180, 40.0)
 
@@ -61,13 +61,13 @@ def cameras_with(move):
 def test_deformation_by_solved_cameras():
     points = city(0).sample(4000, np.random.default_rng(0))[0]
     surface = Cloud(points[np.linalg.norm(points, axis=1) < 40])
-    motion = Similarity(turn((3, 5, 20), (1, 2, 3), 1.0).rotation, np.array([3.0, -2.0, 1.0]), 1.03)
-    solved, true = cameras_with(lambda camera: moved(camera, motion))
+    motion = Similarity(similarity_from_angles((3, 5, 20), (1, 2, 3), 1.0).rotation, np.array([3.0, -2.0, 1.0]), 1.03)
+    solved, true = cameras_with(lambda camera: transform_camera(camera, motion))
     placed, known = retriangulate(solved, true, surface.points)
     assert known.mean() > 0.9
     np.testing.assert_allclose(placed[known], motion.apply(surface.points[known]), atol=1e-8)
     small = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
-    scaled = camera_deformation(*cameras_with(lambda camera: moved(camera, small)), surface)
+    scaled = camera_deformation(*cameras_with(lambda camera: transform_camera(camera, small)), surface)
     assert scaled.bent < 1e-9  # a scale is affine, but not rigid
     assert scaled.moved == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
 
@@ -100,16 +100,17 @@ def test_deformation_by_solved_cameras():
     assert errors.astray == 0
     # An outlier camera is counted and does not deform the surface.
     name = next(iter(wrong))
-    lost = {**wrong, name: moved(wrong[name], Similarity(np.eye(3), np.array([200.0, 0, 0])))}
+    lost = {**wrong, name: transform_camera(wrong[name], Similarity(np.eye(3), np.array([200.0, 0, 0])))}
     jittered = {
-        k: moved(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0]))) for n, (k, c) in enumerate(lost.items())
+        k: transform_camera(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0])))
+        for n, (k, c) in enumerate(lost.items())
     }
     errors = camera_errors(jittered, true, surface)
     assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
     assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
     assert cameras_in_cloud_frame(lost, true) is true
     assert cameras_in_cloud_frame({}, true) is true
-    far = {name: moved(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
+    far = {name: transform_camera(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
     assert cameras_in_cloud_frame(far, true) is far
     errors = camera_errors(wrong, true, surface)
     assert errors.focal_ratio == pytest.approx(1.02)
@@ -124,7 +125,7 @@ def test_clouds_are_evaluated_once(tmp_path):
     def sample(count, bend=0.0):
         points, _ = city(0).sample(count, rng)
         points = points + rng.normal(0, 0.03, points.shape)
-        return warp_of("dome", points, bend).apply(points) if bend else points
+        return make_warp("dome", points, bend).apply(points) if bend else points
 
     for name, points in {
         "reference": sample(20_000),

@@ -18,8 +18,8 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.measure.images import ssim
 from pcbench.measure.perceptual import Perceptual
 from pcbench.report.figures import Figures
-from pcbench.scenes.splits import every
-from pcbench.scenes.views import Pictures, write_views
+from pcbench.scenes.splits import split_every
+from pcbench.scenes.views import ViewImages, write_views
 from pcbench.studies.views.pictures import draw_views, select_views
 from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_views, write_scores
@@ -28,7 +28,7 @@ from pcbench.studies.views.table import markdown, sentences, table
 Image = import_or_skip("PIL.Image")
 
 PLAIN = Perceptual(None, None)
-NINE = every([f"{k}.png" for k in range(9)])
+NINE = split_every([f"{k}.png" for k in range(9)])
 
 # A user's reconstructor that renders all views in one grey.
 PAINTER = textwrap.dedent(
@@ -94,7 +94,7 @@ def test_standard_error_is_computed_over_blocks(tmp_path):
 def test_scores_round_trip(tmp_path):
     nothing = np.zeros((48, 64), dtype=bool)
     folders = [write_view_folder(tmp_path / "a"), write_view_folder(tmp_path / "b", "masked", 9, mask=nothing)]
-    write_views(tmp_path / "c", "same", "splat", NINE, lambda name: Pictures(name, photograph(1), photograph(1)))
+    write_views(tmp_path / "c", "same", "splat", NINE, lambda name: ViewImages(name, photograph(1), photograph(1)))
     study = score_views([*folders, tmp_path / "c"], perceptual=PLAIN)
     write_scores(tmp_path, study)
     again = read_scores(tmp_path)
@@ -164,7 +164,7 @@ def test_picture_shows_photograph_rendering_and_error(tmp_path):
     mask = np.ones((48, 64), dtype=bool)
     mask[30:, :20] = False
     split = NINE
-    write_views(tmp_path / "v", "city", "splat", split, lambda name: Pictures(name, image, truth, mask))
+    write_views(tmp_path / "v", "city", "splat", split, lambda name: ViewImages(name, image, truth, mask))
     (scene,) = score_views([tmp_path / "v"], perceptual=PLAIN).scenes
     path = tmp_path / "p.png"
     draw_views({"best": scene.select(test=True)[0]}, "a title", path, Figures(range=50.0))
