@@ -86,9 +86,7 @@ def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[s
         InputError: the reconstructor writes no views.
         PcbenchError: the reconstruction fails.
     """
-    reconstruction = ReconstructionJob(
-        job.method, scene, job.settings, cameras=job.cameras, image_scale=job.image_scale
-    )
+    wanted = ReconstructionJob(job.method, scene, job.settings, cameras=job.cameras, image_scale=job.image_scale)
     run(
         wanted, workspace, job.time_limit, lambda text: step(f"{job.method}, {scene.name}: {text}")
     ).require_reconstruction()
