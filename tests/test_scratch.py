@@ -32,9 +32,9 @@ print(failed)
 HOLD = """
 import sys, time
 from pathlib import Path
-from pcbench.scratch import claim, scratch_file, scratch_folder
+from pcbench.scratch import lock_output, scratch_file, scratch_folder
 out = Path(sys.argv[1])
-with claim(out), scratch_folder(out) as folder, scratch_file(out.with_suffix(".ply")) as (_, file):
+with lock_output(out), scratch_folder(out) as folder, scratch_file(out.with_suffix(".ply")) as (_, file):
     (folder / "half").write_text("half")
     print("ready", flush=True)
     time.sleep(600)

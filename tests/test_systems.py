@@ -115,15 +115,15 @@ def test_locked_output_is_refused(simulated, tmp_path):
     lines = """
 from pathlib import Path
 from pcbench.errors import InputError
-from pcbench.scratch import claim, scratch_folder
+from pcbench.scratch import lock_output, scratch_folder
 out = Path(sys.argv[3])
-with claim(out):
+with lock_output(out):
     try:
-        with claim(out):
+        with lock_output(out):
             print("locked twice")
     except InputError:
         print("refused")
-with claim(out), scratch_folder(out) as folder:
+with lock_output(out), scratch_folder(out) as folder:
     folder.rename(out)
 """
     assert simulated(lines, tmp_path / "out") == "refused\n"

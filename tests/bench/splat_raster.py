@@ -106,7 +106,7 @@ def run_child(options: dict[str, Any], isa: str) -> dict[str, Any]:
 def describe(found: dict[str, Any], size: str, count: int) -> str:
     """Return a line on the picture and the memory."""
     buffers = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in found["bytes"])
-    tiles = f", {found['instances']:,} times in a tile" if found["instances"] else ""
+    tiles = f", {found['instances']:,} tile instances" if found["instances"] else ""
     memory = f"; bytes per Gaussian: {MODEL_BYTES} of model and moments, {buffers} of buffers" if buffers else ""
     return (
         f"{size}, {count:,} Gaussians: {found['drawn']:,} rendered{tiles}, {found['contributors']:.0f} per pixel, "

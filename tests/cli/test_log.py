@@ -12,7 +12,7 @@ from command_line import one_line
 from wording import said
 
 from pcbench import Cloud, __version__, read_cloud, write_cloud
-from pcbench.errors import InputError, recorded
+from pcbench.errors import InputError, record_error
 
 RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING|ERROR|CRITICAL) (.*)")
 
@@ -69,7 +69,7 @@ def test_errors_that_end_in_a_result_are_logged(files, run, monkeypatch):
         try:
             raise InputError("swallowed")
         except InputError as error:
-            raise InputError(recorded(error)) from None
+            raise InputError(record_error(error)) from None
 
     monkeypatch.setattr("pcbench.io.read_cloud", read)
     run("--log", "run.log", "info", "a.ply")

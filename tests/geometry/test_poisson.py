@@ -20,14 +20,14 @@ def library():
         import_or_skip("pymeshlab")
 
 
-def orient_normals(points, normals, **fields):
+def cloud_with_normals(points, normals, **fields):
     return Cloud(points, normals=normals, **fields)
 
 
 @pytest.mark.usefixtures("library")
 def test_sphere_far_from_the_origin():
     points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(orient_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
+    mesh = poisson_mesh(cloud_with_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
     radii = np.linalg.norm(mesh.vertices - UTM, axis=1)
     assert np.abs(radii - 10).max() < 0.1  # a fifth of the spacing
     assert mesh.is_closed
@@ -40,7 +40,7 @@ def test_sphere_far_from_the_origin():
 def test_an_open_surface_ends_where_its_points_end():
     points, normals = fibonacci_sphere(6000, 10.0)
     half = points[:, 2] > 0
-    mesh = poisson_mesh(orient_normals(points[half], normals[half]))
+    mesh = poisson_mesh(cloud_with_normals(points[half], normals[half]))
     spacing = 20 / np.sqrt(6000) * np.sqrt(np.pi)  # side of the area per point
     assert not mesh.is_closed
     assert mesh.vertices[:, 2].min() > -4 * spacing
@@ -50,7 +50,7 @@ def test_an_open_surface_ends_where_its_points_end():
 @pytest.mark.usefixtures("library")
 def test_reconstruction_is_reproducible():
     points, normals = fibonacci_sphere(3000)
-    first, second = (poisson_mesh(orient_normals(points, normals), depth=6) for _ in range(2))
+    first, second = (poisson_mesh(cloud_with_normals(points, normals), depth=6) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.faces, second.faces)
 
@@ -60,17 +60,17 @@ def test_refusals():
     with refused():
         poisson_mesh(Cloud(points))
     with refused():
-        poisson_mesh(orient_normals(points, normals), depth=0)
+        poisson_mesh(cloud_with_normals(points, normals), depth=0)
     normals[20:] = 0
     with refused():
-        poisson_mesh(orient_normals(points, normals))
+        poisson_mesh(cloud_with_normals(points, normals))
 
 
 def test_without_a_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "pymeshlab", None)
     break_library(monkeypatch, tmp_path, "open3d", None)
-    cloud = orient_normals(*fibonacci_sphere(60))
-    for call in (poisson_mesh, poisson.oriented):
+    cloud = cloud_with_normals(*fibonacci_sphere(60))
+    for call in (poisson_mesh, poisson.orient_normals):
         with refused(MissingExtra):
             call(cloud)
 
@@ -79,16 +79,16 @@ def test_pymeshlab_is_used_if_open3d_does_not_load(monkeypatch, tmp_path):
     import_or_skip("pymeshlab")
     break_library(monkeypatch, tmp_path, "open3d")
     points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(orient_normals(points, normals))
+    mesh = poisson_mesh(cloud_with_normals(points, normals))
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 10).max() < 0.1  # a fifth of the spacing
     with refused(MissingExtra):
-        poisson.oriented(orient_normals(points, normals))
+        poisson.orient_normals(cloud_with_normals(points, normals))
 
 
 def test_orientation_is_consistent_over_a_sphere():
     import_or_skip("open3d")
     points, normals = fibonacci_sphere(5000)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], len(points))
-    found = poisson.oriented(Cloud(points, normals=signs[:, None] * normals)).normals
+    found = poisson.orient_normals(Cloud(points, normals=signs[:, None] * normals)).normals
     outward = (found * normals).sum(axis=1) > 0
     assert outward.all() or not outward.any()

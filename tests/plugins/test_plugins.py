@@ -239,7 +239,7 @@ def test_invalid_reconstructors_are_refused(tmp_path):
 def test_entry_points(monkeypatch):
     points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
     monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: points)
-    assert plugins.installed() == ("one", "two")
+    assert plugins.installed_reconstructors() == ("one", "two")
     with refused():
         find_plugin("two")
     with refused():

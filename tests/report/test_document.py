@@ -40,7 +40,7 @@ def test_the_extent_is_that_of_the_points_whatever_the_cells(clouds, monkeypatch
     assert document(found)["reference"]["extent"] == found.reference.extent
     # The bounds are taken of coordinates from which an origin was subtracted.
     assert found.reference.extent == pytest.approx(robust_extent(reference), rel=1e-12)
-    monkeypatch.setattr(intervals, "_CELLS_ALONG", 14)
+    monkeypatch.setattr(intervals, "_CELLS_ALONG_DIAGONAL", 14)
     coarse = compare(reference, clouds[1], register="none")
     assert coarse.reference.block_side == pytest.approx(2 * found.reference.block_side)
     assert rounding(coarse) == rounding(found) == 1e-9 * found.reference.extent

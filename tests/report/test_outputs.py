@@ -195,5 +195,5 @@ def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
     said(definition(), masked=False)
     assert f"{100 * size.DETECTION_POWER:g} %" in definition() and f"p <= {size.MAX_P_SIGNIFICANT:g}" in definition()
     monkeypatch.setattr(quantities, "DETECTION_POWER", 0.625)
-    monkeypatch.setattr(quantities, "MAX_P_SURE", 0.25)
+    monkeypatch.setattr(quantities, "MAX_P_SIGNIFICANT", 0.25)
     assert "62.5 %" in definition() and "p <= 0.25" in definition()

@@ -36,7 +36,7 @@ def test_the_camera_plot_is_drawn(tmp_path, count):
 def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
     photographs = ten_pictures(tmp_path)
     matplotlib_image = import_or_skip("matplotlib.image")
-    from pcbench.report.plot.cameras import _measured, draw_cameras
+    from pcbench.report.plot.cameras import _gps_positions, draw_cameras
 
     lines = [f"{name} {10 * n} {5 * (n % 2)} 80\n" for n, name in enumerate(NAMES[:7])]
     (photographs / "gps.txt").write_text("".join(lines))
@@ -44,9 +44,9 @@ def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
     draw_cameras(scene, tmp_path / "gps.png")
     image = matplotlib_image.imread(tmp_path / "gps.png")
     assert (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum() > 100
-    said(_measured(scene).title, masked=False)
+    said(_gps_positions(scene).title, masked=False)
     gps = {name: Gps(48 + 1e-4 * n, 11.0, 500.0) for n, name in enumerate(NAMES)}
-    drawn = _measured(replace(scene, positions={}, gps=gps))
+    drawn = _gps_positions(replace(scene, positions={}, gps=gps))
     assert drawn.axes == ("east", "north", "up")
     np.testing.assert_allclose(drawn.positions[9] - drawn.positions[0], [0, 100.1, 0], atol=0.1)
 
@@ -71,10 +71,10 @@ def flight(turns, tilt_deg=3.0, size=(6, 5)):
 
 @pytest.mark.parametrize("turns", [0, 180, 90])
 def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turns):
-    from pcbench.report.plot.cameras import _upright
+    from pcbench.report.plot.cameras import _upright_rotation
 
     cameras, up = flight(turns)
-    turn, turned = _upright(cameras)
+    turn, turned = _upright_rotation(cameras)
     assert turned
     assert (turn @ up)[2] > 0.99
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
@@ -82,7 +82,7 @@ def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turns):
 
 def test_a_walk_along_a_wall_stays_upright():
     """All images look the same way, but from places on a line: their upper sides say what is up."""
-    from pcbench.report.plot.cameras import _upright
+    from pcbench.report.plot.cameras import _upright_rotation
 
     gauge = look_at([1, 2, 3], [0, 0, 0]).rotation
     cameras = []
@@ -90,7 +90,7 @@ def test_a_walk_along_a_wall_stays_upright():
         pose = look_at([n, 0.2 * np.sin(n), 1.6 + 0.1 * (n % 3)], [n, 10, 1.6])
         rotation = pose.rotation @ gauge.T
         cameras.append(Camera(f"{n}.png", K, Similarity(rotation, pose.translation)))
-    turn, turned = _upright(cameras)
+    turn, turned = _upright_rotation(cameras)
     assert turned
     assert (turn @ gauge @ [0, 0, 1])[2] > 0.99
 

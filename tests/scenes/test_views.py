@@ -8,7 +8,7 @@ from optional import import_or_skip
 from wording import refused
 
 from pcbench.errors import InputError
-from pcbench.scenes.splits import every
+from pcbench.scenes.splits import split_every
 from pcbench.scenes.views import ViewImages, find_views, read_views, write_views
 
 import_or_skip("PIL")
@@ -25,7 +25,7 @@ def pictures(name):
 
 @pytest.fixture
 def folder(tmp_path):
-    write_views(tmp_path / "rendered", "city", "splat", every(NAMES, 3), pictures)
+    write_views(tmp_path / "rendered", "city", "splat", split_every(NAMES, 3), pictures)
     return tmp_path / "rendered"
 
 
@@ -68,18 +68,18 @@ def test_incomplete_folder_is_not_a_views_folder(tmp_path):
         return pictures(name)
 
     with pytest.raises(KeyboardInterrupt):
-        write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
+        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), fails)
     assert (tmp_path / "renderings" / "ring" / "1.png.png").is_file()
     assert find_views(tmp_path) is None
-    write_views(tmp_path, "city", "splat", every(NAMES, 3), pictures)
+    write_views(tmp_path, "city", "splat", split_every(NAMES, 3), pictures)
     assert find_views(tmp_path) == tmp_path
     with pytest.raises(KeyboardInterrupt):
-        write_views(tmp_path, "city", "splat", every(NAMES, 3), fails)
+        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), fails)
     assert find_views(tmp_path) is None
 
 
 def test_invalid_views_are_refused_on_writing(tmp_path):
-    split = every(NAMES, 3)
+    split = split_every(NAMES, 3)
 
     def check_refusal(**change):
         with refused():
@@ -90,7 +90,7 @@ def test_invalid_views_are_refused_on_writing(tmp_path):
     check_refusal(rendering=np.zeros((7, 9)), mask=None)
     check_refusal(rendering=np.full((7, 9, 3), np.nan), mask=None)
     with refused():
-        away = every(("b", "../../../a", "c"), 2)
+        away = split_every(("b", "../../../a", "c"), 2)
         write_views(tmp_path / "far" / "off" / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
     assert not list(tmp_path.rglob("a*"))
 

@@ -84,6 +84,6 @@ def test_the_others_are_reconstructed(photos, tmp_path):
     (photos / "2.png").write_bytes(DAMAGE["unreadable"]((photos / "2.png").read_bytes()))
     result = run(ReconstructionJob("sfm", photos, {"features": "1000"}), tmp_path / "work")
     assert (result.status, result.message) == ("ok", "")
-    made = result.required()
+    made = result.require_reconstruction()
     assert set(made.cameras) <= {"0.png", "1.png", "3.png", "4.png"}
     assert any("2.png" in note and "unreadable" in note for note in made.notes)

@@ -92,7 +92,7 @@ def test_the_bench_prints_a_row_for_each_contestant():
     options = ["--sizes", "48x32", "--counts", "300", "--threads", "1", "--runs", "1"]
     printed = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout
     assert re.search(
-        r"^48x32, 300 Gaussians: \d+ drawn, [\d,]+ times in a tile, \d+ at a pixel, alpha 0\.\d\d; ", printed, re.M
+        r"^48x32, 300 Gaussians: \d+ rendered, [\d,]+ tile instances, \d+ per pixel, alpha 0\.\d\d; ", printed, re.M
     )
     rows = re.findall(
         r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){9}) +(\S+)$", printed, re.M

@@ -38,7 +38,7 @@ PAINTER = textwrap.dedent(
     from pcbench.geometry.cloud import Cloud
     from pcbench.plugins import Reconstruction
     from pcbench.scenes.splits import hold_out
-    from pcbench.scenes.views import Pictures, write_views
+    from pcbench.scenes.views import ViewImages, write_views
 
     @dataclass(frozen=True)
     class Painter:
@@ -51,7 +51,7 @@ PAINTER = textwrap.dedent(
 
             def render(name):
                 photograph = scene.read_image(name)
-                return Pictures(name, np.full(photograph.shape, self.grey), photograph)
+                return ViewImages(name, np.full(photograph.shape, self.grey), photograph)
 
             write_views(workspace / "rendered", scene.name, "painter", split, render)
             return Reconstruction(Cloud(np.zeros((4, 3))), "arbitrary")
