@@ -43,7 +43,7 @@ def line(name: str, found: list[Deformation]) -> str:
 
 def nulls(runs: int, only: str, first: int) -> None:
     """Print the verdicts on undeformed pairs."""
-    print(f"\nundeformed\n{HEAD}{'least p':>10}{'moved':>7}")
+    print(f"\nundeformed\n{HEAD}{'smallest p':>12}{'moved':>7}")
     for name, make in NULLS.items():
         if only not in name:
             continue
@@ -53,7 +53,7 @@ def nulls(runs: int, only: str, first: int) -> None:
             continue
         smallest = min((each.p_value for each in found if each.p_value is not None), default=1.0)
         moved = sum("a part moved" in each.sentence() for each in found)
-        print(f"{line(name, found)}{smallest:10.1e}{moved:7}", flush=True)
+        print(f"{line(name, found)}{smallest:12.1e}{moved:7}", flush=True)
 
 
 def bends(runs: int, only: str, first: int) -> None:
@@ -80,10 +80,10 @@ def bends(runs: int, only: str, first: int) -> None:
 def parts(runs: int, only: str, first: int) -> None:
     """Print the verdicts on pairs with moved parts, and on unregistered pairs."""
     print(f"\nparts that moved, and clouds that are not registered\n{HEAD}  warnings")
-    for name, make in {**PARTS, "left turned by 3 degrees": turned(3.0)}.items():
+    for name, make in {**PARTS, "turned by 3 degrees, not registered": turned(3.0)}.items():
         if only not in name:
             continue
-        method = "none" if name.startswith("left") else "icp"
+        method = "none" if name.startswith("turned") else "icp"
         found = [evaluate(make, seed, method) for seed in range(first, first + runs)]
         codes = [notice.code for each in found for notice in each.warnings]
         counts = {code: codes.count(code) for code in sorted(set(codes))}

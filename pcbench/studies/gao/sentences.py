@@ -50,7 +50,7 @@ def _completeness_sentences(study: GaoStudy) -> Iterator[str]:
     both = [(sparse, means) for sparse, means in counts if sparse and means]
     if both:
         sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
-        yield f"Densification makes {means:,} points out of {sparse:,} ({ratio_in_words(means / sparse, 'many')})."
+        yield f"Densification increases {sparse:,} points to {means:,} ({ratio_in_words(means / sparse, 'many')})."
     for reference, it, found in _densification_changes(study, _r2c_rms):
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
         yield f"{it} {word}: {reference} to cloud (r→c), {found.text}."
@@ -337,7 +337,7 @@ class _LengthChange:
     def text(self) -> str:
         """Both lengths, their ratio, and the number of scenes that agree in direction, as text."""
         ratio = self.ratio
-        change = f"{ratio:.2g} times as much" if ratio >= 1 else f"{1 / ratio:.2g} times less"
+        change = f"{ratio:.2g} times as large" if ratio >= 1 else f"{1 / ratio:.2g} times smaller"
         if abs(math.log(ratio)) < math.log(_MIN_RATIO):
             change = "about the same"
         same = sum((value > 1) == (ratio > 1) for value in self._ratios)
