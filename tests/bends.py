@@ -20,7 +20,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.registration import Target, local_origin, register
 from pcbench.scenes.synthetic import city
 
-SIGMA = 0.02  # m, of the white noise
+SIGMA = 0.02  # m, standard deviation of the white noise
 SIZE = 200.0  # m, L
 POINTS = 15_000
 HARDLY_SHOWN = np.sqrt(MIN_INFORMATION)
@@ -98,14 +98,14 @@ class Scene:
         self.cubic = np.einsum("ab,nbk->nak", self.geometry.to_orthonormal, self.columns).reshape(points, -1)
 
     def beyond_affine(self, field: np.ndarray) -> np.ndarray:
-        """(N,) what normals show of displacements (N, 3) beyond an affine field, scaled to an RMS of one."""
+        """Return the components (N,) along normals of displacements (N, 3) beyond an affine field, scaled to RMS 1."""
         affine = self.columns[:, :4].reshape(len(field), -1)
         seen = (field * self.normals).sum(axis=1)
         seen -= affine @ np.linalg.lstsq(affine, seen, rcond=None)[0]
         return seen / np.sqrt(np.mean(np.square(seen)))
 
     def waves(self, cell: Cell) -> np.ndarray | None:
-        """(N, 2 F) random Fourier features of the cell's kernel (Rahimi & Recht 2007)."""
+        """Return random Fourier features (N, 2 F) of the cell's kernel (Rahimi & Recht 2007)."""
         if not cell.ratio:
             return None
         rng = np.random.default_rng(5)
@@ -135,19 +135,19 @@ class Scene:
         return Judged(decide([PairEvidence(self.sums, g, scores, noise)]), scores, noise)
 
     def fitted(self, judged: Judged) -> np.ndarray:
-        """(N,) what the chosen model shows along the normals beyond an affine field."""
+        """Return the selected model's displacements (N,) along the normals beyond an affine field."""
         step = self.geometry.step("affine", judged.finding.model)
         return self.cubic @ (step.modes @ (step.modes.T @ judged.scores.total))
 
 
 class Halves:
-    """Two disjoint random halves of a cloud, each with noise of its own, white and correlated: real surfaces.
+    """Two disjoint random halves of a real cloud, each with independent white and correlated noise.
 
     Args:
-        cloud: with classes.
-        noise: standard deviation of either kind along each axis, of each half; the correlated one reaches over a
+        cloud: a cloud with classes.
+        noise: standard deviation of each kind of noise along each axis in each half; the correlation length is a
             sixtieth of the scene.
-        seed: of the halves and their noise.
+        seed: seed of the halves and their noise.
     """
 
     def __init__(self, cloud: Cloud, noise: float, seed: int) -> None:
@@ -158,7 +158,7 @@ class Halves:
         sides = []
         for _ in range(2):
             waves = np.zeros_like(points)
-            # So many that none stands out: a few long waves would be a bend indeed.
+            # Enough waves that none stands out: a few long waves would be a real bend.
             for _ in range(10):
                 frequencies, phases = rng.normal(size=(50, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 50)
                 waves += np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 500), (50, 3))
@@ -176,9 +176,10 @@ class Halves:
         return Cloud(points[which], unit=cloud.unit, attributes={"classification": classes[which]})
 
     def judge(self, kind: str | None, times: float) -> tuple[Deformation, float]:
-        """The answer where the candidate is bent, and the error of the field that comes back as a share of its RMS:
-        along normals, beyond an affine field, which is `times` the noise. Of a bend that normals hardly show all of it
-        has that size: nobody could find it.
+        """Return the verdict on a bent candidate, and the error of the recovered field as a share of its RMS.
+
+        The RMS along normals, beyond an affine field, is `times` the noise. If normals hardly show the bend, which then
+        cannot be found, its total RMS has that size.
         """
         if kind is None:
             return self._judge(np.zeros_like(self._candidate.points))[0], 0.0
@@ -196,7 +197,7 @@ class Halves:
         return found, float(np.sqrt(error)) / (times * self.noise)
 
     def shown(self, kind: str) -> tuple[float, float]:
-        """RMS of a bend beyond an affine field: along the normals of the undeformed halves' pairs, and all of it."""
+        """Return the RMS of a bend beyond an affine field: along the normals of the undeformed pairs, and in total."""
         field, weights = bends(self._pairs.places + self._origin, self.size)[kind], self._pairs.weights
         affine, root = monomials(self._pairs.places)[:4].T, np.sqrt(weights)[:, None]
         bent = field - affine @ np.linalg.lstsq(affine * root, field * root, rcond=None)[0]
@@ -205,7 +206,7 @@ class Halves:
         return seen, whole
 
     def _judge(self, field: np.ndarray) -> tuple[Deformation, Pairs]:
-        """As `deform` does, with the pairs."""
+        """Return the verdict of `deform`, and the pairs."""
         cloud = Cloud(self._candidate.points + field, unit=self._candidate.unit, attributes=self._candidate.attributes)
         registration = register(self._reference, cloud, target=Target(self._surface))
         moved = registration.T_local.apply(cloud.points - self._origin)

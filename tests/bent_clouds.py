@@ -8,7 +8,7 @@ from pcbench.scenes.synthetic import city
 
 
 def sampled(count, rng):
-    """(count, 3) points of the city, in metres."""
+    """Return points (count, 3) of the city, in metres."""
     return city(3).sample(count, rng)[0]
 
 
@@ -17,7 +17,7 @@ def noisy(points, rng, size=0.02):
 
 
 def dome(points, rms):
-    """The points, lower towards the edge, by displacements of this RMS."""
+    """Return the points, lowered towards the edge by displacements of this RMS."""
     square = np.square(points[:, :2]).sum(axis=1)
     lift = square - square.mean()
     return points + rms * (lift / lift.std())[:, None] * [0, 0, -1]
@@ -28,5 +28,5 @@ def verdict(reference, candidate, method="icp", **options):
 
 
 def codes(found):
-    """Those of the warnings."""
+    """Return the codes of the warnings."""
     return [notice.code for notice in found.warnings]

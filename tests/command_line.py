@@ -1,4 +1,4 @@
-"""What tests of the command line look at: a report's folder, and errors."""
+"""Helpers for tests of the command line: report folders and errors."""
 
 import json
 import re
@@ -22,6 +22,6 @@ def without_the_clock(values):
 
 
 def one_line(err):
-    """Whether all that was said is an error in one line; on a busy machine a run may have told how far it is."""
+    """Whether standard error is a one-line error; on a busy machine, progress lines may precede it."""
     err = _PROGRESS.sub("", err)
     return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err

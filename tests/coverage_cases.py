@@ -1,4 +1,4 @@
-"""How often 95 % intervals hold a score's expectation, over draws of both clouds and of the candidate's noise."""
+"""Coverage of 95 % intervals over draws of both clouds and of the candidate's noise."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Case(NamedTuple):
 
 
 def noise(kind: str, points: Floats, spacing: float, rng: np.random.Generator) -> Floats:
-    """(N,) displacements: correlated ones are 1.5 spacings large, with half as much white noise."""
+    """Return displacements (N,); correlated ones are 1.5 spacings, with half as much white noise."""
     white = 1.5 * spacing * rng.normal(size=len(points))
     if kind == "none":
         return np.zeros(len(points))
     if kind == "white":
         return white
     found = 0.5 * white
-    if kind == "clusters":  # hills and hollows of L/30, as many as chance has it
+    if kind == "clusters":  # a random number of hills and hollows of L/30
         for center in points[rng.choice(len(points), rng.poisson(25))]:
             squared = ((points - center) ** 2).sum(axis=1)
             found += 4.5 * spacing * rng.normal() * np.exp(-squared / (2 / 30**2))
@@ -54,7 +54,7 @@ def noise(kind: str, points: Floats, spacing: float, rng: np.random.Generator) -
 
 
 class Draw(NamedTuple):
-    """Of each of SCORES: its value, and the ends of its interval."""
+    """Values of SCORES, and the ends of their intervals."""
 
     values: Floats
     low: Floats
@@ -62,7 +62,7 @@ class Draw(NamedTuple):
 
 
 def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
-    """One draw, with the warnings on its intervals."""
+    """Return one draw, and the warnings on its intervals."""
     rng = np.random.default_rng([run, 77])
     reference, _ = surface(case.surface).sample(case.reference, rng)
     candidate, directions = surface(case.surface).sample(case.candidate, rng)
@@ -87,8 +87,10 @@ def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
 
 
 class Coverage(NamedTuple):
-    """Of each of SCORES: the share of intervals that hold the mean of all draws, and how wide they are: their mean
-    width over the width of the interval that 95 % of the scores lie in.
+    """Coverage and relative width of the intervals of each of SCORES.
+
+    Coverage is the share of intervals that contain the mean of all draws. The width is the mean width over that of the
+    interval that contains 95 % of the scores.
     """
 
     shares: Floats

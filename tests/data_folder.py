@@ -1,4 +1,4 @@
-"""Where real data lie for tests that want some; they are not part of the repository."""
+"""Location of real data for tests; the data are not part of the repository."""
 
 import os
 from pathlib import Path
@@ -8,9 +8,9 @@ from repository import ROOT
 
 
 def data_folder(name: str) -> Path:
-    """The folder of one data set, or a skipped test where it is absent.
+    """Return the folder of a data set; skip the test if it is absent.
 
-    Looked for under the environment variable PCBENCH_DATA, else beside the clone in `shared/data` if that is there.
+    It is in the folder given by the environment variable PCBENCH_DATA, else in `shared/data` beside the clone.
     """
     root = data_root()
     if root is None or not (root / name).is_dir():

@@ -33,8 +33,9 @@ class Pair(NamedTuple):
 
 
 def correlated(points: Points, length: float, rng: np.random.Generator, kernel: str = "gauss") -> Points:
-    """(N, 3) displacements of unit variance along each axis, correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of
-    such, about as exp(-d / l) ("exp").
+    """Return displacements (N, 3) of unit variance along each axis.
+
+    They are correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of such, about as exp(-d / l) ("exp").
     """
     if kernel == "exp":
         parts = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
@@ -55,7 +56,7 @@ def correlated(points: Points, length: float, rng: np.random.Generator, kernel: 
 def noisy(
     points: Points, rng: np.random.Generator, length: float, kernel: str = "gauss", uneven: float = 1.0
 ) -> Points:
-    """With white and correlated noise of `SIGMA` each; uneven: the largest over the smallest of its sizes."""
+    """Add white and correlated noise of `SIGMA` each; `uneven` is the ratio of its largest to its smallest size."""
     size = np.ones(len(points))
     if uneven != 1.0:
         way = rng.normal(size=2) / SIZE
@@ -74,7 +75,7 @@ def on_city(count: int, rng: np.random.Generator, seed: int) -> Points:
 
 
 def terrain(count: int, rng: np.random.Generator, seed: int) -> Points:
-    """Rolling ground: waves of 40 to 150 m."""
+    """Return rolling ground with waves of 40 to 150 m."""
     shape = np.random.default_rng(seed)
     xy = rng.uniform(-SIZE / 2, SIZE / 2, (count, 2))
     z = np.zeros(count)
@@ -85,7 +86,7 @@ def terrain(count: int, rng: np.random.Generator, seed: int) -> Points:
 
 
 def forest(count: int, rng: np.random.Generator, seed: int, size: float = 120.0) -> Points:
-    """Returns from rolling ground under crowns that fill ellipsoids."""
+    """Return points of rolling ground under tree crowns that fill ellipsoids."""
     shape = np.random.default_rng(seed)
     trees = int(size**2 / 30)
     stems = shape.uniform(-size / 2, size / 2, (trees, 2))
@@ -120,7 +121,7 @@ def null_city(candidate: int, ratio: float, kernel: str = "gauss", uneven: float
 
 
 def null_sparse(seed: int) -> Pair:
-    """The city at metres, as sparse reconstructions see it: half of the planes bridge edges."""
+    """Return the city with points metres apart, as in a sparse reconstruction: half of the planes bridge edges."""
     rng = np.random.default_rng(seed)
     reference, candidate = on_city(60_000, rng, seed % 5), on_city(8_000, rng, seed % 5)
     return Pair(metric(reference), metric(candidate + rng.normal(0, 0.03, candidate.shape)))
@@ -144,7 +145,7 @@ def null_forest(count: int) -> Callable[[int], Pair]:
 
 
 def halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> Callable[[int], Pair]:
-    """Of a real cloud, undeformed or with a cubic bend of this RMS (in its unit)."""
+    """Return halves of a real cloud, undeformed or with a cubic bend of this RMS in its unit."""
 
     def make(seed: int) -> Pair:
         cloud = read_cloud(data_folder(folder) / file)
@@ -173,7 +174,7 @@ def halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> C
 
 
 def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
-    """The city, its candidate bent by `times` the noise (RMS length over the surface)."""
+    """Return the city and a candidate bent by `times` the noise (RMS length over the surface)."""
     fields = {
         "dome": lambda x, y, z: (0 * x, 0 * x, -(x**2 + y**2)),
         "saddle": lambda x, y, z: (0 * x, 0 * x, x**2 - y**2),
@@ -203,7 +204,7 @@ def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
 
 
 def subsidence(depth: float) -> Callable[[int], Pair]:
-    """5 % of the city's area sank."""
+    """Return the city, of which 5 % of the area sank."""
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -217,7 +218,7 @@ def subsidence(depth: float) -> Callable[[int], Pair]:
 
 
 def house(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
-    """One block of the city's buildings stands elsewhere."""
+    """Return the city with one block of buildings moved."""
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -232,7 +233,7 @@ def house(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
 
 
 def strips(offset: float) -> Callable[[int], Pair]:
-    """Two strips of a flight that stand against each other."""
+    """Return two strips of a flight with an offset between them."""
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -255,8 +256,9 @@ def turned(degrees: float) -> Callable[[int], Pair]:
 
 
 def shown(pair: Pair) -> tuple[float, float]:
-    """RMS along the normals of a pair's bend beyond an affine field: over the pairs as they count, and over the surface
-    by its area; where it was put in, whatever the answer.
+    """Return the RMS of a pair's known bend along the normals, beyond an affine field.
+
+    The first value is over the pairs with their weights, the second over the surface by its area.
     """
     assert pair.bend is not None
     origin = local_origin(pair.reference)

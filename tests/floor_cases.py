@@ -26,7 +26,7 @@ class Case(NamedTuple):
 
 
 class Means(NamedTuple):
-    """Over runs: scores and floors (2, METRICS), candidate → reference and back."""
+    """Means over runs of scores and floors (2, METRICS), candidate → reference and back."""
 
     scores: np.ndarray
     floors: np.ndarray
@@ -37,7 +37,7 @@ class Means(NamedTuple):
 
 
 def directions(reference: np.ndarray, candidate: np.ndarray, settings: Settings) -> tuple[Direction, Direction]:
-    """Candidate → reference and back, of clouds that lie on each other."""
+    """Return both directions, candidate → reference and back, of aligned clouds."""
     prepared = Reference.prepare(Cloud(reference), settings)
     index = Index(candidate - prepared.origin)
     forth, back = prepared.index.query(index.points), index.query(prepared.points)

@@ -1,6 +1,6 @@
 """Read thousands of damaged files: each gives a cloud, a mesh or a one-line PcbenchError, in bounded memory and time.
 
-`fuzz_worker.run` starts this file as a script in a process of its own, so that memory and time are limited by the
+`fuzz_worker.run` starts this file as a script in a separate process, so that memory and time are limited by the
 system and a crash is seen: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
 """
 

@@ -39,7 +39,7 @@ def scene_bytes(
     normals=None,
     posed=lambda k: True,
 ):
-    """A scene whose images each have their own pose on one platform.
+    """Return a scene in which each image has its own pose of one platform.
 
     Args:
         mount: rotation and centre of the camera on the platform.
@@ -55,7 +55,7 @@ def scene_bytes(
     mounted += numbers("d", matrix) + numbers("d", turn) + numbers("d", center)
     poses = []
     for camera in cameras:
-        world = turn.T @ camera.cam_from_world.rotation  # of the platform
+        world = turn.T @ camera.cam_from_world.rotation  # rotation of the platform
         poses.append(numbers("d", world) + numbers("d", camera.position - world.T @ center))
     images = []
     for number, camera in enumerate(cameras):

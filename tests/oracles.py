@@ -9,7 +9,7 @@ _PAIRS_AT_ONCE = 2_000_000  # 48 MB of coordinate differences
 
 
 def squared_distance_rows(queries, points):
-    """Chunks (start, (n, len(points)) squared distances); differences first, so that far coordinates lose nothing."""
+    """Yield chunks (start, squared distances (n, len(points))), computed from differences to keep precision."""
     step = max(1, _PAIRS_AT_ONCE // len(points))
     for start in range(0, len(queries), step):
         difference = queries[start : start + step, None, :] - points[None, :, :]
@@ -33,7 +33,7 @@ def nearest(queries, points):
     """Distances and indices (N,) of the nearest point, ties by the lowest index."""
     distances, indices = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
     for start, squared in squared_distance_rows(queries, points):
-        lowest = squared.argmin(axis=1)  # argmin takes the first of equals
+        lowest = squared.argmin(axis=1)  # argmin returns the first minimum
         indices[start : start + len(lowest)] = lowest
         distances[start : start + len(lowest)] = np.sqrt(squared[np.arange(len(lowest)), lowest])
     return distances, indices
@@ -50,7 +50,7 @@ def leave_one_out(points):
 
 
 def normals(points, k):
-    """Unit normals (N, 3) of the plane through each point's k nearest points, itself among them; sign arbitrary."""
+    """Unit normals (N, 3) of the plane through each point's k nearest points, itself included; sign arbitrary."""
     _, indices = k_nearest(points, points, k)
     result = np.empty_like(points)
     for row, neighbours in enumerate(indices):
@@ -69,28 +69,28 @@ def d1(queries, points):
 
 
 def d2(queries, points, point_normals):
-    """D2 one way: mean squared distance to the plane through the nearest point across the target's normal."""
+    """D2 one way: mean squared distance to the plane through the nearest point, orthogonal to its normal."""
     _, indices = nearest(queries, points)
     return float(np.mean(((queries - points[indices]) * point_normals[indices]).sum(axis=1) ** 2))
 
 
 def hausdorff(first, second):
-    """max(max a, max b), unsquared."""
+    """Hausdorff distance: max(max a, max b), unsquared."""
     return float(max(nearest(first, second)[0].max(), nearest(second, first)[0].max()))
 
 
 def chamfer_unsquared(first, second):
-    """mean a + mean b."""
+    """Chamfer distance: mean a + mean b."""
     return float(nearest(first, second)[0].mean() + nearest(second, first)[0].mean())
 
 
 def chamfer_squared(first, second):
-    """mean a^2 + mean b^2."""
+    """Chamfer distance: mean a^2 + mean b^2."""
     return d1(first, second) + d1(second, first)
 
 
 def chamfer_sum_of_squares(first, second):
-    """sum a^2 + sum b^2, PDAL's."""
+    """Chamfer distance of PDAL: sum a^2 + sum b^2."""
     return float((nearest(first, second)[0] ** 2).sum() + (nearest(second, first)[0] ** 2).sum())
 
 
@@ -114,7 +114,7 @@ def voxel_mean(values, points, side, lower):
 
 
 def m3c2_normals(reference, cores, radius):
-    """(K, 3) of planes through the reference's points within the radius of each core, upwards; NaN without three."""
+    """Upward normals (K, 3) of planes through the reference's points around each core; NaN with fewer than three."""
     result = np.full(cores.shape, np.nan)
     for row, core in enumerate(cores):
         near = reference[np.sqrt(((reference - core) ** 2).sum(axis=1)) <= radius]
@@ -143,17 +143,17 @@ def m3c2(reference, candidate, cores, normals, radius, half_length, registration
     return {"distances": distances, "lod": lod, "counts": counts}
 
 
-# Sampling floors: what two samples of one surface would score
+# Sampling floors: expected scores of two samples of one surface
 
 
 def cloudcompare_columns(path):
-    """What CloudCompare wrote of M3C2 core points: each column (N,) by its name."""
+    """Return the columns (N,) of CloudCompare's M3C2 output by name."""
     names = path.read_text().splitlines()[0].replace('"', "").split(",")
     return dict(zip(names, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
 
 
 def floor_distances(queries, points):
-    """(N,) leave-one-out distances inside the searched cloud, at the points fourth nearest to the queries."""
+    """Leave-one-out distances (N,) in the searched cloud, at the fourth-nearest points of the queries."""
     fourth = [
         np.argsort(((points - query) ** 2).sum(axis=1), kind="stable")[min(3, len(points) - 1)] for query in queries
     ]
@@ -198,11 +198,11 @@ def _first_of_duplicates(points):
 
 
 def mpeg(a_points, a_normals, b_points):
-    """What `pc_error -a A -b B --hausdorff=1` of mpeg-pcc-dmetric 0.14.2 prints, under its names.
+    """Return the output of `pc_error -a A -b B --hausdorff=1` of mpeg-pcc-dmetric 0.14.2 by its names.
 
     A's normals are spread to B by nearest neighbours and averaged, neither re-normalised nor oriented. Direction 1 is
     A -> B with B's normals, 2 is B -> A with A's; the figures without a number are the worse of the two. Its maxima
-    ("h.") are squared distances. Coordinates are taken as they come: the tool itself casts them to float32.
+    ("h.") are squared distances. Coordinates are not rounded, while the tool casts them to float32.
     """
     first = _first_of_duplicates(a_points)
     a_points, a_normals = a_points[first], a_normals[first]
@@ -250,7 +250,7 @@ def mpeg(a_points, a_normals, b_points):
 
 
 def first_hits(origins, directions, vertices, faces):
-    """t (N,) of the first face each ray meets, by Moeller and Trumbore's 3x3 systems; inf where there is none."""
+    """Ray parameters t (N,) of the first intersections, by Moeller and Trumbore's 3x3 systems; inf without one."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     first = np.full(len(origins), np.inf)
     for i, (o, d) in enumerate(zip(origins, directions, strict=True)):

@@ -44,7 +44,7 @@ ANYWHERE = {
     r"\bput (right|together)\b": "'correct', 'merge'",
     r"\bof (its|their|one's) own\b": "'separate', 'its own ...'",
 }
-"""Phrases that a stranger to the project reads twice."""
+"""Phrases that are unclear to new readers."""
 
 _MARKDOWN_CODE = re.compile(r"^(`{3,}).*?^\1", re.MULTILINE | re.DOTALL)
 

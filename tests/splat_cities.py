@@ -18,7 +18,7 @@ CASES = {
     "grid, hard": "--rig grid --hard --seed 5",
     "oblique, flat": "--rig oblique --texture 0 --density 0.02 --relief 0 --seed 22",
 }
-EXTENT = 100  # of the cities, in metres
+EXTENT = 100  # size of the cities, in metres
 FOOTPRINTS = 2  # pixel footprints: the distance threshold of precision and recall
 MAX_SCORED_POINTS = 60_000  # of the cloud and of the truth: the error of means and shares is at most half a percent
 

@@ -1,4 +1,4 @@
-"""No circular imports inside a subpackage: its files can be read and tested one after another."""
+"""No circular imports inside a subpackage, so that its files can be read and tested in order."""
 
 import ast
 from graphlib import CycleError, TopologicalSorter

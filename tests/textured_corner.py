@@ -7,7 +7,7 @@ import numpy as np
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.io.colmap_model import write_colmap_model
 
-SIDE = 4.0  # of each plane, from the corner at the origin
+SIDE = 4.0  # side of each plane, from the corner at the origin
 
 
 @cache

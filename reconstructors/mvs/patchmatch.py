@@ -23,7 +23,7 @@ from reconstructors.mvs.native import _patchmatch
 
 MAX_SOURCES = 16
 MAX_SIDE_PX = 32_000  # coordinates in a source are 16.16 fixed-point numbers
-_MIN_LEVEL_SIDE_PX = 32  # of the shorter side at the coarsest level
+_MIN_LEVEL_SIDE_PX = 32  # shorter side at the coarsest level
 _NOISE_BLOCK_PX = 16  # side of the blocks in which noise is measured
 _MIN_TEXTURE_TO_NOISE = 2.5  # ratio of variances; 1 in 1000 patches of pure noise exceeds it
 _REFINEMENT_SWEEP = 3  # sweep number from which perturbations are small enough for refinement

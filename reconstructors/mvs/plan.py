@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_MAX_SIDE_PX = 2000  # of the matched images if no spacing is given; larger ones are halved until they fit
+_MAX_SIDE_PX = 2000  # longer side of matched images if no spacing is given; larger ones are halved
 _MIN_SIDE_PX = 240  # in smaller images most patches contain edges
 _MIN_LEVEL_SIDE_PX = 60  # shorter side at the coarsest level
 # Surface that few images observe is missed if these images are not sources of each other. In a city, the recall of
-# surface in exactly three images was 0.43 with half as many sources and 0.57 with these; 50 % more added nothing.
+# surface that exactly three images observe was 0.43 with half as many sources and 0.57 with these; 50 % more added
+# nothing.
 MAX_SOURCES_PER_IMAGE = 8
 _LOW_TEXTURE_SHARE = 0.5  # below this share of textured patches, depths must propagate further: one more iteration
 _PATCH_SIDE_PX = 9

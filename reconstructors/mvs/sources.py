@@ -13,14 +13,14 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.visibility import in_frame
 from reconstructors.mvs.sparse import SparseModel
 
-_MIN_POINTS = 30  # observed by an image; with fewer, all points in its frame count
-_MIN_SHARED_POINTS = 5  # that two images must share at a useful angle
+_MIN_POINTS = 30  # points that an image observes; with fewer, all points in its frame count
+_MIN_SHARED_POINTS = 5  # points that two images must share at a useful angle
 # Triangulation angles. Below the full-weight angle depths become uncertain, below the minimum they would be noise. The
 # images look too different to be matched above the wide angle.
 _MIN_ANGLE_DEG, _FULL_WEIGHT_DEG, _WIDE_ANGLE_DEG, _WIDE_FALLOFF_DEG = 1.0, 10.0, 30.0, 15.0
 _MAX_ANGLE_SOURCES = 4  # sources whose angles are reported
 _DEPTH_MARGIN = 0.25  # share added beyond the nearest and the farthest depth, as COLMAP does
-_DEPTH_TAIL_SHARE = 0.01  # of the points ignored at each end: some are wrong
+_DEPTH_TAIL_SHARE = 0.01  # share of the depths ignored at each end, because some are wrong
 
 
 class MatchedImage(NamedTuple):

@@ -13,7 +13,7 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 
-_MAX_DISTANCE_PX = 4.0  # of a match from its epipolar line: COLMAP's limit for verified matches
+_MAX_DISTANCE_PX = 4.0  # distance of a match from its epipolar line: COLMAP's limit for verified matches
 # With true cameras nearly all verified matches agree; with cameras of other images a few agree by chance.
 _MIN_AGREEING_SHARE = 0.2
 # Matches of a strong pair. That many are not verified by chance: they lie on one object, or on two that look alike.

@@ -19,10 +19,10 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity
 
-_MAX_ROLL_DEG = 12.0  # of an image whose rows count as horizontal: hand-held cameras are off by a few degrees
-_MIN_YAW_DEG = 5.0  # RMS of the axes off their main direction: below, they hardly span the horizontal plane
-_MIN_SPREAD_RATIO = 2.0  # of that RMS to the RMS roll: below, the axes do not lie in a plane
-_MAX_STANDARD_ERROR_DEG = 5.0  # of the up direction, predicted from rolls and yaws
+_MAX_ROLL_DEG = 12.0  # maximum roll of an image with horizontal rows: hand-held cameras deviate by a few degrees
+_MIN_YAW_DEG = 5.0  # RMS angle of the axes to their main direction: below, they hardly span a plane
+_MIN_SPREAD_RATIO = 2.0  # ratio of that RMS to the RMS roll: below, the axes do not lie in a plane
+_MAX_STANDARD_ERROR_DEG = 5.0  # standard error of the up direction, predicted from rolls and yaws
 _MIN_CAMERAS = 3  # two cameras always have a direction orthogonal to both
 _MAX_PAIRED_CAMERAS = 48  # cameras whose pairs are tried: 1,128 directions
 _MIN_UP_COSINE = 0.1  # mean cosine of the images' upper sides, or of the reversed views, with up that fixes its sign

@@ -18,7 +18,7 @@ from pcbench.scenes import Scene
 from pcbench.systems import cpu_count
 from reconstructors.sfm.features import DATABASE, LensGroup, shared_intrinsics
 
-_MIN_INLIERS = 15  # of a usable pair: COLMAP's default
+_MIN_INLIERS = 15  # inliers of a usable pair: COLMAP's default
 _MIN_PAIRS_PER_PROCESS = 25  # a process takes 0.3 s to start, a pair 0.01 to 0.2 s
 # COLMAP's libraries would otherwise use one thread per CPU, whatever COLMAP's own number of threads.
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -92,7 +92,7 @@ def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[
         unit: Unit of the coordinates.
 
     Raises:
-        ReconstructionError: There are none.
+        ReconstructionError: There are no such points.
     """
     all_points = [point for _, point in sorted(model.points3D.items())]
     views = np.array([_view_count(point) for point in all_points], dtype=np.int32)

@@ -36,7 +36,7 @@ from reconstructors.sfm.pairs import Matching, choose_pairs
 from reconstructors.sfm.solve import solve
 
 PAIRS_FILE = "pairs.csv"  # in the workspace
-_MAX_PARALLEL_DEG = 12.0  # of a survey's images from their mean direction: flights deviate by a few degrees
+_MAX_PARALLEL_DEG = 12.0  # angle of a survey's views to their mean direction: flights deviate by a few degrees
 
 
 @dataclass(frozen=True)
@@ -178,8 +178,8 @@ def _usable_images(scene: Scene, given: bool, survey: ControlSurvey) -> tuple[Sc
         survey: Control and check points.
 
     Raises:
-        InputError: There are fewer than two, or `given` is requested without cameras or with control points: given
-            cameras can only be evaluated by check points.
+        InputError: Fewer than two images can be used, or `given` is requested without cameras or with control points:
+            given cameras can only be evaluated by check points.
     """
     if given and survey.control:
         raise InputError("control points need solved cameras, but the scene gives them: use poses=solve")

@@ -19,12 +19,12 @@ from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.photographs import NEAREST
 from reconstructors.splat.view import View
 
-_CACHE_BYTES = 512 * 2**20  # of rendered maps
+_CACHE_BYTES = 512 * 2**20  # maximum size of the cached maps
 _BYTES_PER_PIXEL = 4 + 12 + 4 + 3 + 4
 _DEPTH_DISAGREEMENT_PX = 2.0  # difference of mean and median depth, in pixel footprints, that halves the confidence
 _MAX_OVERLAP_SAMPLES = 3000  # Gaussians from which the overlap of images is computed
-_MIN_SAMPLE_OPACITY = 0.5  # of these Gaussians, if any has it
-_MAX_RELATIVE_DEPTH_DIFFERENCE = 0.05  # between a visible Gaussian and the surface in the image
+_MIN_SAMPLE_OPACITY = 0.5  # minimum opacity of these Gaussians, unless all are below it
+_MAX_RELATIVE_DEPTH_DIFFERENCE = 0.05  # difference of depth between a visible Gaussian and the rendered surface
 
 
 class RenderedMap(NamedTuple):

@@ -29,8 +29,9 @@ from reconstructors.splat.voxels import Points, Voxels, concatenate_points
 
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
 _BLOCK_PIXELS = 1 << 16  # pixels processed at a time
-# If this many images agree, or all that might, the uncertainty of a depth is that of its pixel. With fewer, chance
-# agreement on wrong depths is more frequent: errors on synthetic cities grow with about this power of the ratio.
+# If this many images agree (or all that may see the point, if fewer), the uncertainty of a depth is that of its pixel.
+# With fewer, chance agreement on wrong depths is more frequent: errors on synthetic cities grow with about this power
+# of the ratio.
 _FULL_CONFIRMATION_VIEWS, _UNCERTAINTY_POWER = 6, 3
 _NORMAL_NEIGHBORS = 30  # points through which the plane of a normal is fitted
 # Depths of low confidence are kept: they count where there are no others.
@@ -93,8 +94,9 @@ def surface(
 
     Each camera's depth map is rendered. A depth that enough other maps confirm becomes a point, at the median of the
     depths that agree, in float64. Its uncertainty combines the footprint of the pixel and the difference of mean and
-    median depth along the ray, and grows if fewer than six images agree (fewer than all, if there are not six). The
-    points of all cameras are averaged in voxels of the size of their uncertainty, weighted by its inverse square.
+    median depth along the ray, and grows if fewer than six images agree (fewer than all, if fewer than six may see the
+    point). The points of all cameras are averaged in voxels of the size of their uncertainty, weighted by its inverse
+    square.
 
     `confidence` is between 0 and 1, `views` is the number of images that agree on a point.
 

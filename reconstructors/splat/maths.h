@@ -1,9 +1,8 @@
 // The mathematics of Gaussian splatting, one copy for all devices. The CPU includes it once for each instruction set,
 // with F a SIMD vector or a float; NVRTC reads it before the CUDA kernels, with F a float.
 //
-// It includes nothing. The including file provides pinhole.h and PCB_FN (the prefix of a function) and, for each F
-// beside
-// + - * / < and the conversion from a float: fused(a, b, c) = a * b + c rounded once, root, lesser, greater,
+// It includes nothing. The including file provides pinhole.h and PCB_FN (the prefix of a function) and, for each F,
+// + - * / <, the conversion from a float, fused(a, b, c) = a * b + c rounded once, root, lesser, greater,
 // select(mask, yes, no), add_exponent(x, n), which multiplies x by 2^n, and exponent(x, mantissa), which splits x > 0
 // into 2^n * mantissa in [1, 2). None of them depends on the device, so all devices add and round in the same way.
 //
@@ -11,9 +10,9 @@
 // quaternions are wxyz. Papers: Zwicker et al. 2001, EWA volume splatting; Kerbl et al. 2023, 3D Gaussian splatting;
 // Zhang et al. 2024, RaDe-GS (depth as a plane).
 //
-// In pixel units, a Gaussian is alpha = 2^(level - u^2 - v^2), where (u, v) are its whitened coordinates: a triangular matrix
-// times the offset of the pixel from the projected mean. A sum of two squares cannot cancel, unlike the quadratic form
-// of an inverted covariance, whose cancellation is visible for needles far from their mean.
+// In pixel units, a Gaussian is alpha = 2^(level - u^2 - v^2), where (u, v) are its whitened coordinates: a triangular
+// matrix times the offset of the pixel from the projected mean. A sum of two squares cannot cancel, unlike the
+// quadratic form of an inverted covariance, whose cancellation is visible for needles far from their mean.
 
 constexpr float kMinAlpha = 1.0f / 255.0f;  // lower alphas are skipped
 constexpr float kMinLevel = -7.99435343f;   // log2(kMinAlpha)

@@ -17,7 +17,7 @@ class LearningRates:
     """Learning rates per step. The rate of the means decays exponentially from `means` to `means_final`.
 
     The defaults are three times those of Kerbl et al. 2023, for means in units of the cameras' spread: theirs are for
-    30,000 steps, of which a CPU has time for a tenth.
+    30,000 steps, and a CPU has time for a tenth of them.
     """
 
     means: float = 4.8e-4

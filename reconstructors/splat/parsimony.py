@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Shares of the steps: before the first trial, of each trial, and at which the selected model resumes training.
 _WARMUP_SHARE, _TRIAL_SHARE, _RESTART_SHARE = 0.5, 0.08, 0.3
 _BUDGET_DIVISOR = 2  # each trial has half of the Gaussians of the one before
-_MIN_GAUSSIANS = 100  # of a trial
+_MIN_GAUSSIANS = 100  # minimum number of Gaussians of a trial
 _MAX_REJECTED_BUDGETS = 2  # rejected budgets in a row after which no smaller one is tried
 _COLUMNS = ("gaussians", "degree", "step_cpu_ms")
 _PARAMETERS_WITHOUT_SH = 11  # parameters of a Gaussian without its spherical harmonics
@@ -157,7 +157,7 @@ class Curve:
 
 class _Trial(NamedTuple):
     budget: Budget
-    start: Snapshot  # of the model before the steps of the trial
+    start: Snapshot  # the model before the steps of the trial
 
 
 class Parsimonious(Density["Training"]):
@@ -178,7 +178,7 @@ class Parsimonious(Density["Training"]):
             raise ValueError(f"expected at least two blocks of held-out photographs, got {len(held_out_blocks)}")
         self._held_out_blocks = held_out_blocks
         self._trials: list[_Trial] = []
-        self._trial_start: Snapshot | None = None  # of the current trial
+        self._trial_start: Snapshot | None = None  # at the start of the current trial
         self._reduce_sh_degree = False  # whether trials lower the degree instead of the number
         self._timer: tuple[int, float] | None = None  # step and CPU time at the start of the current trial
         self.curve: Curve | None = None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 NEAREST = 1e-3  # depth up to which nothing is rendered, in units of the cameras' spread
-_MIN_SIDE_PX = 64  # photographs are not downscaled below it
+_MIN_SIDE_PX = 64  # photographs are not downscaled below this shorter side
 
 
 class Photograph(NamedTuple):

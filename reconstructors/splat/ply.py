@@ -112,7 +112,7 @@ def _numbered(name: str, count: int) -> list[str]:
 
 
 def _local_origin(points: FloatArray) -> FloatArray:
-    """Return the origin (3,) for float32 coordinates of points (N, 3): zeros, or a rounded point amid them."""
+    """Return the origin (3,) for float32 coordinates of points (N, 3): zeros, or a rounded point among them."""
     lower, upper = robust_bounds(points)
     middle = (lower + upper) / 2
     extent = float((upper - lower).max())

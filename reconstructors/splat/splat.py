@@ -332,7 +332,7 @@ def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int
         cloud: initial points in the world, with colors or without.
         frame: the frame of the model.
         max_gaussians: maximum number of Gaussians; a larger cloud is sampled.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         random: uniformly distributed positions instead of the cloud's points.
 
     Raises:

@@ -60,7 +60,7 @@ class Supervision:
         assert rendering.depth is not None
         target = depths[0]
         known = target > 0
-        # With the weighted sums: a mean depth would divide by alpha, which is almost 0 at a pixel that is almost clear.
+        # Compare the weighted sums: a mean depth would divide by alpha, which is near 0 at a nearly transparent pixel.
         difference = rendering.depth - (1 - rendering.transmittance) * target
         gradient = difference.sign() * known * (self.weight / known.sum().clamp(min=1))
         return DepthGradients(gradient, gradient / target.where(known, target.new_ones(())))

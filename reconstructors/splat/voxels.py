@@ -13,7 +13,7 @@ from pcbench.geometry.normals import unit
 
 _AXIS_BITS = 21  # bits of the index of a cell along each axis
 _HALF_RANGE = 1 << (_AXIS_BITS - 1)
-_MIN_PENDING_POINTS = 1 << 20  # points to collect before they are new_points to the sums
+_MIN_PENDING_POINTS = 1 << 20  # points to collect before they are added to the sums
 _GRID_LEVELS = 5  # grids, each twice as coarse as the one before
 
 

@@ -7,7 +7,7 @@ from pcbench import Cloud, write_cloud
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """ref.ply, a.ply and b.ply in the current folder."""
+    """Write ref.ply, a.ply and b.ply to the current folder."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
     reference = shapes.city(4000, noise=0.01, seed=1)[0]

@@ -33,8 +33,8 @@ def test_crop_register_and_info(files, run):
     assert "1,500 points" in out
 
 
-def test_register_says_the_motion_before_the_matrix(files, run):
-    """At the centroid: seen from the origin, 450 km away, a turn of half a degree would look like a shift of 4 km."""
+def test_register_prints_the_motion_before_the_matrix(files, run):
+    """The shift is that of the centroid: at the origin, 450 km away, a rotation of half a degree shifts by 4 km."""
     offset = np.array([450_000.0, 5_400_000.0, 300.0])
     points = read_cloud("ref.ply").points + offset
     centroid = points.mean(axis=0)
@@ -53,7 +53,7 @@ def test_register_says_the_motion_before_the_matrix(files, run):
     assert "100.0%" in fit
     said("\n".join([scale, title]))
     assert len(matrix) == 4
-    (files / "T.txt").write_text(out)  # all that is printed is a file of a matrix
+    (files / "T.txt").write_text(out)  # the whole output is a valid matrix file
     np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
 
 
@@ -88,7 +88,7 @@ def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
     assert f"colours no, crs {crs.crs_label('EPSG:32632')}\n" in out
 
 
-def test_no_file_that_a_setting_names_is_replaced(files, run):
+def test_files_named_by_settings_are_not_replaced(files, run):
     matrix = files / "bend/T.txt"
     matrix.parent.mkdir()
     rows = "\n".join(" ".join(map(str, row)) for row in np.eye(4))
@@ -130,7 +130,7 @@ def test_convert(files, run):
         (("convert", "ref.ply", "o.xyz"), ["reading ref.ply", "writing o.xyz"]),
     ],
 )
-def test_a_terminal_is_told_what_is_being_done(files, monkeypatch, command, steps):
+def test_a_terminal_shows_the_steps(files, monkeypatch, command, steps):
     told = []
 
     @contextmanager

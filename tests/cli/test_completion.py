@@ -1,4 +1,4 @@
-"""Completion with Tab: what the shell asks, and what it is told."""
+"""Completion with Tab: requests of the shell, and the replies."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ def answered(**variables):
 
 
 def completed(*words):
-    """What is offered for the last word of a command line."""
+    """Return the completions of the last word of a command line."""
     variables = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
     lines = answered(_PCBENCH_COMPLETE="bash_complete", **variables).stdout.splitlines()
     return [line.partition(",")[2] for line in lines]

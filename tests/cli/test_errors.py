@@ -88,7 +88,7 @@ def test_usage_errors_are_one_line_too(files, run):
     assert run("compare", "ref.ply", "a.ply", "--seed", "-1")[0] == 2
 
 
-def test_an_output_that_cannot_be_written_is_noticed_first(files, run):
+def test_an_unwritable_output_is_refused_before_the_computation(files, run):
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", "--json", "no/x.json")
     assert code == 2
     assert one_line(err)
@@ -127,7 +127,7 @@ def test_disk_full_leaves_nothing(files):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written(files, run):
+def test_an_unwritable_folder(files, run):
     (files / "locked").mkdir(mode=0o555)
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "locked/report")
     assert code == 2
@@ -167,7 +167,7 @@ def test_a_poor_terminal_and_a_terminated_run(files):
 
 
 def test_a_name_too_long_for_the_reports_files_is_refused_before_anything_is_read(files, run):
-    """Files have names of 255 bytes at most, and the report's go on after the candidate's."""
+    """File names have at most 255 bytes, and the report's file names extend the candidate's name."""
     write_cloud("a" * 220 + ".ply", read_cloud("a.ply"))
     assert run("compare", "ref.ply", "a" * 220 + ".ply", "--no-figures", "--out", "kept", "-q")[0] == 0
     code, _, err = run("compare", "no.ply", "é" * 111 + ".ply", "--out", "report")

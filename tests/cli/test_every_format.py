@@ -1,4 +1,4 @@
-"""`info` and `convert` take every file that `compare` takes, each by a small example."""
+"""`info` and `convert` accept every format that `compare` accepts; small examples of each."""
 
 import json
 import re
@@ -23,7 +23,7 @@ EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh", ".e57": "pye57
 
 
 def gltf():
-    """The same cubes as text: what stands in the binary file's second chunk goes into the document."""
+    """Return the same cubes as text: the second chunk of the binary file is embedded in the document."""
     import base64
 
     data = mesh_bytes.glb()
@@ -61,7 +61,7 @@ EVERY = sorted({*CLOUDS, *MESHES, *MADE})
 
 @pytest.fixture
 def example(request, tmp_path, monkeypatch):
-    """A file of the format in the current folder, and how many points or vertices it has."""
+    """Write a file of the format to the current folder; return it and its number of points or vertices."""
     monkeypatch.chdir(tmp_path)
     extension = request.param
     if library := EXTRAS.get(extension if extension.startswith(".") else f".{extension.rpartition('.')[2]}"):
@@ -117,7 +117,7 @@ def test_points_are_drawn_on_a_mesh(tmp_path, run, monkeypatch):
         said(err)
 
 
-def test_damaged_faces_leave_the_points_to_be_told(tmp_path, run, monkeypatch):
+def test_damaged_faces_still_give_the_points(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     rows = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
@@ -129,7 +129,7 @@ def test_damaged_faces_leave_the_points_to_be_told(tmp_path, run, monkeypatch):
 
 
 @pytest.mark.parametrize("dimensions", [3, 2])
-def test_splats_are_told_and_filtered(tmp_path, run, monkeypatch, dimensions):
+def test_splats_are_reported_and_filtered(tmp_path, run, monkeypatch, dimensions):
     monkeypatch.chdir(tmp_path)
     write_cloud("splats.ply", splat_models.some(5, dimensions))
     code, out, _ = run("info", "splats.ply")

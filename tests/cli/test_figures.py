@@ -1,4 +1,4 @@
-"""Options of pictures: what may be chosen, and that a report is drawn the same again."""
+"""Options of pictures, and the same pictures when a report is drawn again."""
 
 import json
 from pathlib import Path
@@ -20,12 +20,12 @@ from pcbench.report.figures import ink, recorded_figures
     [{"background": "mauve"}, {"background": "#12345"}, {"background": 3}, {"range": 0.0}, {"range": -1}]
     + [{"range": float("nan")}, {"range": "1"}, {"format": "gif"}, {"format": None}],
 )
-def test_what_cannot_be_drawn_is_refused(wrong):
+def test_invalid_looks_are_refused(wrong):
     with refused():
         Figures(**wrong)
 
 
-def test_words_are_read_on_every_ground():
+def test_words_are_readable_on_every_background():
     assert ink("#ffffff") == ink("#f0e442") != ink("#000000") == ink("#1a1c20")
     assert Figures().ground("dark") == "#1a1c20"
     assert Figures(background="white").ground("dark") == "#ffffff"

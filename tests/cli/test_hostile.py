@@ -1,4 +1,4 @@
-"""What hostile users and machines do: one line with a reason, and nobody's file lost."""
+"""Hostile inputs and machines: one line with a reason, and no lost files."""
 
 import json
 import os
@@ -39,7 +39,7 @@ class Mine:
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    """photos/ with cameras, points and a truth, and mine.py, in the current folder."""
+    """Create photos/ with cameras, points and a ground truth, and mine.py, in the current folder."""
     monkeypatch.chdir(tmp_path)
     folder = scene_folders.ten_pictures(Path("photos"))
     points = Cloud(np.random.default_rng(0).normal(size=(30, 3)))
@@ -74,7 +74,7 @@ def everything():
         "convert photos/sparse photos/sparse/points3D.txt",
     ],
 )
-def test_never_over_an_input(scene, run, command):
+def test_inputs_are_never_overwritten(scene, run, command):
     import_or_skip("matplotlib")
     Path("elsewhere.png").write_bytes(Path("photos/images/2.png").read_bytes())
     Path("model").mkdir()
@@ -92,7 +92,7 @@ def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_mad
     command = ("reconstruct", "mine.py:Mine", "photos", "-q", "-o", "photos/new.ply")
     for _ in range(2):
         assert run(*command)[0] == 0
-    write_cloud("photos/new.ply", Cloud(np.eye(3)))  # somebody's own now
+    write_cloud("photos/new.ply", Cloud(np.eye(3)))  # now a file of the user
     code, _, err = run(*command)
     assert (code, one_line(err)) == (2, True)
     said(err)
@@ -107,8 +107,8 @@ def test_json_goes_beside_a_report_not_into_it(files, run):
     assert everything() == before
 
 
-def test_one_run_an_output(scene, run):
-    """And what a killed one left is swept by the next."""
+def test_one_run_per_output(scene, run):
+    """The next run removes what a killed one left."""
     command = [sys.executable, "-m", "pcbench.cli", "reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply"]
     other = subprocess.Popen([*command, "--set", "seconds=600"])
     try:
@@ -170,7 +170,7 @@ def test_a_limit_of_file_sizes_names_the_file(files, run, command, named, size):
     assert everything() == before
 
 
-def test_standard_output_that_is_full(files):
+def test_full_standard_output(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply"]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -180,7 +180,7 @@ def test_standard_output_that_is_full(files):
 @pytest.mark.parametrize(
     "text", [DEEP, '{"a":' * 100_000 + "1" + "}" * 100_000, f'{{"frames": {DEEP}}}', f'{{"cameraFrames": {DEEP}}}']
 )
-def test_json_that_is_nested_too_deeply(scene, run, text):
+def test_too_deeply_nested_json(scene, run, text):
     Path("deep.json").write_text(text)
     Path("photos/images/export.json").write_text(text)
     commands = [("scene", "photos", "--cameras", "deep.json")]
@@ -205,7 +205,7 @@ def test_threads_that_no_machine_has(files):
 
 
 def test_an_address_space_of_a_gibibyte(files):
-    """With more threads asked for than it has room for. Where it is too little, that is one line."""
+    """More threads are requested than fit into the address space; too little memory gives one line."""
     limited = "import resource, sys\nresource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)\n"
     limited += "sys.argv = 'pcbench compare ref.ply a.ply -q'.split()\nfrom pcbench.cli import main\nmain()\n"
     many = {**os.environ, "OMP_NUM_THREADS": "64", "OPENBLAS_NUM_THREADS": "64"}
@@ -235,7 +235,7 @@ def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
     for (path, damages), drawer in zip(texts.items(), (REPORT, CHARTS), strict=True):
         for text in damages:
             Path(path).write_text(text)
-            # What the drawing process says, without its start.
+            # Call the drawing process's function here, without starting a process.
             monkeypatch.setattr(sys, "argv", ["worker", str(Path(path).parent), drawer.function, "{}"])
             assert worker.main() == 2
             drawn = capsys.readouterr().out
@@ -256,7 +256,7 @@ def test_a_line_break_in_a_name(files, run):
     table = Path("report/table.md").read_text().splitlines()
     assert "ref?b|c.ply" in table[0]
     header = next(line for line in table if line.startswith("|"))
-    assert header.count("|") == 6  # three columns, and two that are escaped
+    assert header.count("|") == 6  # four bars of three columns, and two escaped ones
     assert Path("report/a_b|c_T.txt").is_file()
     assert json.loads(Path("report/comparison.json").read_text())["candidates"][0]["name"] == "a_b|c"
 

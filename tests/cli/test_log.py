@@ -1,4 +1,4 @@
-"""`pcbench --log FILE`: what a run did, in a file of its own."""
+"""`pcbench --log FILE`: a log of the run in a separate file."""
 
 import logging
 import os
@@ -18,7 +18,7 @@ RECORD = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|WARNING
 
 
 def records(path):
-    """(level, text) of each record; lines of tracebacks belong to the one above."""
+    """Return (level, text) of each record; lines of tracebacks belong to the record above."""
     first, *lines = Path(path).read_text().splitlines()
     assert first == "# pcbench log"
     found = []
@@ -55,7 +55,7 @@ def test_errors_are_logged_with_where_they_came_from(files, run):
     assert "read_cloud" in text
 
 
-def test_warnings_are_logged_though_the_run_is_quiet(files, run):
+def test_warnings_of_quiet_runs_are_logged(files, run):
     Path("nan.xyz").write_text("0 0 0\n1 1 1\nnan 2 2\n")
     code, _, err = run("--log", "run.log", "convert", "nan.xyz", "b.ply", "-q")
     assert (code, err) == (0, "")
@@ -98,7 +98,7 @@ def test_a_log_replaces_nothing(files, run, command):
 
 
 def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
-    """Files may have 300 bytes here, fewer than settings and versions take."""
+    """Files are limited to 300 bytes, fewer than settings and versions need."""
     script = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))\n"
         "sys.argv = 'pcbench --log run.log info a.ply'.split()\n"

@@ -56,7 +56,7 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
         code, out, err = run(*arguments, *wrong)
         assert (code, out) == (2, "")
         assert one_line(err)
-    # Where results cannot be written is said before anything is computed.
+    # Unwritable outputs are reported before anything is computed.
     for wrong in (
         ("-o", "cloud.pts"),
         ("-o", "no/cloud.ply"),

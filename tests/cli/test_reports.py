@@ -1,4 +1,4 @@
-"""`pcbench compare` and `pcbench plot`: what they print, and the folder that they leave."""
+"""`pcbench compare` and `pcbench plot`: their output and the folder that they write."""
 
 import csv
 import json
@@ -62,7 +62,7 @@ def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     assert one == two
     code, _, err = run("compare", "--settings", "one/settings.json", "--crop", "none")
     assert code == 2
-    said(err.partition(" (see ")[0])  # how pytest was called
+    said(err.partition(" (see ")[0])  # the rest is the command line of pytest
 
 
 def test_settings_notice_a_changed_file(files, run):

@@ -1,4 +1,4 @@
-"""`pcbench scene`. What `synth` makes is tested in tests/scenes."""
+"""`pcbench scene`; tests/scenes tests the output of `synth`."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from wording import said
 from pcbench import read_cloud
 
 
-def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, run):
+def test_scene_lists_its_files_and_converts_cameras(tmp_path, monkeypatch, run):
     from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model
 
@@ -29,7 +29,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
     for value in ("3 images", "40 x 30", "cameras 3", "GPS 0", "masks 0"):
         assert value in out
     assert Path("cameras.png").stat().st_size
-    assert run("scene", "photos", "--figure", "cameras.png")[0] == 0  # a picture of ours may be drawn again
+    assert run("scene", "photos", "--figure", "cameras.png")[0] == 0  # its own picture may be replaced
     code, out, err = run("scene", "photos", "--cameras", "photos/transforms.json", "--image-scale", "0.5")
     assert (code, err) == (0, "")
     assert "20 x 15" in out
@@ -48,7 +48,7 @@ def test_scene_says_what_is_there_and_converts_cameras(tmp_path, monkeypatch, ru
 
 
 def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
-    """Four cameras a kilometre apart: the sphere's metres are 0.26 % fewer to the east, 0.11 % more to the north."""
+    """Four cameras are a kilometre apart; on a sphere the distance is 0.26 % less eastwards, 0.11 % more northwards."""
     image = import_or_skip("PIL.Image")
     monkeypatch.chdir(tmp_path)
     Path("photos").mkdir()

@@ -17,7 +17,7 @@ from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.regular_files import is_regular_file, open_regular, read_bytes, read_text
 
-# A command that hangs or fills the memory ends the child, and no more than it: seconds and bytes of address space.
+# Limits for the child, so that a command that hangs or fills the memory ends only it: seconds, bytes of address space.
 _MAX_SECONDS, _MAX_MEMORY = 240, 6 << 30
 
 # Runs each line of its input as a command and says after each how it ended.
@@ -51,7 +51,7 @@ NAMED = {
     "a buffer of glTF": "info mesh.gltf",
     "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
 }
-# What a scene's folder may hold in the place of a file, and the file that is replaced by it.
+# Entries of a scene's folder that may be special files, and the file that each replaces.
 IN_A_SCENE = {
     "COLMAP's cameras": "sparse/0/cameras.txt",
     "COLMAP's images": "sparse/0/images.txt",
@@ -75,7 +75,7 @@ def _device(path):
 
 @pytest.fixture(scope="module", params=[_pipe, _device], ids=["pipe", "device"])
 def ended(request, tmp_path_factory):
-    """Each command with its exit code and what it wrote to standard error."""
+    """Return exit code and standard error of each command."""
     folder = tmp_path_factory.mktemp(request.param.__name__)
     for name in ("FILE", "FILE.ply", "FILE.py"):
         request.param(folder / name)
@@ -128,7 +128,7 @@ def test_links_to_regular_files_are_read(tmp_path):
 
 
 def test_texts_are_bounded(tmp_path):
-    """A file that is larger than it takes on the disk: nothing of it is read."""
+    """A sparse file, larger than its space on the disk, is refused without reading."""
     with (tmp_path / "a").open("wb") as file:
         file.truncate(1 << 40)
     with refused():
@@ -139,7 +139,7 @@ def test_texts_are_bounded(tmp_path):
         read_bytes(tmp_path / "b", 10)
 
 
-def test_what_is_no_text_is_said(tmp_path):
+def test_binary_files_are_refused_as_text(tmp_path):
     (tmp_path / "a").write_bytes(b"\xff\xfe\x00")
     with refused():
         read_text(tmp_path / "a")
@@ -150,6 +150,6 @@ def test_what_is_no_text_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["x" * 300, "a\0b", "", "none"])
-def test_a_text_that_names_no_file_is_none(text):
+def test_invalid_file_names_are_not_files(text):
     assert not is_regular_file(text)
     assert is_regular_file(__file__)

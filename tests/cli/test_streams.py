@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full, or read by nobody: an exit code, at most one line, and never a traceback."""
+"""Standard streams that are closed, full or not read: an exit code, at most one line, and no traceback."""
 
 import os
 import subprocess
@@ -14,24 +14,24 @@ PCBENCH = f"{sys.executable} -m pcbench.cli"
 
 
 def shell(command):
-    """A command of the shell: its exit code, and what it wrote to a standard error that is not redirected."""
+    """Run a shell command; return its exit code and its standard error, unless redirected."""
     done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=120)
     return done.returncode, done.stdout, done.stderr
 
 
-def test_a_closed_output_is_said_where_something_was_printed(files):
+def test_a_closed_output_is_an_error_if_something_was_printed(files):
     code, _, err = shell(f"{PCBENCH} info a.ply >&-")
     assert (code, one_line(err)) == (2, True), err
     said(err)
 
 
-def test_a_closed_output_is_no_fault_where_nothing_is_printed(files):
-    """And no file gets its number: what a library prints would end in that file."""
+def test_a_closed_output_is_no_error_if_nothing_is_printed(files):
+    """No file gets the descriptor of the closed stream, or output of libraries would be written into it."""
     assert shell(f"{PCBENCH} convert -q a.ply b.ply <&- >&- 2>&-")[0] == 0
     assert len(read_cloud("b.ply")) == len(read_cloud("a.ply"))
 
 
-def test_errors_end_alike_where_nobody_hears_them(files):
+def test_exit_codes_are_the_same_without_standard_error(files):
     for streams in (">&-", "2>&-", ">&- 2>&-", "2>/dev/full", ">/dev/full 2>&1"):
         code, _, err = shell(f"{PCBENCH} info none.ply {streams}")
         assert code == 2
@@ -40,7 +40,7 @@ def test_errors_end_alike_where_nobody_hears_them(files):
 
 
 @pytest.mark.parametrize("what", ["info a.ply", "compare ref.ply a.ply --full --no-figures", "--help"])
-def test_a_reader_that_has_gone_ends_the_run_quietly(files, what):
+def test_a_closed_pipe_ends_the_run_quietly(files, what):
     """`true` reads nothing; the pipe is full or closed at the first line."""
     for pipe in ("| head -1", "| true", "2>&1 | true", "|& head -1"):
         code, _, err = shell(f"{PCBENCH} {what} {pipe}")
@@ -48,7 +48,7 @@ def test_a_reader_that_has_gone_ends_the_run_quietly(files, what):
         assert err == ""
 
 
-def test_a_full_output_is_said(files):
+def test_a_full_output_is_an_error(files):
     code, _, err = shell(f"{PCBENCH} info a.ply >/dev/full")
     assert (code, one_line(err)) == (2, True), err
     assert os.strerror(28) in err

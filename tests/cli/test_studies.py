@@ -1,4 +1,4 @@
-"""`pcbench demo`. What `bench` and `experiment` do is tested in tests/studies."""
+"""`pcbench demo`; tests/studies tests `bench` and `experiment`."""
 
 from command_line import REPORT
 from wording import said

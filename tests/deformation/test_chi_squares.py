@@ -18,13 +18,13 @@ ONE_AND_MANY = np.concatenate([[1.0], np.full(300, 1e-2)])
 def test_equal_weights_are_a_chi_square(count):
     for tail in (0.999, 0.9, *TAILS):
         found = chi_squares_tail(2.5 * chi2.isf(tail, count), np.full(count, 2.5))
-        # Near the mean the pole of the integrand is near its saddle point: 3e-5 there, 1e-9 in the tails.
+        # Near the mean the pole of the integrand is near its saddle point: the error is 3e-5 there, 1e-9 in the tails.
         assert found == pytest.approx(tail, rel=1e-4 if tail > 0.1 else 1e-8)
 
 
 @pytest.mark.parametrize("weights", [(1.0, 0.9), (1.0, 0.1), (1.0, 1e-4), (3.0, 1.0, 0.2), (8.0, 2.0, 1.0, 0.01)])
 def test_pairs_of_weights_are_a_sum_of_exponential_variables(weights):
-    """Two equal weights w are an exponential variable of mean 2 w: the sum is hypoexponential."""
+    """Two terms of equal weight w add up to an exponential variable of mean 2 w, so the sum is hypoexponential."""
 
     def exact(value):
         shares = [math.prod(w / (w - other) for other in weights if other != w) for w in weights]
@@ -32,21 +32,21 @@ def test_pairs_of_weights_are_a_sum_of_exponential_variables(weights):
 
     mean = 2 * sum(weights)
     for value in mean * np.array([0.5, 1.0, 2.0, 5.0, 10.0, 20.0]):
-        # The nodes' step, as for equal weights; at (1, 0.9) the closed form itself loses one digit.
+        # The tolerance is for the step of the nodes; at (1, 0.9) the closed form itself loses one digit.
         assert chi_squares_tail(value, np.repeat(weights, 2)) == pytest.approx(exact(value), rel=1e-4)
 
 
-def test_weights_over_many_orders_are_a_shift():
-    """What is small in sum and in scatter only adds its mean."""
+def test_small_weights_only_shift_the_distribution():
+    """Terms with small sum and small variance only add their mean."""
     small = np.full(200, 1e-7)
     for tail in TAILS:
         value = float(chi2.isf(tail, 1))
-        # The scatter of the small ones is 2e-6: it changes the tail by 1e-11.
+        # The standard deviation of the small terms is 2e-6: it changes the tail by 1e-11.
         assert chi_squares_tail(value + 200e-7, np.append(small, 1.0)) == pytest.approx(tail, rel=1e-6)
 
 
-# `python tests/bench/chi_squares.py` made these: value, share of the draws beyond it, standard error. The first is of
-# 400 million plain draws, the others of four million from the tilted distribution.
+# Results of `python tests/bench/chi_squares.py`: value, share of the draws beyond it, standard error. The first is
+# from 400 million plain draws, the others from four million draws of the tilted distribution.
 @pytest.mark.parametrize(
     ("weights", "value", "share", "error"),
     [
@@ -63,7 +63,7 @@ def test_long_simulations_at_one_in_a_hundred_thousand(weights, value, share, er
 
 @pytest.mark.parametrize("weights", [UNEVEN, MODES, ONE_AND_MANY])
 def test_short_simulations_in_the_tail(weights):
-    """Draws from normals of a variance that brings the mean to where the tail is 1e-5, weighted for it."""
+    """Importance sampling: normals with a variance that moves the mean to the value whose tail is 1e-5."""
     value = chi_squares_quantile(1e-5, weights)
     grid = 0.5 / weights.max() * np.linspace(0, 1, 10_001)[1:-1]
     t = grid[np.argmin(np.abs([(weights / (1 - 2 * t * weights)).sum() - value for t in grid]))]
@@ -78,11 +78,11 @@ def test_short_simulations_in_the_tail(weights):
 
 @pytest.mark.parametrize("weights", [np.ones(1), np.ones(48), UNEVEN, MODES, ONE_AND_MANY])
 @pytest.mark.parametrize("tail", [0.999, 0.5, 1e-2, 1e-5, 1e-10])
-def test_the_point_of_a_tail_has_it(weights, tail):
+def test_the_quantile_inverts_the_tail(weights, tail):
     assert chi_squares_tail(chi_squares_quantile(tail, weights), weights) == pytest.approx(tail, rel=1e-8)
 
 
-def test_the_tail_falls_with_the_value_and_knows_no_unit():
+def test_the_tail_decreases_and_is_scale_invariant():
     values = np.linspace(0.01, 4, 100) * MODES.sum()
     tails = [chi_squares_tail(value, MODES) for value in values]
     assert (np.diff(tails) < 0).all()
@@ -91,14 +91,14 @@ def test_the_tail_falls_with_the_value_and_knows_no_unit():
         np.testing.assert_allclose(scaled, tails, rtol=1e-9)  # rounding of the weights alone
 
 
-def test_the_ends():
+def test_the_tail_at_extreme_values():
     assert chi_squares_tail(0.0, np.zeros(3)) == 1.0
     assert chi_squares_tail(1.0, np.zeros(3)) == 0.0
     assert chi_squares_quantile(0.01, np.zeros(3)) == 0.0
     assert chi_squares_tail(1e-320, UNEVEN) == 1.0
     assert chi_squares_tail(1e300, np.array([1e-300, 1e-310])) == 0.0
     assert chi_squares_tail(1e4, np.ones(3)) == 0.0  # exp(-5000)
-    # An eigenvalue of zero that rounding left below it.
+    # An eigenvalue of zero that rounding made negative.
     assert chi_squares_tail(5.0, np.append(UNEVEN, -1e-17)) == chi_squares_tail(5.0, UNEVEN)
 
 

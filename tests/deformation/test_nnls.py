@@ -1,4 +1,4 @@
-"""Non-negative least squares against scipy's."""
+"""Non-negative least squares, compared with scipy's."""
 
 import numpy as np
 import pytest

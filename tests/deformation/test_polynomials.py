@@ -7,7 +7,7 @@ from wording import refused
 from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 
 
-def test_moments_hold_the_normal_equations_of_a_cubic_field():
+def test_moments_contain_the_normal_equations_of_a_cubic_field():
     rng = np.random.default_rng(0)
     places, normals = rng.uniform(-1, 1, (50, 3)), rng.normal(size=(50, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -22,7 +22,7 @@ def test_moments_hold_the_normal_equations_of_a_cubic_field():
         np.testing.assert_allclose(scores[group].ravel(), design[rows].T @ (weights * residuals)[rows], atol=1e-12)
 
 
-def test_sums_over_groups_that_are_none_are_refused():
+def test_invalid_groups_are_refused():
     one, places = np.ones(4), np.zeros((4, 3))
     for starts in ([2, 1], [0, 5], [-1]):
         with refused(ValueError):

@@ -1,4 +1,4 @@
-"""Noise and bends of known size, along exact tangent planes, come back; noise alone is no bend."""
+"""Noise and bends of known size are recovered from exact tangent planes; noise alone is not reported as a bend."""
 
 import numpy as np
 import pytest
@@ -23,10 +23,10 @@ def waves(scene):
 
 @pytest.mark.slow
 def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
-    """Noise of known variances is put through the same sums: their power is what was predicted."""
+    """The sums of simulated noise of known variances have the predicted power."""
     step = scene.geometry.step("affine", "cubic")
     lengths = scene.geometry.lengths
-    # Two kernels that together cover the area of the one that is simulated: their lengths are fixed.
+    # Two kernels of fixed lengths that together have the area of the simulated one.
     above = int(np.searchsorted(lengths, NOISE.length))
     below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
     components = np.zeros(len(lengths))
@@ -37,19 +37,19 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
     for seed in range(40):
         scores = scene.judge(scene.noise(NOISE, waves, seed)).scores
         powers.append(np.square(step.modes.T @ scores.total).sum())
-    # Neighbouring cells are coarse, and the mean of 40 runs is good to 5 %.
+    # The lengths are coarse, and the mean of 40 runs is accurate to 5 %.
     assert np.mean(powers) == pytest.approx(predicted, rel=0.15)
 
 
-def test_noise_comes_back(scene, waves):
+def test_noise_is_recovered(scene, waves):
     found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
     assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
     assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
-    # A hundredth of the noise that seems to reach across the scene is a fifth of that area.
+    # One percent of the noise, taken as correlated across the scene, would be a fifth of that area.
     assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.4)
 
 
-def test_nothing_is_found_where_nothing_is(scene, waves):
+def test_no_bend_is_found_in_noise(scene, waves):
     findings = [scene.judge(scene.noise(NOISE, waves, 100 + seed)).finding for seed in range(20)]
     assert [f.verdict for f in findings].count("none") >= 18
     assert not any(f.verdict == "non-affine" for f in findings)
@@ -75,7 +75,7 @@ def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model)
 
 
 @pytest.mark.slow
-def test_the_dome_that_can_be_detected(scene, waves):
+def test_the_detectable_dome_is_mostly_found(scene, waves):
     noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
     limit = minimum_detectable_rms(scene.geometry, noise)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
@@ -84,7 +84,7 @@ def test_the_dome_that_can_be_detected(scene, waves):
         runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
         return np.mean([run.verdict == "non-affine" for run in runs])
 
-    # 90 % of such domes are found, within the scatter of 30 runs and of the noise's estimate; of half as large ones far
-    # fewer.
+    # 90 % of such domes are found, within the scatter of 30 runs and of the noise estimate; far fewer of half that
+    # size.
     assert found(limit) >= 0.75
     assert found(limit / 2) <= 0.5

@@ -1,4 +1,4 @@
-"""The answer as a type, as JSON and as a folder; what `deform` takes."""
+"""The result as an object, as JSON and as a folder; the inputs of `deform`."""
 
 import json
 
@@ -29,16 +29,16 @@ def bent(clouds):
     return deform(*clouds)[1]
 
 
-def test_an_answer_is_read_back_as_it_was_written(bent):
+def test_an_answer_survives_a_round_trip(bent):
     assert bent.verdict == "non-affine"
     noted = bent.with_warnings([Notice("few-tiles", "only 3 tiles")])
     for found in (bent, noted, Deformation.undecided_because(Notice("few-pairs", "12 pairs of points"))):
         again = Deformation.from_json(json.loads(to_json(found)))
-        assert again == found  # the field takes no part
+        assert again == found  # the field is not compared
         assert again.field is None
 
 
-def test_json_holds_the_documented_keys_in_order(bent):
+def test_json_has_the_documented_keys_in_order(bent):
     values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     assert list(values) == [
         "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "noise",
@@ -58,7 +58,7 @@ def test_reports_without_codes_are_read(bent):
     assert Deformation.from_json(values).warnings == (Notice("", "only 3 tiles"),)
 
 
-def test_reports_of_before_both_sizes_are_read(bent):
+def test_older_reports_without_both_sizes_are_read(bent):
     values = json.loads(to_json(bent))
     del values["amplitude"]["rms_surface"], values["amplitude"]["ci_surface"], values["local"]["largest"]
     values["p_value_noise"], values["tiles"]["agreement"] = 0.5, 1.0
@@ -84,7 +84,7 @@ def test_an_answer_in_words(bent):
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])
-def test_a_seed_is_a_whole_number(seed):
+def test_a_seed_must_be_an_integer(seed):
     with refused():
         deform(np.eye(3), np.eye(3), seed=seed)
 
@@ -100,7 +100,7 @@ def test_it_is_deterministic():
 def test_arrays_are_clouds_without_a_unit(clouds, bent):
     _, found = deform(clouds[0].points, clouds[1].points)
     assert found.verdict == "non-affine"
-    assert found.amplitude == bent.amplitude  # the scale's part is affine
+    assert found.amplitude == bent.amplitude  # the scale is part of the affine field
 
 
 def test_a_given_pose_is_an_object_or_an_array(clouds):
@@ -113,15 +113,15 @@ def test_a_region_is_an_object_or_its_text(clouds):
     box = ",".join(map(str, [*LEFT_HALF.lower, *LEFT_HALF.upper]))
     by_object, by_text = (deform(*clouds, crop=crop)[1] for crop in (LEFT_HALF, f"box:{box}"))
     assert by_object == by_text
-    assert by_object.field.places[:, 0].max() < 5  # planes at closest points reach a little beyond
+    assert by_object.field.places[:, 0].max() < 5  # planes at closest points extend a little beyond
 
 
-def test_a_region_that_holds_nothing_is_refused(clouds):
+def test_an_empty_region_is_refused(clouds):
     with refused():
         deform(*clouds, crop=Box(LEFT_HALF.lower - 1000, LEFT_HALF.upper - 1000))
 
 
-def test_deform_leaves_a_folder(clouds, bent, tmp_path, capsys):
+def test_deform_writes_a_folder(clouds, bent, tmp_path, capsys):
     from pcbench import cli
 
     write_cloud(tmp_path / "ref.ply", clouds[0])

@@ -1,4 +1,4 @@
-"""A scale that the registration solved for is no deformation, however it was solved; a given one may be wrong."""
+"""A scale error is no deformation if the registration solved for the scale; an error of a given scale is one."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from pcbench.geometry.transform import format_matrix
 from pcbench.scenes.synthetic import city
 
 SCALE = 1.03  # candidate -> reference
-ERROR = 1.002  # of the scale that both methods arrive at: 20 cm at 100 m, ten times the noise
+ERROR = 1.002  # scale error of the result of both methods: 20 cm at 100 m, ten times the noise
 
 
 @pytest.fixture(scope="module")
 def clouds():
-    """A city in metres with 2 cm noise, and another sample of it that is too small by SCALE, also called metres."""
+    """Return a city in metres with 2 cm noise, and another sample of it, too small by SCALE, also in "metres"."""
     town, rng = city(3), np.random.default_rng(5)
     first, second = (town.sample(count, rng)[0] + rng.normal(0, 0.02, (count, 3)) for count in (80_000, 40_000))
     return Cloud(first, unit="m"), Cloud(second / SCALE, unit="m")
@@ -29,7 +29,7 @@ def test_a_scale_solved_by_control_points_is_no_deformation(clouds, tmp_path):
     assert (found.verdict, found.model) == ("none", "similarity")
 
 
-def test_a_wrong_scale_that_was_given_is_one(clouds, tmp_path):
+def test_a_wrong_given_scale_is_a_deformation(clouds, tmp_path):
     (tmp_path / "T.txt").write_text(format_matrix(Similarity(np.eye(3), np.zeros(3), SCALE * ERROR)))
     registration, found = deform(*clouds, f"matrix:{tmp_path / 'T.txt'}")
     assert not registration.solved_scale

@@ -1,4 +1,4 @@
-"""The verdict on two clouds: known bends come back with their size, and what is no bend is not taken for one."""
+"""The verdict on two clouds: known bends are found with their size, and nothing else is reported as a bend."""
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ from pcbench.scenes.synthetic import city
 UTM = np.array([500_000.0, 4_800_000.0, 100.0])
 
 
-def test_a_dome_of_two_clouds_comes_back_with_its_size():
+def test_a_dome_between_two_clouds_is_found_with_its_size():
     rng = np.random.default_rng(1)
     candidate = dome(sampled(40_000, rng), 0.1)
     found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
     assert found.verdict == "non-affine"
-    # Along the normals: half of the surface is walls or steep roofs, where a lift hardly shows.
+    # Along the normals: half of the surface is walls or steep roofs, which hardly show a vertical displacement.
     low, high = found.amplitude.ci
     assert 0.06 < low < found.amplitude.rms < high < 0.1
     assert found.growth.with_distance.ci[1] < 0
@@ -34,7 +34,7 @@ def test_a_dome_of_two_clouds_comes_back_with_its_size():
 
 
 def test_a_bend_of_fifty_sigma_is_no_outlier():
-    """A robust fit that grows from the rigid model would weigh it down to nothing."""
+    """A robust fit that starts from the rigid model would give it almost no weight."""
     rng = np.random.default_rng(2)
     candidate = dome(sampled(40_000, rng), 1.0)
     found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
@@ -51,7 +51,7 @@ def test_hard_pairs(case, bend):
     if case == "sparse reference":
         few, many = many, few
     reference, candidate = noisy(sampled(many, rng), rng), noisy(dome(sampled(few, rng), bend), rng)
-    if case == "overlap":  # 40 % of either
+    if case == "overlap":  # 40 % of each cloud
         reference, candidate = reference[reference[:, 0] < 86], candidate[candidate[:, 0] > -86]
     if case == "outliers":
         strays = rng.random(len(candidate)) < 0.3
@@ -70,7 +70,7 @@ def test_one_moved_building_is_a_local_change():
     largest = int(np.argmax(roofs.areas()))
     middle = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest, :2]
     half = 0.5 * np.abs(roofs.u + roofs.v)[largest, :2] + 0.05
-    moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof: no ground is under it
+    moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof; it has no floor
     candidate[moved] += [0.2, 0.1, 0.1]
     found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
     assert found.verdict == "none"
@@ -90,7 +90,7 @@ def test_scale_counts_only_between_metric_clouds():
     assert codes(found) == ["scale-differs"]
 
 
-def test_tilt_and_scale_left_in_by_the_registration_are_no_bend():
+def test_residual_tilt_and_scale_are_no_bend():
     rng = np.random.default_rng(6)
     tilt = np.array([[1, 0, 0.002], [0, 1, 0], [-0.002, 0, 1]])
     found = verdict(noisy(sampled(80_000, rng), rng), noisy(1.001 * sampled(40_000, rng) @ tilt.T, rng), "none")
@@ -112,13 +112,13 @@ def test_flat_ground_shows_no_horizontal_motion():
 
 
 def test_noise_above_an_exact_plane_is_noise():
-    """Places carry the noise of the points there: a slope along z would explain all of it."""
+    """The noise is part of the positions, so a displacement proportional to z would explain all of it."""
     rng = np.random.default_rng(8)
     exact = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), np.zeros(20_000)])
     points = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
     found = verdict(exact, points, "none")
     assert found.verdict == "none"
-    # Strays beyond the maximum correspondence distance are not counted: less than 0.01.
+    # Outliers beyond the maximum correspondence distance are not counted, so sigma is less than 0.01.
     assert found.noise.sigma_white == pytest.approx(0.01, rel=0.25)
     assert found.minimum_detectable_rms > 1e-4
     low, high = verdict(exact, dome(points, 0.01), "none").amplitude.ci
@@ -126,7 +126,7 @@ def test_noise_above_an_exact_plane_is_noise():
 
 
 @pytest.mark.parametrize("shape", ["one place", "a line", "two places"])
-def test_what_is_no_surface_is_undecided(shape):
+def test_clouds_without_a_surface_are_undecided(shape):
     rng = np.random.default_rng(8)
     reference = sampled(20_000, rng)
     steps = {"one place": np.zeros(2000), "a line": np.linspace(0, 1, 2000), "two places": np.arange(2000) % 2}[shape]
@@ -151,8 +151,8 @@ def test_too_few_points_are_undecided():
     assert codes(found) == ["few-pairs"]
 
 
-def test_a_map_against_space_is_taken_off_first():
-    """UTM heights follow the Earth: over 3 km that is a dome of 17 cm, and the grid's scale is 0.9996."""
+def test_the_map_projection_is_removed_first():
+    """UTM heights follow the curvature of the Earth, a dome of 17 cm over 3 km; the scale of the grid is 0.9996."""
     import_or_skip("pyproj")
     rng = np.random.default_rng(11)
 
@@ -174,24 +174,24 @@ def test_a_map_against_space_is_taken_off_first():
     assert "map-not-named" in codes(unknown)
 
 
-def test_the_earth_curves_by_what_it_should():
+def test_the_curvature_of_the_earth_is_correct():
     import_or_skip("pyproj")
     x = np.linspace(-3000, 3000, 61)
     places = np.stack(np.meshgrid(x, x, [0.0, 100.0]), axis=-1).reshape(-1, 3) + [500_000, 5_000_000, 0]
     offsets = euclidean_offsets("EPSG:32632", places)
     edge = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmax(), 2]
     middle = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmin(), 2]
-    # d^2 / 2R at the corner, 4243 m from the centre; the projection's own scale is left in the plane.
+    # d^2 / 2R at the corner, 4243 m from the centre; the scale of the projection remains in the plane.
     assert middle - edge == pytest.approx(4243**2 / (2 * 6.37e6), rel=0.02)
 
 
-def test_vegetation_is_weighed_down_by_its_class():
+def test_vegetation_classes_have_low_weight():
     rng = np.random.default_rng(12)
     ground = sampled(60_000, rng)
     square = np.square(ground[:, :2]).sum(axis=1)
     foliage = rng.random(len(ground)) < 0.15
     candidate = ground.copy()
-    # Seen in leaf, higher towards the edge: it looks like bending.
+    # The candidate sees the leaves, higher towards the edge, which looks like bending.
     candidate[foliage, 2] += 0.08 * square[foliage] / square.max()
     classes = np.where(foliage, 5, 2).astype(np.uint8)
     reference = Cloud(noisy(sampled(120_000, rng), rng), unit="m")
@@ -200,17 +200,17 @@ def test_vegetation_is_weighed_down_by_its_class():
     assert seeing.amplitude.rms < 0.5 * blind.amplitude.rms
 
 
-# Real geometry and density.
+# Real geometry and density
 
 
 @pytest.fixture(scope="module")
 def lidar():
-    return read_cloud(data_folder("autzen") / "autzen_trim.las")  # feet: a river's banks, trees, a stadium's edge
+    return read_cloud(data_folder("autzen") / "autzen_trim.las")  # in feet: river banks, trees, the edge of a stadium
 
 
 @pytest.mark.parametrize(
     "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
-)  # at 18 a field that is free among the trees finds pairs that bear it out
+)  # with seed 18 an unconstrained field among the trees finds pairs that confirm it
 def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
     found, _ = Halves(lidar, 0.1, seed).judge(None, 0.0)
     assert found.verdict == "none", found.warnings
@@ -222,6 +222,6 @@ def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
 def test_bent_halves_of_a_lidar_cloud(lidar, kind):
     found, error = Halves(lidar, 0.1, 16).judge(kind, 2.0)
     assert found.verdict == "non-affine", found.warnings
-    # Noise of 0.2 that is the same over 20 feet adds a bend of its own.
+    # Noise of 0.2 that is correlated over 20 feet adds a deformation itself.
     assert found.amplitude.rms == pytest.approx(0.4, rel=0.15)
     assert error <= 0.25

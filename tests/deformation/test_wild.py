@@ -1,4 +1,4 @@
-"""Where scenes are no smooth surfaces, where noise is uneven, and where only parts moved: what the verdict says."""
+"""Verdicts on scenes without smooth surfaces, with uneven noise, or of which only parts moved."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ SLOW = pytest.mark.slow
 
 @pytest.mark.parametrize("case", ["forest", pytest.param("conifer halves", marks=SLOW), "topography halves"])
 def test_halves_of_a_forest_are_not_bent(case):
-    """Where points fill a volume, any bend that is assumed finds closest points that bear it out."""
+    """In a cloud that fills a volume, any assumed bend finds closest points that confirm it."""
     assert found(NULLS[case], 40).verdict == "none"
 
 
@@ -39,21 +39,21 @@ def test_uneven_noise_bridged_edges_and_smooth_ground_are_no_bend(case):
     assert found(NULLS[case], 41).verdict == "none"
 
 
-def test_a_bend_shows_in_a_forest():
+def test_a_bend_is_found_in_a_forest():
     answer = found(BENDS["conifer bent 0.7"], 42)
     assert answer.verdict == "non-affine", answer.warnings
 
 
-def test_a_part_that_sank_is_named_with_its_size_and_place():
+def test_subsidence_is_reported_with_its_size_and_place():
     answer = found(PARTS["subsidence 1"], 43)
     assert answer.verdict == "none"
-    assert answer.local.largest == pytest.approx(1.0, rel=0.4)  # beside walls, a tile holds more than the ground's
+    assert answer.local.largest == pytest.approx(1.0, rel=0.4)  # a tile beside walls contains more than ground
     assert f" {answer.local.largest:.3g} m at (" in said(answer.sentence("b.ply", "m"))
     shifted = answer.shifted(np.array([1000.0, 0, 0]))
     assert shifted.local.at[0] == pytest.approx(answer.local.at[0] + 1000)
 
 
-def test_strips_that_stand_against_each_other_are_named():
+def test_offset_strips_are_reported():
     answer = found(PARTS["strips 0.5"], 44)
     assert answer.verdict == "undecided"
     assert "parts-displaced" in codes(answer)
@@ -66,8 +66,8 @@ def test_clouds_that_are_not_registered_get_no_verdict():
     assert codes(answer)[0] in ("not-registered", "doubtful-registration")
 
 
-def test_both_sizes_of_a_bend_are_right():
-    """Of a dome, over the ground and over all of the surface: walls do not show it."""
+def test_both_sizes_of_a_bend_are_correct():
+    """The sizes of a dome over the ground and over the whole surface differ, because walls do not show it."""
     rng = np.random.default_rng(46)
     candidate = dome(sampled(40_000, rng), 0.1)
     answer = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
@@ -84,7 +84,7 @@ def test_both_sizes_of_a_bend_are_right():
 
 
 def test_sums_over_the_pairs_of_a_cell():
-    """Few partners stand for all: against every two pairs."""
+    """Sums over a few partners approximate those over all pairs."""
     rng = np.random.default_rng(48)
     counts = np.array([200, 1, 90, 2])
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
@@ -99,7 +99,7 @@ def test_sums_over_the_pairs_of_a_cell():
         np.testing.assert_allclose(ours, all_pairs, rtol=0.1)
 
 
-def test_sizes_of_uneven_noise_come_back():
+def test_sizes_of_uneven_noise_are_recovered():
     rng = np.random.default_rng(49)
     places = rng.uniform(-100, 100, (20_000, 3)) * [1, 1, 0]
     true = 0.05 * 2 ** (places[:, 0] / 100)
@@ -109,10 +109,10 @@ def test_sizes_of_uneven_noise_come_back():
     assert np.max(np.abs(local / true - 1)) < 0.25
     moved = np.hypot(*(places[:, :2] - 30).T) < 25  # a twentieth of the scene
     residuals[moved] += 10.0
-    assert np.max(noise_sizes(places, residuals, weights)[moved]) < 0.15  # and does not become noise
+    assert np.max(noise_sizes(places, residuals, weights)[moved]) < 0.15  # and the motion is not counted as noise
 
 
-def test_correlated_noise_of_the_cases_is_what_it_says():
+def test_simulated_noise_has_its_correlation():
     rng = np.random.default_rng(50)
     places = rng.uniform(0, 100, (3000, 3)) * [1, 1, 0.1]
     fields = np.concatenate([correlated(places, 5.0, rng) for _ in range(10)], axis=1)
@@ -134,8 +134,8 @@ def test_a_doubtful_registration_withholds_the_verdict():
     assert (answer.verdict, codes(answer)) == ("undecided", ["doubtful-registration"])
 
 
-def test_cells_are_told_once():
-    """These halves are judged by both kinds of pairs and told from those that followed nothing."""
+def test_cells_are_listed_once():
+    """Both kinds of pairs are evaluated for these halves, and each cell is still listed once."""
     answer = found(NULLS["topography halves"], 40)
     assert answer.field.counts.sum() == answer.pairs
     assert len(np.unique(answer.field.places, axis=0)) == len(answer.field.places)

@@ -1,4 +1,4 @@
-"""What is said of a deformation obeys what is said of the registration, and rounding is no size."""
+"""Sentences on deformation respect the warnings of the registration, and rounding is not reported as a size."""
 
 import re
 
@@ -15,7 +15,7 @@ UTM = np.array([352300.0, 5123400.0, 300.0])
 
 
 def corridor(bend, seed):
-    """A floor and two walls along x, 60 m: nothing fixes sliding along it. Bent upwards by `bend` at its ends."""
+    """Return a floor and two walls of 60 m along x, which leave sliding free; the ends are bent upwards by `bend`."""
     rng = np.random.default_rng(seed)
     x, part, t = rng.uniform(-30, 30, 6_000), rng.integers(0, 3, 6_000), rng.uniform(-1, 1, 6_000)
     across, height = np.where(part == 0, 2 * t, np.where(part == 1, -2.0, 2.0)), np.where(part == 0, 0.0, 1.5 + 1.5 * t)
@@ -24,25 +24,25 @@ def corridor(bend, seed):
 
 
 def field(bend, seed):
-    """Flat ground of 40 m."""
+    """Return flat ground of 40 m."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-20, 20, (12_000, 2))
     return np.column_stack([xy, rng.normal(0, 0.01, len(xy)) + bend * np.square(xy / 20).sum(axis=1)])
 
 
 @pytest.mark.parametrize("scene", [corridor, field])
-def test_a_pose_that_nothing_fixes_comes_before_the_verdict(scene):
+def test_an_undetermined_pose_is_reported_before_the_verdict(scene):
     reference, straight, bent = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
     registration, found = deform(reference, straight)
     assert registration.warnings[0].code == UNOBSERVABLE
     assert found.verdict == "none"
     said(found.sentence("a"))
-    assert not found.further_warnings  # the sentence holds it
+    assert not found.further_warnings  # the sentence contains it
     _, found = deform(reference, bent)
     assert found.verdict == "undecided"
     assert "p =" not in said(found.sentence("a"))
     assert (found.amplitude, found.p_value, found.local, found.minimum_detectable_rms) == (None,) * 4
-    # A pose that was given was not found along what nothing fixes.
+    # A given pose was not estimated, so its free directions do not matter.
     _, found = deform(reference, bent, "none")
     assert found.verdict == "non-affine"
     said(found.sentence("a"))
@@ -53,7 +53,7 @@ def town():
     return city(3).sample(15_000, np.random.default_rng(1))[0]
 
 
-def test_nothing_is_said_of_candidates_that_may_lie_wrong(town):
+def test_candidates_with_doubtful_poses_get_no_verdict(town):
     other = city(3).sample(15_000, np.random.default_rng(2))[0]
     clouds = {"right": other, "wrong": town[::2] + [11, 7, 0]}
     found = compare(town, clouds, Settings(register="none"))
@@ -86,7 +86,7 @@ def test_a_cloud_against_itself_differs_by_nothing(town, place):
     assert not re.search(r"e-1\d", text)
 
 
-def test_a_copy_that_is_brought_back_differs_by_rounding(town):
+def test_a_registered_copy_differs_by_rounding(town):
     found = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
     assert 0 < found.metrics.hausdorff.symmetric_max < 1e-8
     assert not (*found.warnings, *found.registration.warnings, *found.deformation.warnings)

@@ -25,7 +25,7 @@ NONE = Settings(register="none")
 
 
 def on_grid(points):
-    """Rounded to 2^-20: coordinates up to 8e6 keep every bit."""
+    """Round to 2^-20: coordinates up to 8e6 are then exact."""
     return np.round(points * 2**20) / 2**20
 
 
@@ -34,14 +34,14 @@ def metrics_of(reference, candidate, settings=NONE):
 
 
 def numbers_of(reference, candidate, settings=NONE):
-    """The metrics as comparison.json has them, but for the places of the worst points."""
+    """Return the metrics as in comparison.json, without the positions of the worst points."""
     values = document(compare(reference, candidate, settings))["candidates"][0]["metrics"]
     del values["hausdorff"]["worst_point"]
     return dict(leaves(values))
 
 
 def leaves(value, path=""):
-    """Every number of nested JSON values by its path."""
+    """Return each number of nested JSON values by its path."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from leaves(item, f"{path}/{key}")
@@ -82,7 +82,7 @@ def test_deviation_of_the_shifted_plane_is_signed_upwards():
         np.testing.assert_allclose(deviation.scalars["distance"], 0.25)
 
 
-def test_every_metric_against_brute_force(pair):
+def test_every_metric_equals_brute_force(pair):
     reference, candidate = pair
     m = metrics_of(reference, candidate, Settings(register="none", thresholds=(0.5, 1.0)))
     normals = oracles.normals(reference, 20)
@@ -104,14 +104,14 @@ def test_every_metric_against_brute_force(pair):
     assert m.mean_distance[CANDIDATE_TO_REFERENCE].floor == pytest.approx(np.mean(floors[0]), rel=1e-12)
     assert m.d1_mse[REFERENCE_TO_CANDIDATE].floor == pytest.approx(
         np.mean(floors[1] ** 2), rel=0.05
-    )  # the candidate's noise is taken off
+    )  # the candidate's noise is subtracted
     worst = np.array(m.hausdorff[REFERENCE_TO_CANDIDATE].worst_point)
     assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(
         m.hausdorff[REFERENCE_TO_CANDIDATE].largest, rel=1e-9
     )
 
 
-def test_area_weighting_against_the_slow_version(pair):
+def test_area_weighting_equals_brute_force(pair):
     reference, candidate = pair
     comparison = compare(reference, candidate, NONE)
     distances, _ = oracles.nearest(candidate, reference)
@@ -145,18 +145,18 @@ def test_swapping_the_clouds_swaps_the_directions(pair):
         assert one.hausdorff[way].largest == two.hausdorff[back].largest
 
 
-def test_crop_selects_queries_not_what_is_searched():
+def test_crop_selects_queries_but_not_searched_points():
     plane = shapes.plane_grid(21)
     shifted = plane + [0.4, 0, 0]
     m = metrics_of(plane, shifted, Settings(register="none", crop="box:4.9,-1,-1,10.1,30,1"))
-    # Every point has its partner 0.4 away, also at the cut: a hard crop finds 0.6 for those whose partner is outside.
+    # Each point has its partner at 0.4, also at the cut; a hard crop would find 0.6 for those whose partner is outside.
     assert m.hausdorff.symmetric_max == pytest.approx(0.4)
     assert m.presets["gao2025"].hausdorff == pytest.approx(0.6)
 
 
 @pytest.mark.slow
 def test_intervals_cover_and_shrink():
-    """Nominal 95 % intervals of D1 cover the expectation in most of 40 scenes; bigger differences are seen."""
+    """Nominal 95 % intervals of D1 cover the expectation in most of 40 scenes; larger differences are detected."""
     rng = np.random.default_rng(7)
     grid = shapes.plane_grid(60)
     covered = 0
@@ -265,14 +265,14 @@ def test_one_point_each():
     assert m.fscores == ()
 
 
-def test_the_caller_keeps_what_it_gave(pair):
+def test_inputs_are_not_modified(pair):
     reference, candidate = (Cloud(c.copy()) for c in pair)
     compare(reference, candidate, Settings())
     np.testing.assert_array_equal(reference.points, pair[0])
     np.testing.assert_array_equal(candidate.points, pair[1])
 
 
-def test_refusals(pair, monkeypatch):
+def test_invalid_inputs_are_refused(pair, monkeypatch):
     reference, candidate = pair
     for crop in ("sphere:900,0,0,1", Sphere([900, 0, 0], 1)):
         with refused():
@@ -296,7 +296,7 @@ def test_different_coordinate_systems_are_warned_about(pair):
         assert [w.code for w in warnings] == (["other-crs"] if warned else [])
 
 
-def test_one_system_under_two_names():
+def test_one_coordinate_system_under_two_names():
     pyproj = import_or_skip("pyproj")
     from pcbench.geometry.crs import crs_name, same_crs
 
@@ -328,7 +328,7 @@ def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():
     assert maps[0].radius == maps[1].radius > 0
 
 
-def test_poses_and_methods_are_objects_or_texts(pair, tmp_path):
+def test_poses_and_methods_may_be_objects_or_texts(pair, tmp_path):
     reference, candidate = pair
     turn = Similarity.from_matrix([[0, -1, 0, 3], [1, 0, 0, 2], [0, 0, 1, 1], [0, 0, 0, 1]])
     moved = turn.inverse().apply(candidate)
@@ -349,7 +349,7 @@ def test_poses_and_methods_are_objects_or_texts(pair, tmp_path):
         Settings(register=7)
 
 
-def test_a_comparison_is_handy(pair, tmp_path):
+def test_access_by_name_and_iteration(pair, tmp_path):
     reference, candidate = pair
     comparison = compare(reference, {"a": candidate, "<b>": candidate + 0.01}, NONE)
     assert comparison["a"] is comparison.candidates[0]
@@ -364,7 +364,7 @@ def test_a_comparison_is_handy(pair, tmp_path):
     page = comparison._repr_html_()
     assert page.count("<table>") == 1
     assert "&lt;b&gt;" in page
-    assert "<b>" not in page.replace("<p><b>", "")  # names are data, not markup
+    assert "<b>" not in page.replace("<p><b>", "")  # names are escaped
     assert f"{comparison['a'].metrics.d1_mse.accuracy.value:.4g}" in page
 
 
@@ -389,15 +389,15 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["../b", "a/b", "", "reference"])
-def test_a_name_that_no_file_can_have_is_not_saved(name, tmp_path):
+def test_names_that_are_no_file_names_are_not_saved(name, tmp_path):
     corners = np.eye(3)
     comparison = compare(corners, {name: corners}, NONE)
     with refused():
         comparison.save(tmp_path / "report", figures=False)
-    assert not any(tmp_path.iterdir())  # nothing beside the report either
+    assert not any(tmp_path.iterdir())  # no file next to the report either
 
 
-def test_regions_are_objects_or_texts(pair):
+def test_regions_may_be_objects_or_texts(pair):
     reference, candidate = pair
     by_text = document(compare(reference, candidate, Settings("none", crop="box:10,10,-9,25,30,9")))
     by_object = document(compare(reference, candidate, Settings("none", crop=Box([10, 10, -9], [25, 30, 9]))))

@@ -25,7 +25,7 @@ def test_m3c2_of_a_shifted_noisy_plane():
     )
     cores = np.array([[2.0, 2, 0], [5, 5, 0], [7, 3, 0]])
     found = m3c2(Index(reference), Index(candidate + 0.1 * UP), cores, np.tile(UP, (3, 1)), radius=0.5, half_length=1.0)
-    # About 157 and 236 points a cylinder: standard errors of 1.6 and 2.0 mm.
+    # About 157 and 236 points per cylinder: standard errors of 1.6 and 2.0 mm.
     np.testing.assert_allclose(found.distances, 0.1, atol=0.01)
     expected = 1.96 * np.sqrt(0.02**2 / found.counts_reference + 0.03**2 / found.counts_candidate)
     np.testing.assert_allclose(found.lod, expected, rtol=0.2)
@@ -63,7 +63,7 @@ def test_m3c2_equals_cloudcompare():
     assert len(cores) == 97
     np.testing.assert_array_equal(found.counts_reference, column["Npoints_cloud1"][valid])
     np.testing.assert_array_equal(found.counts_candidate, column["Npoints_cloud2"][valid])
-    # The file has three decimals, for its normals too; NaN stands in the same places.
+    # The file has three decimals, also for its normals; NaN occurs in the same rows.
     np.testing.assert_allclose(found.distances, column["M3C2 distance"][valid], atol=1e-3)
     np.testing.assert_allclose(found.lod, column["distance uncertainty"][valid], atol=1e-3)
     np.testing.assert_allclose(found.std_reference, column["STD_cloud1"][valid], atol=1e-3)
@@ -80,7 +80,7 @@ def test_maps_of_a_shifted_plane():
     assert deviation.m3c2.radius == pytest.approx(6 * 0.25)
 
 
-def test_sphere_against_its_mesh():
+def test_mesh_distances_of_a_sphere():
     icosphere = import_or_skip("trimesh").creation.icosphere(subdivisions=5)
     mesh = Mesh(np.asarray(icosphere.vertices), np.asarray(icosphere.faces))
     directions = shapes.sphere(2000, seed=3)[1]
@@ -109,8 +109,8 @@ def test_unknown_map():
         Settings(maps=("x",))
 
 
-def test_a_spread_is_that_of_normal_errors_whatever_a_few_strays_do():
-    """NMAD (Höhle & Höhle 2009): the standard deviation of what is normal; strays move it by their share."""
+def test_nmad_is_robust_against_outliers():
+    """NMAD (Höhle & Höhle 2009) is the standard deviation of normal errors; outliers change it by their share."""
     errors = np.random.default_rng(3).normal(0.1, 0.02, 100_000)
     clean = Spread.of(errors)
     assert clean.median == pytest.approx(0.1, abs=3e-4)

@@ -10,7 +10,7 @@ from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDA
 
 @pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
 def test_a_poisson_plane_has_its_closed_form(reference, candidate):
-    """E r^2 = 1 / (pi d) and E r = 1 / (2 sqrt d) to a Poisson process of density d; inside, where there is no edge."""
+    """To a Poisson process of density d, E r^2 = 1 / (pi d) and E r = 1 / (2 sqrt d); edges are excluded."""
     rng = np.random.default_rng(reference)
     found = []
     for _ in range(5):
@@ -40,17 +40,17 @@ def test_a_poisson_plane_has_its_closed_form(reference, candidate):
 def test_error_free_samples_score_their_floors(case):
     ratios = measured(case, 12).ratios
     np.testing.assert_allclose(ratios[:, [0, 2]], 1, atol=0.1)  # D1 and the mean distance
-    np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few places at edges decide
+    np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few points at edges dominate
 
 
-def test_noise_of_the_candidate_is_not_in_the_floor():
+def test_floor_excludes_noise_of_the_candidate():
     without, noisy = measured(Case("torus", 3_000, 3_000), 3), measured(Case("torus", 3_000, 3_000, noise=0.5), 3)
     np.testing.assert_allclose(noisy.floors / without.floors, 1, atol=0.07)
     assert (noisy.ratios[:, 0] > 1.15).all()
     assert (noisy.ratios[:, 1] > 20).all()
 
 
-def test_duplicates_are_no_neighbours():
+def test_duplicates_are_not_neighbours():
     rng = np.random.default_rng(3)
     clouds = [np.column_stack([rng.random((2_000, 2)), np.zeros(2_000)]) for _ in range(2)]
     once, doubled = (
@@ -63,8 +63,8 @@ def test_duplicates_are_no_neighbours():
         assert doubled.d1_mse[way].floor == pytest.approx(once.d1_mse[way].floor, rel=0.08)
 
 
-def test_a_hole_of_the_candidate_is_not_in_its_floor():
-    """It is what completeness is about: the floor is that of the points around it."""
+def test_floor_excludes_holes_of_the_candidate():
+    """Completeness measures the hole; the floor is that of the points around it."""
     rng = np.random.default_rng(4)
     reference, candidate = (np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (4_000, 4_000))
     candidate = candidate[np.linalg.norm(candidate[:, :2] - 0.5, axis=1) > 0.3]
@@ -73,7 +73,7 @@ def test_a_hole_of_the_candidate_is_not_in_its_floor():
     assert d1[REFERENCE_TO_CANDIDATE].value > 30 * d1[REFERENCE_TO_CANDIDATE].floor
 
 
-def test_points_in_one_place_have_a_floor_of_nothing():
+def test_identical_points_have_no_floor():
     rng = np.random.default_rng(5)
     reference = np.column_stack([rng.random((50, 2)), np.zeros(50)])
     for clouds in ((reference, np.tile([0.5, 0.5, 0], (20, 1))), (np.tile(reference[:1], (9, 1)), reference)):

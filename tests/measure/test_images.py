@@ -1,4 +1,4 @@
-"""PSNR and SSIM are scikit-image's, over what counts; LPIPS and FLIP are their packages', or said to be missing."""
+"""PSNR and SSIM equal scikit-image's over the valid pixels; LPIPS and FLIP equal those of their packages."""
 
 import importlib.util
 
@@ -13,7 +13,7 @@ from pcbench.measure.perceptual import Perceptual
 
 
 def photograph(seed, height=48, width=67):
-    """Blobs, an edge and grain, uint8."""
+    """Return an image with blobs, an edge and grain, uint8."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[:height, :width] / 10
     waves = [np.sin(rng.uniform(0.2, 2) * u + rng.uniform(0.2, 2) * v + rng.uniform(0, 6)) for _ in range(3)]
@@ -29,7 +29,7 @@ def spoilt(image, seed, noise=12.0):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_both_are_those_of_scikit_image(seed):
+def test_psnr_and_ssim_equal_scikit_image(seed):
     skimage = import_or_skip("skimage.metrics")
     truth = photograph(seed, 30 + 9 * seed, 83 - 7 * seed)
     for image, noise in ((spoilt(truth, seed, noise), noise) for noise in (0, 3, 40)):
@@ -41,7 +41,7 @@ def test_both_are_those_of_scikit_image(seed):
             assert psnr(a, b) == pytest.approx(skimage.peak_signal_noise_ratio(b, a, data_range=largest), abs=1e-10)
 
 
-def test_psnr_of_differences_that_are_known():
+def test_psnr_of_known_differences():
     black = np.zeros((4, 5, 3), dtype=np.uint8)
     assert psnr(black, black) == np.inf
     assert psnr(black, black + np.uint8(255)) == 0
@@ -51,7 +51,7 @@ def test_psnr_of_differences_that_are_known():
     assert psnr(one, black) == pytest.approx(10 * np.log10(60))
 
 
-def test_ssim_of_images_that_are_known():
+def test_ssim_of_known_images():
     truth = photograph(3)
     assert ssim(truth, truth) == 1
     dark, light = np.full((20, 20, 3), 0.25), np.full((20, 20, 3), 0.5)  # no structure: brightness alone is compared
@@ -59,7 +59,7 @@ def test_ssim_of_images_that_are_known():
     assert ssim(truth, 255 - truth) < 0
 
 
-def test_only_pixels_that_count_are_measured():
+def test_only_valid_pixels_are_measured():
     truth = photograph(5)
     mask = np.ones(truth.shape[:2], dtype=bool)
     mask[10:20, 20:30] = False
@@ -77,7 +77,7 @@ def test_only_pixels_that_count_are_measured():
     assert ssim(image, truth, np.ones_like(mask)) == ssim(image, truth)
 
 
-def test_where_nothing_counts_there_is_no_score():
+def test_no_valid_pixels_give_no_score():
     truth = photograph(1)
     nothing = np.zeros(truth.shape[:2], dtype=bool)
     assert np.isnan(psnr(truth, truth, nothing))
@@ -86,7 +86,7 @@ def test_where_nothing_counts_there_is_no_score():
     assert ssim(truth[:11], truth[:11]) == 1
 
 
-def test_error_maps_are_in_levels():
+def test_error_maps_are_in_grey_levels():
     truth = np.full((2, 3, 3), 100, dtype=np.uint8)
     image = truth.copy()
     image[1, 2] = 103, 88, 100
@@ -94,7 +94,7 @@ def test_error_maps_are_in_levels():
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim])
-def test_refusals(metric):
+def test_invalid_inputs_are_refused(metric):
     image = photograph(0)
     with refused():
         metric(image, image[:-1])
@@ -106,7 +106,7 @@ def test_refusals(metric):
         metric(image, image, np.ones((48, 67), dtype=np.uint8))
 
 
-def test_flip_is_that_of_its_package():
+def test_flip_equals_its_package():
     flip = import_or_skip("flip_evaluator")
     truth = photograph(2)
     image = spoilt(truth, 2)
@@ -121,7 +121,7 @@ def test_flip_is_that_of_its_package():
     assert measured.scores(half, truth, mask).flip == measured.scores(image, truth, mask).flip > 0
 
 
-def test_what_is_not_installed_is_said(monkeypatch, tmp_path):
+def test_missing_packages_are_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(perceptual, "find_spec", lambda name: None)
     break_library(monkeypatch, tmp_path, "flip_evaluator", None)
     here = Perceptual.here()
@@ -146,8 +146,8 @@ def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_lpips_is_that_of_its_package(monkeypatch, tmp_path):
-    """With weights drawn at random: what is tested is what the network is asked, not what it has learned."""
+def test_lpips_equals_its_package(monkeypatch, tmp_path):
+    """The weights are random: the test checks the inputs of the network, not what it has learned."""
     try:
         import lpips
         import torch

@@ -1,4 +1,4 @@
-"""Intervals: variances of fields whose variance is known, and how often they hold what they should."""
+"""Intervals: estimates for fields of known variance, and coverage of the expectation."""
 
 import numpy as np
 import pytest
@@ -23,10 +23,10 @@ EVEN = np.full(SIDE * SIDE, 1 / SIDE**2)
 
 
 def moving_average(rng, width):
-    """(SIDE^2,) a field whose cells are sums of `width` by `width` independent ones, and the variance of its mean."""
+    """Return a field (SIDE^2,) of sums over `width` by `width` independent cells, and the variance of its mean."""
     larger = rng.normal(size=(SIDE + width - 1, SIDE + width - 1))
     windows = np.lib.stride_tricks.sliding_window_view(larger, (width, width))
-    weights = np.convolve(np.ones(SIDE), np.ones(width))  # how many cells each independent one is in, along an axis
+    weights = np.convolve(np.ones(SIDE), np.ones(width))  # sums along an axis that contain each cell
     return windows.sum(axis=(2, 3)).ravel(), np.square(weights).sum() ** 2 / SIDE**4
 
 
@@ -43,7 +43,7 @@ def test_the_variance_of_a_correlated_field(width, reach, independent_regions):
     rng = np.random.default_rng(width)
     fields, truths = zip(*(moving_average(rng, width) for _ in range(60)), strict=True)
     found = [spread_of(field) for field in fields]
-    # Products that are there by chance are taken for more: on the safe side.
+    # Products that correlate by chance increase the estimate, which is conservative.
     assert 0.9 * truths[0] < np.mean([s.sigma**2 for s in found]) < 1.4 * truths[0]
     assert reach[0] <= np.median([s.reach for s in found]) <= reach[1]
     assert independent_regions[0] <= np.median([s.independent_regions for s in found]) <= independent_regions[1]
@@ -58,7 +58,7 @@ def test_the_variance_of_a_correlated_field(width, reach, independent_regions):
     assert np.mean(np.logical_and(low, high)) >= 0.88
 
 
-def test_few_strong_places_leave_few_degrees_of_freedom():
+def test_few_large_values_leave_few_degrees_of_freedom():
     rng = np.random.default_rng(0)
     even = rng.normal(size=SIDE * SIDE)
     peaked = even.copy()
@@ -72,7 +72,7 @@ def test_quantiles_are_those_of_student():
         assert student_t_quantile(degrees_of_freedom) == pytest.approx(t.ppf(0.975, degrees_of_freedom), rel=0.008)
 
 
-def test_scales_keep_scores_possible():
+def test_intervals_of_bounded_scores_stay_within_bounds():
     spread = ScoreUncertainty(0.4, 3.0, 20.0, 1.0)
     low, high = interval(LinearizedScore(0.5, EVEN), spread)
     assert 0 < low < 0.5 < high
@@ -84,7 +84,7 @@ def test_scales_keep_scores_possible():
     assert low < -1 < 0 < high
 
 
-def test_stragglers_do_not_make_cells():
+def test_isolated_points_form_no_cells():
     points = np.random.default_rng(1).random((5_000, 3)) * [1, 1, 0.01]
     points[0] = 1e6
     cells = partition(points)
@@ -94,14 +94,14 @@ def test_stragglers_do_not_make_cells():
 
 
 @pytest.mark.parametrize("case", [Case("torus", "none", 1_500, 1_500), Case("boxes", "L/10", 1_500, 1_500)])
-def test_intervals_hold_the_expectation(case):
-    """The quick form of tests/bench/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
+def test_intervals_contain_the_expectation(case):
+    """A short version of tests/bench/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
     found = coverage(case, 60)
     assert (found.shares >= 0.85).all()
     assert (found.widths < 1.9).all()
 
 
-def test_noise_over_a_third_of_the_scene_is_said():
+def test_noise_correlated_over_a_third_of_the_scene_gives_a_warning():
     def warned(noise):
         return ["few-pieces" in [notice.code for notice in draw(Case("plane", noise), run)[1]] for run in range(8)]
 

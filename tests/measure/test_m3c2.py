@@ -1,4 +1,4 @@
-"""M3C2 with settings of one's own, against brute force written from the paper."""
+"""M3C2 with explicit settings, compared with a brute-force version written from the paper."""
 
 import json
 
@@ -20,7 +20,7 @@ def pair():
     reference, _ = shapes.terrain(6000, seed=1)
     candidate, _ = shapes.terrain(4000, seed=2)
     cores, _ = shapes.terrain(40, seed=3)
-    cores[-1] += [0, 0, 1000]  # far off: nothing about it
+    cores[-1] += [0, 0, 1000]  # far away, with empty cylinders
     return reference, candidate + [0, 0, 0.15], cores
 
 
@@ -43,14 +43,14 @@ def test_explicit_settings_against_brute_force(pair, origin):
     np.testing.assert_allclose(found.cores, cores)
     if origin == 0:
         check(found, expected)
-    else:  # coordinates of 4e5 are good to 6e-11; a point at a cylinder's wall may change sides
+    else:  # coordinates of 4e5 are rounded to 6e-11, so a point on a cylinder's wall may change sides
         np.testing.assert_allclose(found.distances, expected["distances"], atol=1e-3)
 
 
-def test_normals_of_the_core_points_are_used_where_they_have_some(pair):
+def test_normals_of_core_points_are_used_if_present(pair):
     reference, candidate, cores = pair
     tilted = np.tile([0.6, 0.0, 0.8], (len(cores), 1))
-    tilted[3] = 0  # has none
+    tilted[3] = 0  # no normal
     settings = Settings(register="none", m3c2=M3C2Settings(1.2, 1.5, cores=Cloud(cores, normals=2 * tilted)))
     found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
     kept = np.arange(len(cores)) != 3
@@ -70,12 +70,12 @@ def test_cloudcompares_core_points_and_normals_through_compare():
     found = compare(reference, candidate, Settings(register="none", m3c2=how))["candidate_1"].deviation.m3c2
     valid = np.linalg.norm(normals, axis=1) > 0.5
     np.testing.assert_array_equal(found.counts_candidate[valid], column["Npoints_cloud2"][valid])
-    # The file has three decimals; NaN stands in the same places.
+    # The file has three decimals; NaN occurs in the same rows.
     np.testing.assert_allclose(found.distances[valid], column["M3C2 distance"][valid], atol=1e-3)
     np.testing.assert_allclose(found.lod[valid], column["distance uncertainty"][valid], atol=1e-3)
 
 
-def test_what_is_not_said_has_its_default(pair):
+def test_unset_parameters_have_defaults(pair):
     reference, candidate, _ = pair
     plain = compare(reference, candidate, Settings(register="none", maps=("m3c2",)))["candidate_1"].deviation.m3c2
     halved = compare(reference, candidate, Settings(register="none", m3c2=f"depth={plain.radius / 2}"))
@@ -112,12 +112,12 @@ def test_core_points_outside_the_region_are_left_out(pair):
         "registration_error=-1",
     ],
 )
-def test_texts_that_are_no_settings(text):
+def test_invalid_texts_are_refused(text):
     with refused():
         Settings(m3c2=text)
 
 
-def test_texts_are_read_back():
+def test_settings_survive_a_round_trip_through_text():
     how = M3C2Settings.parse("radius=0.5, depth=2 ,cores=a, b.ply")
     assert (how.radius, how.depth, how.normal_radius, str(how.cores)) == (0.5, 2.0, None, "a, b.ply")
     assert M3C2Settings.parse(how.text).text == how.text
@@ -151,7 +151,7 @@ def test_from_the_command_line_and_again(pair, tmp_path, run):
         assert named in err
 
 
-def test_cylinders_that_hold_too_little_are_said(pair):
+def test_cylinders_with_too_few_points_give_a_warning(pair):
     reference, candidate, _ = pair
 
     def warned(text):

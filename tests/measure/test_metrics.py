@@ -1,4 +1,4 @@
-"""Metrics as pure functions: closed forms, brute force, and what must not change them."""
+"""Metrics as pure functions: closed forms, brute force, and invariances."""
 
 import re
 
@@ -45,7 +45,7 @@ def test_closed_form_of_two_parallel_grids():
     assert metrics.hausdorff(a, b) == 0.5
     assert metrics.chamfer_unsquared(a, b) == 1.0
     assert metrics.chamfer_squared(a, b) == 0.5
-    assert metrics.fscore(a, b, 0.5) == (0.5, 1.0, 1.0, 1.0)  # the threshold itself counts as within
+    assert metrics.fscore(a, b, 0.5) == (0.5, 1.0, 1.0, 1.0)  # a distance equal to the threshold counts as within
     assert metrics.fscore(a, b, 0.49).fscore == 0.0
     assert np.all(metrics.plane_distances(lower + [3, 4, 0.5], lower, np.tile([0, 0, 1.0], (25, 1))) == 0.5)
 
@@ -70,7 +70,7 @@ def test_shifting_both_clouds_changes_nothing(first, second, shift):
 
 @given(CLOUDS, CLOUDS)
 @settings(max_examples=40, deadline=None)
-def test_swapping_the_clouds_keeps_the_symmetric_ones(first, second):
+def test_swapping_the_clouds_keeps_symmetric_metrics(first, second):
     a, b = both(first, second)
     for name in ("hausdorff", "unsquared", "squared", "fscore"):
         assert every(a, b)[name] == every(b, a)[name]
@@ -142,7 +142,7 @@ def test_no_distances_are_refused(call):
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, np.nan])
-def test_thresholds_are_positive(threshold):
+def test_thresholds_must_be_positive(threshold):
     with refused():
         metrics.fscore(np.ones(3), np.ones(3), threshold)
 
@@ -152,7 +152,7 @@ BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
 
 
 @pytest.mark.parametrize("name", ONE_WAY + BOTH_WAYS)
-def test_points_are_refused_with_the_call_that_takes_them(name):
+def test_points_instead_of_distances_are_refused_with_the_right_call(name):
     points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
     arguments = [points] if name in ONE_WAY else [points, points]
     with refused() as caught:
@@ -164,7 +164,7 @@ def test_points_are_refused_with_the_call_that_takes_them(name):
             getattr(metrics, name)(np.zeros(7), points, *further)
 
 
-def test_values_of_points_are_refused_where_they_are_not_one_a_point():
+def test_values_must_have_one_row_per_point():
     voxels = cells(np.random.default_rng(0).random((7, 3)), 0.5)
     with refused():
         metrics.area_weighted_mean(np.zeros((7, 3)), voxels)
@@ -210,8 +210,8 @@ def test_two_clouds_may_be_clouds_or_files(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["chamfer_unsquared", "hausdorff", "fscore"])
-def test_signed_distances_are_refused_where_they_would_cancel(name):
+def test_signed_distances_are_refused_if_they_would_cancel(name):
     further = [0.1] if name == "fscore" else []
     with refused():
         getattr(metrics, name)([1.0, -1.0], [1.0], *further)
-    assert metrics.mean_square([1.0, -1.0]) == 1.0  # of squares the sign is no matter
+    assert metrics.mean_square([1.0, -1.0]) == 1.0  # squares do not depend on the sign

@@ -1,4 +1,4 @@
-"""The oracles themselves: against hand-made answers and against what other tools printed."""
+"""The oracles, compared with results computed by hand and with the output of other tools."""
 
 import json
 
@@ -10,38 +10,38 @@ from data_folder import data_folder
 
 
 def read_floats(path):
-    """(N, k) columns of a binary little-endian PLY that holds floats only (a reader that pcbench has no part in)."""
+    """Return the columns (N, k) of a binary little-endian PLY of floats; independent of pcbench's reader."""
     header, _, body = path.read_bytes().partition(b"end_header\n")
     return np.frombuffer(body, "<f4").reshape(-1, header.count(b"property float")).astype(np.float64)
 
 
 @pytest.mark.parametrize("case", ["wave", "outliers"])
-def test_mpeg_prints_the_same(case):
+def test_mpeg_equals_the_printed_output(case):
     folder = data_folder("dmetric")
     expected = json.loads((folder / "expected.json").read_text())["cases"][case]
     a, b = read_floats(folder / f"{case}_a.ply"), read_floats(folder / f"{case}_b.ply")
     got = oracles.mpeg(a[:, :3], a[:, 3:], b[:, :3])
     assert got.keys() == expected.keys()
     for key, value in expected.items():
-        # The tool prints nine digits and computes in float32 in places: its small maxima are good to 4e-7.
+        # The tool prints nine digits and computes in float32 in places: its small maxima are accurate to 4e-7.
         assert got[key] == pytest.approx(value, rel=1e-8 if key.startswith("mse") and "point" in key else 1e-6), key
 
 
 def test_mpeg_averages_ties():
-    # The query in the middle has two nearest points, one on a plane through it (0) and one across (1).
+    # The query in the middle has two nearest points: the squared plane distance is 0 to one and 1 to the other.
     a = np.array([[0.0, 0, 0], [10, 0, 0]])
     up, along = [0.0, 0, 1], [1.0, 0, 0]
     got = oracles.mpeg(np.array([[-1.0, 0, 0], [1, 0, 0], [1, 5, 0]]), np.array([up, along, up]), a[:1])
     assert got["mse2 (p2plane)"] == 0.5
     assert got["mse2 (p2point)"] == 1
-    # That one point of B gets the mean of all three normals, not made unit: (1/3, 0, 2/3).
+    # That one point of B gets the mean of all three normals, not normalised: (1/3, 0, 2/3).
     assert got["mse1 (p2plane)"] == pytest.approx(1 / 9)
 
 
-def test_mpeg_gives_lonely_points_the_normal_of_their_nearest():
+def test_mpeg_unmatched_points_get_the_normal_of_their_nearest():
     a, n = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 1], [0, 1, 0]])
     b = np.array([[0.0, 0, 0.5], [0, 0, 3], [1, 0.5, 0]])
-    # The point at z = 3 is nobody's nearest and sees (0, 0, 0): direction 2 measures 0.5, 3 and 0.5 across normals.
+    # No point has the point at z = 3 as its nearest; its own nearest is (0, 0, 0): direction 2 measures 0.5, 3, 0.5.
     got = oracles.mpeg(a, n, b)
     assert got["mse2 (p2plane)"] == pytest.approx((0.25 + 9 + 0.25) / 3)
     assert got["h. (p2point)"] == 9
@@ -59,7 +59,7 @@ def test_neighbours_on_a_grid():
     assert oracles.leave_one_out(np.array([[0.0, 0, 0], [0, 0, 0], [3, 4, 0]])).tolist() == [0, 0, 5]
 
 
-def test_chunks_do_not_show(monkeypatch):
+def test_chunk_size_does_not_change_results(monkeypatch):
     rng = np.random.default_rng(0)
     queries, points = rng.normal(size=(50, 3)), rng.normal(size=(40, 3))
     whole = oracles.k_nearest(queries, points, 4), oracles.nearest(queries, points), oracles.leave_one_out(points)
@@ -88,11 +88,11 @@ def test_floors_of_a_grid():
     grid = shapes.plane_grid(7, spacing=0.5)
     candidate = grid[::2] + np.array([0.01, 0.02, 0.1])
     assert (oracles.floor_distances(candidate, grid) == 0.5).all()
-    # Every second point of the grid is there: the nearest of them lie across a square.
+    # The candidate has every second point of the grid: nearest ones are a diagonal apart.
     np.testing.assert_allclose(oracles.floor_distances(grid, candidate), np.sqrt(0.5))
 
 
-def test_voxel_mean_weighs_places_not_points():
+def test_voxel_mean_weights_voxels_not_points():
     points = np.array([[0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [1.5, 0, 0], [-0.5, 0, 0]])
     assert oracles.voxel_mean([1.0, 2, 3, 10, 0], points, 1.0, np.zeros(3)) == pytest.approx((2 + 10 + 0) / 3)
 
@@ -100,13 +100,13 @@ def test_voxel_mean_weighs_places_not_points():
 def test_normals_of_a_sphere():
     points, outward = shapes.fibonacci_sphere(400)
     cosines = np.abs((oracles.normals(points, 10) * outward).sum(axis=1))
-    # Ten neighbours reach 0.3 rad far and do not lie symmetrically: a fraction of that is the error of a plane.
+    # Ten neighbours reach up to 0.3 rad and are not symmetric: the error of the plane is a fraction of that.
     assert cosines.min() > np.cos(0.3 / 3)
     flat = oracles.normals(shapes.plane_samples(50), 6)
     np.testing.assert_array_equal(np.abs(flat), np.tile([0.0, 0.0, 1.0], (50, 1)))
 
 
-# The shapes tell the truth about themselves
+# The synthetic shapes have the properties that they state
 
 
 def test_terrain_normals_are_the_gradient():

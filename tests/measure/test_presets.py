@@ -1,4 +1,4 @@
-"""Presets: what other tools print, for the same aligned pair."""
+"""Presets: the same values as other tools print for the same aligned pair."""
 
 import json
 
@@ -47,7 +47,7 @@ def test_mpeg_prints_what_pc_error_printed(case):
 
 
 @pytest.mark.parametrize("kind", ["random", "grid", "duplicates", "far"])
-def test_mpeg_against_the_slow_version(kind):
+def test_mpeg_equals_the_oracle(kind):
     rng = np.random.default_rng(11)
     a, normals = shapes.terrain(600, seed=1)
     b = shapes.terrain(500, seed=2)[0] + rng.normal(0, 0.05, (500, 3))
@@ -66,7 +66,7 @@ def test_mpeg_against_the_slow_version(kind):
         assert value == pytest.approx(expected[name], rel=1e-6), name
 
 
-def test_mpeg_takes_normals_as_they_are():
+def test_mpeg_does_not_normalise_normals():
     a, normals = shapes.terrain(400, seed=1)
     b = shapes.terrain(300, seed=2)[0]
     found = flat(preset("mpeg", Cloud(a, normals=2 * normals), b))

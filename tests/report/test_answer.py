@@ -1,4 +1,4 @@
-"""The answer in words: what is claimed, what is withheld, and what has to be said before any number."""
+"""The answer in words: its claims, when they are withheld, and the warnings before any number."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ GIVEN = Settings(register="none")
 
 @pytest.fixture(scope="module")
 def measured():
-    """a is near, b is noisy, c is near with strays, d covers half."""
+    """Compare four candidates: a is near, b is noisy, c is near with outliers, d covers half."""
     reference = Cloud(shapes.terrain(3000, seed=1)[0], unit="m")
     a = shapes.terrain(2000, seed=2)[0]
     rng = np.random.default_rng(5)
@@ -48,7 +48,7 @@ def with_registration(comparison, name, *codes, **changed):
     return replace(comparison, candidates=tuple(candidates))
 
 
-def test_one_candidate_how_far_how_complete_bent_or_not_and_the_pose(measured):
+def test_answer_on_one_candidate(measured):
     far, complete, bend, pose = answer(some(measured, "b"))
     b = measured["b"]
     off = b.metrics.d2_rms.accuracy.value
@@ -60,42 +60,42 @@ def test_one_candidate_how_far_how_complete_bent_or_not_and_the_pose(measured):
     assert f"{b.registration.overlap:.1%}" in said(pose)
 
 
-def test_what_is_missing_is_said_with_its_place(measured):
+def test_missing_surface_is_reported_with_its_place(measured):
     complete = answer(some(measured, "d"))[1]
     worst = measured["d"].metrics.hausdorff.completeness
     assert f"({worst.worst_point[0]:.1f}, " in said(complete)
     said(answer(some(measured, "a"))[1])
 
 
-def test_strays_do_not_pass_for_a_bad_surface(measured):
+def test_outliers_are_distinguished_from_an_inaccurate_surface(measured):
     assert "NMAD" in said(answer(some(measured, "c"))[0])
     assert "NMAD" not in answer(some(measured, "b"))[0]
-    # c's strays make its RMS the largest; all its other points are better than b's.
+    # c's outliers make its RMS the largest; all its other points are better than b's.
     assert "NMAD" in said(answer(some(measured, "b", "c"))[0])
 
 
-def test_candidates_are_told_apart_by_their_paired_differences(measured):
+def test_candidates_are_distinguished_by_paired_differences(measured):
     two = some(measured, "a", "b")
     said(answer(two)[0])
-    # The intervals of both stay as they are; only the difference now contains 0.
+    # The intervals of both are unchanged; only the interval of the difference now contains 0.
     alike = [d._replace(interval=Interval(-1.0, 1.0)) for d in two.differences]
     said(answer(replace(two, differences=tuple(alike)))[0])
     four = replace(measured, differences=tuple(d._replace(interval=Interval(-1.0, 1.0)) for d in measured.differences))
     said(answer(four)[0])
 
 
-def test_of_many_the_best_and_the_last_are_named_and_no_pair_is_spelled_out(measured):
+def test_answer_on_many_candidates_names_the_best_and_the_last(measured):
     sentences = answer(measured)
     assert 2 <= len(sentences) <= 4
     said("\n".join(sentences))
     pairs = [*details(measured)]
-    assert len(pairs) >= 6 * 4  # each pair of four candidates, each of four metrics
+    assert len(pairs) >= 6 * 4  # four metrics of each pair of four candidates
     assert not {*pairs} & {*sentences}
     said("\n".join(pairs))
 
 
-def test_the_last_are_named_with_those_that_they_cannot_be_told_from(measured):
-    """What is said of the first holds of the last: nobody is last by chance."""
+def test_the_last_are_named_with_indistinguishable_ones(measured):
+    """As for the first: no candidate is named last if chance could explain its rank."""
 
     def first(*alike):
         pairs = [
@@ -111,8 +111,8 @@ def test_the_last_are_named_with_those_that_they_cannot_be_told_from(measured):
     assert f" {far:.3g} m RMS" in by_chance
 
 
-def test_strays_are_no_matter_where_they_change_no_order():
-    """A cloud of which all lies on the reference is best by any measure."""
+def test_outliers_are_not_mentioned_if_they_change_no_rank():
+    """A cloud that lies entirely on the reference is best by any metric."""
     reference = shapes.terrain(1500, seed=1)[0]
     noisy = reference + np.random.default_rng(0).normal(0, 0.2, reference.shape)
     assert "NMAD" not in answer(compare(reference, {"same": reference, "noisy": noisy}, GIVEN))[0]
@@ -125,7 +125,7 @@ def test_no_verdict_on_a_doubtful_registration(measured):
     assert "--register global" in said(then)
     assert "points:FILE" in then
     given = answer(with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt"))[1]
-    assert "global" in given and "matrix" not in given  # it was tried
+    assert "global" in given and "matrix" not in given  # it was used already
     assert "deformed" not in first + then
     assert "a: doubtful-pose said" in warnings(one)
     pairs = " ".join(details(with_registration(measured, "a", result.FAR_OFF)))
@@ -139,7 +139,7 @@ def test_no_verdict_on_a_doubtful_registration(measured):
         assert "a " not in sentence.split("(")[0].split()
 
 
-def test_no_bend_is_claimed_where_the_geometry_leaves_the_pose_open(measured):
+def test_no_bend_is_claimed_if_the_pose_is_undetermined(measured):
     bent = replace(measured["a"].deformation, verdict="non-affine", model="quadratic", p_value=0.001)
     comparison = replace(measured, candidates=(replace(measured["a"], deformation=bent), measured["b"]))
     said("\n".join(answer(comparison)))
@@ -154,16 +154,16 @@ def test_no_bend_is_claimed_where_the_geometry_leaves_the_pose_open(measured):
         assert "is bent" not in text
 
 
-def test_a_small_overlap_is_said_and_names_the_crop(measured):
+def test_a_small_overlap_is_reported_with_the_crop_option(measured):
     little = with_registration(some(measured, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
     said("\n".join(warnings(little)))
     assert "--crop reference" in " ".join(warnings(little))
-    assert "low-overlap said" not in warnings(little)  # once is enough
+    assert "low-overlap said" not in warnings(little)  # not repeated
     said("\n".join(answer(little)))
     assert " ".join([*answer(little), *warnings(little)]).count("42") == 1  # the share too
     by_icp = with_registration(little, "a", overlap=0.42, method="icp", weakest_sigma=0.1)
     said(answer(by_icp)[-1])
-    cropped = replace(little, settings=replace(GIVEN, crop="reference"))  # what it asks for was done
+    cropped = replace(little, settings=replace(GIVEN, crop="reference"))  # the recommended crop was applied
     assert "a: low-overlap said" in warnings(cropped)
     assert "--crop reference" not in " ".join(warnings(cropped))
 
@@ -183,13 +183,13 @@ def test_too_few_points_for_a_surface():
     assert "1 [1, 1]" in said(far)
 
 
-def test_warnings_of_several_stand_once(measured):
+def test_repeated_warnings_are_merged(measured):
     two = with_registration(some(measured, "a", "b"), "a", result.WEAKLY_OBSERVABLE)
     two = with_registration(two, "b", result.WEAKLY_OBSERVABLE)
     assert "a and b: weakly-observable said" in warnings(two)
 
 
-def test_files_and_notebooks_start_with_the_answer_and_keep_everything(measured):
+def test_files_and_notebooks_start_with_the_answer_and_have_all_details(measured):
     text, page = markdown(measured), html(measured)
     for table in (text, page):
         assert table.index("d and a are closest") < table.index("D1 MSE")
@@ -197,7 +197,7 @@ def test_files_and_notebooks_start_with_the_answer_and_keep_everything(measured)
         for label in ("median, signed", "standard deviation", "NMAD"):
             assert label in table
     (line,) = [line for line in text.splitlines() if line.startswith("| D1 MSE |")]
-    assert line.count("[") == 8  # an interval of each number
+    assert line.count("[") == 8  # one interval per number
 
 
 def test_words():

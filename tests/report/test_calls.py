@@ -1,4 +1,4 @@
-"""What programs call: clouds, arrays and paths alike, settings by name, and what a result says of itself."""
+"""Calls from programs: clouds, arrays and paths as inputs, settings by name, and the repr of results."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from pcbench import Cloud, PcbenchError, Settings
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """Three samples of a bowl: as files of several kinds in the current folder, and as arrays."""
+    """Return three samples of a bowl as arrays, also written as files of several kinds to the current folder."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(1)
     arrays = {}
@@ -23,7 +23,7 @@ def files(tmp_path, monkeypatch):
     return arrays
 
 
-def test_paths_are_read_where_clouds_are_taken(files, tmp_path):
+def test_paths_are_accepted_as_clouds(files, tmp_path):
     found = pcbench.compare("ref.ply", ["a.xyz", tmp_path / "b.npy"], register="none")
     assert [candidate.name for candidate in found] == ["a", "b"]
     assert found.inputs.reference.path == "ref.ply"
@@ -57,7 +57,7 @@ def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
     assert pcbench.compare("box.obj", "a.xyz", register="none").reference.faces == 2
 
 
-def test_what_readers_left_out_is_a_warning(files):
+def test_points_dropped_by_readers_give_a_warning(files):
     with Path("a.xyz").open("a") as file:
         file.write("nan nan nan\n")
     with pytest.warns(UserWarning) as warned:
@@ -84,7 +84,7 @@ def test_settings_by_name(files):
         pcbench.compare("ref.ply", "a.xyz", registr="none")
 
 
-def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
+def test_arrays_and_paths_are_written_like_clouds(files, tmp_path):
     pcbench.write_cloud("c.ply", "b.npy")
     np.testing.assert_array_equal(pcbench.read_cloud("c.ply").points, files["b.npy"])
     pcbench.write_cloud("d.xyz", files["b.npy"][:2].tolist())
@@ -94,7 +94,7 @@ def test_arrays_and_paths_are_written_as_clouds_are(files, tmp_path):
     assert not (tmp_path / "e.ply").exists()
 
 
-def test_a_comparison_shows_itself_in_a_few_lines(files):
+def test_a_comparison_has_a_short_repr(files):
     found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
     _, *rest = said(repr(found)).splitlines()
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]

@@ -1,4 +1,4 @@
-"""Ranges of colours, and the maps themselves: beside formulas of colour science that we did not write."""
+"""Colour ranges and colour maps, checked by published formulas of colour science."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ BLIND = {
 
 
 def lightness(colors, seen_by="none"):
-    """CIE L* of sRGB colours (N, 3) from 0 to 255."""
+    """Return CIE L* of sRGB colours (N, 3) from 0 to 255."""
     s = np.asarray(colors, float) / 255
     linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
     linear = np.clip(linear @ np.array(BLIND[seen_by]).T, 0, 1)
@@ -25,10 +25,10 @@ def lightness(colors, seen_by="none"):
 
 
 @pytest.mark.parametrize("seen_by", BLIND)
-def test_distances_are_read_from_lightness_alone(seen_by):
+def test_distances_are_readable_from_lightness_alone(seen_by):
     colors = Range(0.0, 1.0).colors(np.linspace(0, 1, 101))
     steps = np.diff(lightness(colors, seen_by)[::10])
-    assert (steps > 2.5).all()  # a difference that anybody sees; even
+    assert (steps > 2.5).all()  # visible to anybody, and uniform
     assert steps.max() < 3 * steps.min()
     grey = colors @ [0.299, 0.587, 0.114]
     assert (np.diff(grey[::10]) > 0).all()
@@ -68,7 +68,7 @@ def test_a_candidate_that_is_far_off_does_not_change_the_others():
 
 @pytest.mark.parametrize("seed", range(20))
 def test_ranges_hold_whatever_the_candidates(seed):
-    """None has a range below its own 95th percentile, none one that it uses less than a fifth of."""
+    """No range ends below a candidate's 95th percentile, and each candidate uses at least a fifth of its range."""
     rng = np.random.default_rng(seed)
     highest = {str(k): float(v) for k, v in enumerate(10.0 ** rng.uniform(-4, 4, rng.integers(1, 12)))}
     found = ranges(highest)
@@ -78,13 +78,13 @@ def test_ranges_hold_whatever_the_candidates(seed):
         assert farther[name].high == scale.high
 
 
-def test_strays_do_not_decide():
+def test_outliers_do_not_change_the_range():
     values = np.r_[np.linspace(-1, 1, 1000), [1e6] * 20]
     assert robust_maximum(values) < 1.0
     assert robust_maximum(np.zeros(0)) == 0.0
 
 
-def test_rounding_is_not_spread_over_all_colours():
+def test_rounding_errors_have_one_colour():
     found = ranges({"same": 1e-15, "other": 0.1}, spacing=0.5)
     assert found["same"].high == 0.5
     assert "rounding" in found["same"].note

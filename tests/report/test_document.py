@@ -1,4 +1,4 @@
-"""What comparison.json holds beside the metrics, and what its numbers depend on."""
+"""Contents of comparison.json beside the metrics, and dependence of its numbers on the seed."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def clouds():
 
 
 def leaves(value, path=()):
-    """Every value of nested JSON by its path."""
+    """Return each value of nested JSON by its path."""
     if not isinstance(value, dict | list):
         return {path: value}
     items = value.items() if isinstance(value, dict) else enumerate(value)
@@ -38,7 +38,7 @@ def test_the_extent_is_that_of_the_points_whatever_the_cells(clouds, monkeypatch
     reference = clouds[0]
     found = compare(reference, clouds[1], register="none")
     assert document(found)["reference"]["extent"] == found.reference.extent
-    # The bounds are taken of coordinates from which an origin was subtracted.
+    # The bounds are computed from coordinates relative to an origin.
     assert found.reference.extent == pytest.approx(robust_extent(reference), rel=1e-12)
     monkeypatch.setattr(intervals, "_CELLS_ALONG_DIAGONAL", 14)
     coarse = compare(reference, clouds[1], register="none")

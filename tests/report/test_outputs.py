@@ -1,4 +1,4 @@
-"""One list of metrics: what the walk over a candidate's quantities yields is in every output, once."""
+"""Each quantity of a candidate is in every output exactly once."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ def terrain(count, noise):
 
 
 def compared(kind):
-    """With presets, two thresholds and M3C2; the same with a mesh and its map; and of two points."""
+    """Compare with presets, two thresholds and M3C2; the same with a mesh and its map; and clouds of two points."""
     if kind == "mesh":
         return compare(SQUARE, {"a": terrain(300, 0.05)}, Settings(register="none", **EVERYTHING))
     if kind == "points":
@@ -88,7 +88,7 @@ def test_every_difference_is_one_of_a_quantity(clouds):
 
 
 def largest(candidate):
-    """A maximum, both ways."""
+    """Return a maximum in both directions."""
     for way, values in (
         (CANDIDATE_TO_REFERENCE, candidate.deviation),
         (REFERENCE_TO_CANDIDATE, candidate.completeness),
@@ -99,7 +99,7 @@ def largest(candidate):
 
 
 def angle(candidate):
-    """One of normals, with an interval, in degrees."""
+    """Return a quantity of normals, with an interval, in degrees."""
     value = 1.0 + len(candidate.name)
     interval = Interval(value - 0.5, value + 0.5)
     headline = Headline("normals", column="normals", rank=0)
@@ -116,14 +116,14 @@ def angle(candidate):
 
 
 def color(candidate):
-    """One of colours, without a direction and in two variants."""
+    """Return a quantity of colours, without a direction and in two variants."""
     for variant, value in (("rgb", 31.5), ("luma", 34.25)):
         headline = Headline(f"colours, {variant}", column=variant, rank=0)
         yield Quantity("color_psnr", "both", "PSNR", value, "dB", variant, label=f"PSNR {variant}", headline=headline)
 
 
 @pytest.mark.parametrize("added", [largest, angle, color])
-def test_what_is_yielded_in_one_place_is_in_every_output(clouds, monkeypatch, added):
+def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, added):
     def part(candidate):
         for quantity in added(candidate):
             path = ("metrics", quantity.metric, quantity.variant or quantity.direction)
@@ -156,8 +156,8 @@ def test_what_is_yielded_in_one_place_is_in_every_output(clouds, monkeypatch, ad
     assert f"| {quantity.label} |" in markdown(clouds)
 
 
-def test_a_mean_that_is_defined_in_one_place_is_in_every_output(monkeypatch):
-    """With its floor, interval and differences."""
+def test_a_new_mean_is_in_every_output(monkeypatch):
+    """Its floor, interval and differences are there too."""
     capped = MeanMetric(
         "capped", "Capped", "at most 0.5", 1, lambda d: np.minimum(d.to_points, 0.5), headline="capped mean"
     )
@@ -185,8 +185,8 @@ def test_a_mean_that_is_defined_in_one_place_is_in_every_output(monkeypatch):
     }
 
 
-def test_what_is_detectable_is_said_as_it_is_computed(clouds, monkeypatch):
-    # Three decimals of the normal deviate are right to 1e-4 of the power.
+def test_the_definition_of_detectable_matches_the_computation(clouds, monkeypatch):
+    # The normal deviate has three decimals, which gives the power within 1e-4.
     assert NormalDist().cdf(size._POWER_Z) == pytest.approx(size.DETECTION_POWER, abs=1e-4)
 
     def definition():

@@ -1,6 +1,4 @@
-"""Pictures: drawn from a report folder, with content, one frame and comparable colours, and no crash where they
-cannot be.
-"""
+"""Pictures drawn from a report folder: content, common frame and colours, and one-line errors."""
 
 import json
 import re
@@ -61,14 +59,14 @@ def test_every_picture_is_there_and_shows_something(figures):
         assert 1000 < image.shape[1] < 2200
         background = np.median(image.reshape(-1, 3), axis=0)
         drawn = (np.abs(image - background) > 0.05).any(axis=2)
-        # Not empty, and each view has its part.
+        # No picture is empty, and each view shows something.
         assert 0.02 < drawn.mean() < 0.9, name
         if name != "distribution" and not name.endswith("_deformation"):
             for panel in np.array_split(drawn[:, : int(0.9 * drawn.shape[1])], 3, axis=1):
                 assert panel.mean() > 0.02, name
 
 
-def test_one_picture_again(figures, report):
+def test_one_picture_is_redrawn(figures, report):
     figures["a_distance"].unlink()
     assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
     assert figures["a_distance"].is_file()
@@ -76,7 +74,7 @@ def test_one_picture_again(figures, report):
         draw(report, ("z",))
 
 
-def test_the_reference_may_have_gone(figures, report, tmp_path):
+def test_the_reference_may_be_missing(figures, report, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(report, copy)
     shutil.rmtree(copy / "figures")
@@ -112,13 +110,13 @@ def test_not_a_report():
 
 
 def drawn_here(folder, *names, **look):
-    """In this process: a child takes seconds to start."""
+    """Draw in this process, because a child process takes seconds to start."""
     import_or_skip("matplotlib")
     return [folder / path for path in worker.draw(folder, plot.REPORT.function, Figures(**look), names)]
 
 
 def words(svg):
-    """What a drawing says: its texts that are more than a number, in the order of the alphabet, each once."""
+    """Return the texts of a drawing that are not numbers, sorted, each once."""
     texts = {"".join(text.itertext()).strip() for text in svg.iter("{http://www.w3.org/2000/svg}text")}
     return "\n".join(sorted(text for text in texts if re.search("[a-z]{2}", text)))
 
@@ -132,10 +130,10 @@ def test_formats_by_name_and_by_setting(report):
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF-")
     assert content.rstrip().endswith(b"%%EOF")
-    assert b"/Image" in content  # the cloud stays one
+    assert b"/Image" in content  # the cloud stays an image
     before = svg.read_bytes()
     (again,) = drawn_here(report, "distribution", format="svg")
-    assert again.read_bytes() == before  # nothing of the clock, nothing of chance
+    assert again.read_bytes() == before  # independent of time and random numbers
     with refused(PcbenchError):
         drawn_here(report, "distribution.gif")
 
@@ -148,17 +146,17 @@ def test_a_chosen_background_is_that_of_maps_and_charts(report):
         assert corner.tolist() == [0x20, 0x30, 0x40], path
 
 
-def test_a_map_says_its_unit_its_scale_and_whose_its_colours_are(report):
+def test_a_map_states_its_unit_scale_and_colour_range(report):
     (path,) = drawn_here(report, "b_completeness", format="svg")
     root = ElementTree.parse(path).getroot()
-    assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in root.itertext()) == 3  # a scale bar a view
+    assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in root.itertext()) == 3  # one scale bar per view
     assert "20,000 points" in said(words(root))
     (path,) = drawn_here(report, "b_completeness", format="svg", range=0.123)
     said(words(ElementTree.parse(path).getroot()))
 
 
 def test_the_completeness_map_holds_the_reference_and_its_distances(report):
-    """Beside brute force: the file's points are the reference's, its scalar what is missing."""
+    """Compare with brute force: the points are the reference's, the scalar is their distance to the candidate."""
     from scipy.spatial import KDTree
 
     reference = read_cloud(report.parent / "ref.ply")
@@ -168,7 +166,7 @@ def test_the_completeness_map_holds_the_reference_and_its_distances(report):
     expected = KDTree(aligned.points).query(reference.points)[0]
     np.testing.assert_allclose(missing.attributes["distance"], expected, rtol=1e-5, atol=1e-6)
     assert missing.unit == "m"
-    # Its colours are what they say: the farther, the lighter.
+    # Larger distances have lighter colours.
     luma = np.asarray(missing.colors) @ [0.2126, 0.7152, 0.0722]
     far = expected > np.percentile(expected, 90)
     assert luma[far].min() > luma[expected < np.percentile(expected, 10)].max()
@@ -193,15 +191,15 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
     points = shapes.city(2000, seed=3)[0]
     compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
     drawn = {path.stem: path for path in drawn_here(tmp_path / "report")}
-    assert "distribution" not in drawn  # there is nothing to tell
+    assert "distribution" not in drawn  # all distances are zero
     with refused(PcbenchError):
         drawn_here(tmp_path / "report", "distribution")
     image = imread(drawn["same_distance"])[..., :3]
     assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05
 
 
-def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
-    """Growth that could not be told, and tiles without enough pairs, leave no empty axes."""
+def test_evidence_has_panels_for_available_data_only(report, tmp_path):
+    """Unknown growth of errors, and tiles with too few pairs, leave no empty axes."""
     import_or_skip("matplotlib")
     from matplotlib.image import imread
 
@@ -221,8 +219,8 @@ def test_evidence_has_a_panel_for_what_there_is(report, tmp_path):
 
 
 @pytest.mark.parametrize("background", [None, "black", "#888888"])
-def test_changed_tiles_are_seen_on_any_ground(report, tmp_path, background):
-    """Those that were tested are drawn, however few pairs they hold; those of which much is left stand out most."""
+def test_changed_tiles_are_visible_on_any_background(report, tmp_path, background):
+    """All tested tiles are drawn, however few pairs they have; those with large residuals stand out most."""
     import_or_skip("matplotlib")
     from matplotlib.image import imread
 
@@ -238,14 +236,14 @@ def test_changed_tiles_are_seen_on_any_ground(report, tmp_path, background):
 
     middle, none = image([0.5, 1.0, 0.6]), image([0.5, 1.0, np.nan])
     apart = np.abs(middle - middle[2, 2]).max(axis=2)
-    assert ((np.abs(middle - none).max(axis=2) > 0.2) & (apart > 0.2)).sum() > 50  # the one that was not tested
+    assert ((np.abs(middle - none).max(axis=2) > 0.2) & (apart > 0.2)).sum() > 50  # the tile that was not tested
     faint = image([0.0, 1.0, np.nan])
     assert ((np.abs(faint - none).max(axis=2) > 0.1) & (np.abs(faint - faint[2, 2]).max(axis=2) > 0.03)).sum() > 50
     assert image([np.nan] * 3) is None
 
 
-def test_displacements_are_seen_from_everywhere(tmp_path):
-    """From above, too, where arrows that rise and sink have no length."""
+def test_displacements_are_visible_from_all_sides(tmp_path):
+    """From above, vertical arrows have no length; colours show rise and fall."""
     import_or_skip("matplotlib")
     from matplotlib.image import imread
 
@@ -261,6 +259,6 @@ def test_displacements_are_seen_from_everywhere(tmp_path):
     above = slice(0, image.shape[1] // 4)
     assert red[:, above].sum() > 500
     assert blue[:, above].sum() > 500
-    assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # where it rises
+    assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # red where the surface rises
     still = Cloud(places, attributes=dict.fromkeys(columns, 0 * up))
     assert not bends.arrows(cloud, still, "title", "m", frame(None, {"a": cloud}), path, Figures())

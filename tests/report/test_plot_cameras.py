@@ -52,11 +52,11 @@ def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
 
 
 def flight(turns, tilt_deg=3.0, size=(6, 5)):
-    """A survey in strips, the camera turned by `turns` after each, in an arbitrary gauge; and what is up there."""
+    """Return cameras of a survey in strips, turned by `turns` after each, in an arbitrary gauge, and up in it."""
     rng = np.random.default_rng(5)
     gauge, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     gauge *= np.sign(np.linalg.det(gauge))
-    if (gauge @ [0, 0, 1])[2] > 0:  # not by chance upright
+    if (gauge @ [0, 0, 1])[2] > 0:  # not upright by chance
         gauge = np.diag([1, -1, -1]) @ gauge
     cameras = []
     for n in range(size[0] * size[1]):
@@ -81,7 +81,7 @@ def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turns):
 
 
 def test_a_walk_along_a_wall_stays_upright():
-    """All images look the same way, but from places on a line: their upper sides say what is up."""
+    """All images look in the same direction from positions on a line: their upper sides define up."""
     from pcbench.report.plot.cameras import _upright_rotation
 
     gauge = look_at([1, 2, 3], [0, 0, 0]).rotation

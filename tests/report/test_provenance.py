@@ -1,4 +1,4 @@
-"""Which code made a result: the commit, and whether the code differed from it."""
+"""Provenance of a result: the commit, and whether the code had uncommitted changes."""
 
 import subprocess
 
@@ -9,7 +9,7 @@ from pcbench.report.document import _commit
 
 @pytest.fixture
 def tree(tmp_path):
-    """A source tree of one commit."""
+    """Create a source tree with one commit."""
     (tmp_path / "pcbench").mkdir()
     (tmp_path / "pcbench/kernel.cu").write_text("1")
     (tmp_path / "notes.txt").write_text("1")
@@ -21,7 +21,7 @@ def tree(tmp_path):
 
 
 def test_a_commit_with_its_code_unchanged(tree):
-    (tree / "notes.txt").write_text("2")  # no code
+    (tree / "notes.txt").write_text("2")  # not code
     (tree / "pcbench/_core.so").write_text("built")
     commit = _commit(tree)
     assert len(commit) == 40
@@ -29,7 +29,7 @@ def test_a_commit_with_its_code_unchanged(tree):
 
 
 @pytest.mark.parametrize("edited", ["pcbench/kernel.cu", "pcbench/new.py"])
-def test_uncommitted_changes_are_said(tree, edited):
+def test_uncommitted_changes_are_reported(tree, edited):
     clean = _commit(tree)
     (tree / edited).write_text("2")
     assert _commit(tree) == f"{clean} with uncommitted changes"

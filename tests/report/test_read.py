@@ -1,4 +1,4 @@
-"""Reading a report back: what pictures are drawn from, and damaged reports in one line."""
+"""Reading a report for pictures; damaged reports give one line."""
 
 import json
 
@@ -19,13 +19,13 @@ def saved(tmp_path):
     return comparison, tmp_path / "report"
 
 
-def test_what_was_saved_is_read(saved):
+def test_a_saved_report_is_read(saved):
     comparison, folder = saved
     report = read_report(folder)
     assert [candidate.name for candidate in report.candidates] == ["a", "b"]
     assert report.spacing_median == comparison.reference.spacing_median
     assert report.unit == "units of the file"
-    assert report.reference() is None  # the clouds came from no files
+    assert report.reference() is None  # the clouds were arrays
     for found, measured in zip(report.candidates, comparison, strict=True):
         np.testing.assert_array_equal(found.deviation.points, measured.deviation.points)
         assert found.percentiles_completeness == measured.metrics.percentiles_completeness

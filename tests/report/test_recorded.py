@@ -1,4 +1,4 @@
-"""settings.json repeats a comparison bit for bit, whatever its registration and region were given as."""
+"""settings.json repeats a comparison bit for bit, in whatever form registration and region were given."""
 
 import json
 
@@ -18,7 +18,7 @@ from pcbench.report.folder import read_settings
 from pcbench.report.recorded import record, restore
 
 TURN = np.array([[np.cos(0.001), -np.sin(0.001), 0], [np.sin(0.001), np.cos(0.001), 0], [0, 0, 1]])
-# A scale that is no short decimal: a 4x4 matrix would lose its last bits.
+# The scale has no short decimal form: a 4x4 matrix would lose its last bits.
 POSE = Similarity(TURN, np.array([0.1, 1 / 3, -0.02]), 1.0 + 1 / 3e3)
 RIGID = Similarity(TURN, np.array([0.1, 1 / 3, -0.02]))
 PLACES = np.random.default_rng(7).uniform(0, 5, (6, 3))
@@ -28,7 +28,7 @@ RING = np.array([[-20.0, -20.0], [20.1, -20.0], [20.0, 20 + 1 / 3], [-20.0, 20.0
 
 @pytest.fixture
 def files(tmp_path):
-    """A reference and a candidate beside it."""
+    """Write a reference and a shifted candidate."""
     rng = np.random.default_rng(0)
     write_cloud(tmp_path / "ref.ply", Cloud(shapes.city(1500, noise=0.01, seed=1)[0], unit="m"))
     points = shapes.city(600, seed=2)[0]
@@ -37,7 +37,7 @@ def files(tmp_path):
 
 
 def written(comparison):
-    """What comparison.json holds of the candidates, but for the clock."""
+    """Return the candidates as in comparison.json, without run times."""
     candidates = json.loads(to_json(document(comparison)))["candidates"]
     for candidate in candidates:
         del candidate["timings_s"], candidate["peak_rss_bytes"]

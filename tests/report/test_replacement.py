@@ -1,4 +1,4 @@
-"""Replacing a report: only its own files go, and a run that is killed leaves the old report or the new one."""
+"""Replacing a report: only its own files are removed, and a killed run leaves the old report or the new one."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def save(out, files):
 
 
 def save_and_die(out, files, at):
-    """Write a report in another process, which is killed before the `at`-th change of names; false if it was not."""
+    """Write a report in another process, killed before the `at`-th renaming; return False if there were fewer."""
     child = os.fork()
     if child == 0:
         left = [at]
@@ -72,7 +72,7 @@ def reader(out):
 
 
 def next_run(out):
-    """One that fails before it has anything to write."""
+    """Run a comparison that fails before it writes anything."""
     with pytest.raises(ZeroDivisionError), report_folder(out):
         raise ZeroDivisionError
 
@@ -104,12 +104,12 @@ def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, before, comes_next):
         assert not [path for path in out.parent.glob(".*") if comes_next is next_run], at
         if not killed:
             break
-        save(out, NEW)  # and the next one succeeds
+        save(out, NEW)  # the next run succeeds
         assert held(out) == {**NEW, **mine}
     assert seen == sorted(seen)
     assert not seen[0]
     assert seen[-1]
-    # The first report is there by one rename; another one has at least one kill of each side of its point of no return.
+    # The first report appears by one rename. Later ones are killed both before and after their point of no return.
     assert before == "nothing" or seen.count(True) > 2
 
 
@@ -163,7 +163,7 @@ def test_a_forged_manifest_removes_nothing_elsewhere(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", '{"schema": "other/1"}', '{"schema": 5}', "{", '{"candidates": []}'])
-def test_a_document_of_something_else_makes_no_report(tmp_path, text):
+def test_a_foreign_document_does_not_make_a_report(tmp_path, text):
     for name in ("comparison.json", "deformation.json", "manifest.json"):
         folder = tmp_path / name
         write(folder, {name: text})
@@ -173,7 +173,7 @@ def test_a_document_of_something_else_makes_no_report(tmp_path, text):
         assert (folder / name).read_text() == text
 
 
-def test_pictures_that_are_drawn_later_are_the_report_s_own(tmp_path):
+def test_pictures_drawn_later_belong_to_the_report(tmp_path):
     import_or_skip("matplotlib")
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(0, 10, (400, 2)), np.zeros(400)])

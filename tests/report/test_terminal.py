@@ -1,4 +1,4 @@
-"""What `compare` prints: at most a dozen rows, in the width that there is, and where the rest lies."""
+"""Output of `compare`: at most a dozen rows, fitted to the terminal, and where to find the rest."""
 
 import shutil
 from dataclasses import replace
@@ -17,7 +17,7 @@ LONG = "reconstruction_of_the_whole_site_with_default_settings_2024-05-"
 
 @pytest.fixture(scope="module")
 def clouds(tmp_path_factory):
-    """A reference in metres and two candidates, one of which reaches far beyond it."""
+    """Write a reference in metres and two candidates, one of which extends far beyond it."""
     folder = tmp_path_factory.mktemp("clouds")
     write_cloud(folder / "ref.ply", Cloud(shapes.city(2000, noise=0.01, seed=1)[0], unit="m"))
     a = shapes.city(1000, noise=0.02, seed=9)[0]
@@ -29,7 +29,7 @@ def clouds(tmp_path_factory):
 
 @pytest.fixture
 def printed(clouds, run, monkeypatch, tmp_path):
-    """Run compare on some candidates: the lines of the answer, those of the table, what is below, and all of it."""
+    """Run compare on some candidates; return the lines of the answer, of the table and below it, and all output."""
     monkeypatch.chdir(tmp_path)
 
     def call(*names, options=()):
@@ -49,7 +49,7 @@ def parts(out):
 
 @pytest.fixture(scope="module")
 def six():
-    """Two of them have names that differ at their ends, and one is in millimetres."""
+    """Compare six candidates: two names differ only at their ends, and one is in millimetres."""
     reference = Cloud(shapes.city(1500, noise=0.01, seed=1)[0], unit="m")
     names = ["a", "b", "c", f"{LONG}17", f"{LONG}18"]
     found = {name: shapes.city(800, noise=0.02 * k, seed=10 + k)[0] for k, name in enumerate(names)}
@@ -59,7 +59,7 @@ def six():
 
 @pytest.fixture
 def shown(six, monkeypatch, capsys):
-    """Print the comparison of some of the six on a terminal of so many columns."""
+    """Return a function that prints the comparison of some of the six on a terminal of `columns` columns."""
 
     def call(*names, columns=80):
         monkeypatch.setenv("COLUMNS", str(columns))
@@ -73,7 +73,7 @@ def shown(six, monkeypatch, capsys):
 
 @pytest.mark.parametrize("columns", [80, 132])
 @pytest.mark.parametrize("names", [("a",), (f"{LONG}17",), ("a", "b"), (f"{LONG}17", f"{LONG}18")], ids=len)
-def test_one_and_two_stand_side_by_side(shown, names, columns):
+def test_one_or_two_candidates_are_columns(shown, names, columns):
     above, table, below, out = shown(*names, columns=columns)
     assert len(table) == 2 + 12
     assert max(map(len, out.splitlines())) <= columns
@@ -87,7 +87,7 @@ def test_one_and_two_stand_side_by_side(shown, names, columns):
 
 
 @pytest.mark.parametrize("columns", [60, 80, 132])
-def test_six_are_a_row_each(six, shown, columns):
+def test_six_candidates_are_rows(six, shown, columns):
     names = [c.name for c in six]
     above, table, _, _ = shown(*names, columns=columns)
     head, rows = table[:2], table[2:]
@@ -104,7 +104,7 @@ def test_six_are_a_row_each(six, shown, columns):
 
 
 def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
-    """So that numbers stand below their heads; and a name moves no cursor."""
+    """Numbers are below their headings, and control characters in a name have no effect."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     names = ["點雲", "b", "c"]
@@ -128,7 +128,7 @@ def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
     assert "pose" not in shown("a", "b", "c")[1][1]
 
 
-def test_a_small_overlap_stands_above_the_numbers(printed):
+def test_a_small_overlap_is_printed_above_the_numbers(printed):
     above, _, _, _ = printed("beyond")
     assert "--crop reference" in said(" ".join(" ".join(above).split()))
     cropped, *_ = printed("beyond", options=["--crop", "reference"])
@@ -143,7 +143,7 @@ def test_full_prints_all(printed):
     assert "--full" not in out
 
 
-def test_what_was_asked_for_is_among_the_rows(printed):
+def test_requested_metrics_are_among_the_rows(printed):
     _, table, _, _ = printed("a", options=["--thresholds", "0.5,2"])
     assert [line.split("  ")[0] for line in table[-2:]] == ["F-score at 0.5", "F-score at 2"]
     _, table, _, _ = printed("a", options=["--map", "m3c2"])
@@ -151,7 +151,7 @@ def test_what_was_asked_for_is_among_the_rows(printed):
     assert len(table) <= 2 + 12
 
 
-def test_where_the_rest_lies(printed):
+def test_the_folder_with_all_results_is_named(printed):
     out = said(printed("a", options=["--out", "kept"])[2])
     for name in ("table.md", "comparison.json", "metrics.csv", "*_deviation.ply", "*_T.txt"):
         assert name in out
@@ -160,13 +160,13 @@ def test_where_the_rest_lies(printed):
     said(printed("a")[2])
 
 
-def test_a_sentence_is_a_line_where_no_width_is_known(clouds, run, monkeypatch):
+def test_sentences_are_not_wrapped_without_a_known_width(clouds, run, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     _, out, _ = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
     assert said(out.splitlines()[1]).endswith(".")
 
 
-def test_a_shell_that_says_no_width_gets_the_usual_one(clouds, run, monkeypatch):
+def test_a_terminal_of_unknown_width_has_the_default(clouds, run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "0")
     code, out, err = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
     assert (code, err) == (0, "")

@@ -1,4 +1,4 @@
-"""What pictures show: frames, windows, and points as images."""
+"""Frames and windows of pictures, and points drawn as images."""
 
 import numpy as np
 import pytest
@@ -25,13 +25,13 @@ def test_the_frame_is_that_of_the_measured_region():
 
 
 @pytest.mark.parametrize("far", [cube([500, 500, 500], seed=2), cube([10, 20, 4], at=(300, 0, 0), seed=3)])
-def test_a_candidate_that_is_far_off_does_not_change_it(far):
+def test_a_distant_candidate_does_not_change_the_frame(far):
     reference, good = cube([10, 20, 4]), cube([10, 20, 4], seed=1)
     alone, with_far = frame(reference, {"good": good}), frame(reference, {"good": good, "far": far})
     np.testing.assert_array_equal(alone.windows, with_far.windows)
 
 
-def test_what_a_candidate_has_beyond_the_reference_is_shown_up_to_a_quarter():
+def test_the_frame_extends_by_at_most_a_quarter_beyond_the_reference():
     reference, wider = cube([10, 20, 4]), cube([13, 20, 4], seed=1)
     found = frame(reference, {"wider": wider})
     assert found.box.high[0] > 6.4
@@ -39,7 +39,7 @@ def test_what_a_candidate_has_beyond_the_reference_is_shown_up_to_a_quarter():
     assert much_wider.box.high[0] == pytest.approx(5.5 + 0.25 * 11, rel=0.03)
 
 
-def test_strays_do_not_widen_it():
+def test_outliers_do_not_widen_the_frame():
     points = np.concatenate([cube([10, 10, 10]).points, [[1e5, 0, 0], [0, -1e6, 0]]])
     assert AxisBox.around(points).high.max() < 6
 
@@ -53,10 +53,10 @@ def test_a_wall_and_a_point_still_get_windows():
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.title)
-def test_views_are_rotations_that_look_where_they_say(view: Viewpoint):
+def test_views_are_rotations_in_the_named_direction(view: Viewpoint):
     np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(view.axes) == pytest.approx(1)
-    assert view.axes[0, 2] == 0  # the picture's width is level: lengths along it are true
+    assert view.axes[0, 2] == 0  # the picture's width is horizontal: lengths along it are true
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_the_nearest_is_on_top_and_what_is_outside_is_not_drawn():
 
 
 def test_a_map_of_a_rough_surface_shows_both_sides_alike():
-    """Seen from above, points above the surface hide those below it: the picture would tell of a lift."""
+    """From above, points above the surface hide those below it, which would suggest a vertical offset."""
     rng = np.random.default_rng(0)
     height = rng.normal(0, 0.02, 200_000)
     points = np.column_stack([rng.uniform(-10, 10, (200_000, 2)), height])
@@ -98,10 +98,10 @@ def test_a_map_of_a_rough_surface_shows_both_sides_alike():
     image = splat(points, colors, ABOVE, np.array([[-10.0, -10], [10, 10]]), (200, 200), GROUND)
     assert image.mean() == pytest.approx(150, abs=3)
     hidden = splat(points, colors, ABOVE, np.array([[-10.0, -10], [10, 10]]), (200, 200), GROUND, shaded=True)
-    assert hidden.mean() > 175  # what the test would see without
+    assert hidden.mean() > 175  # with shading, points above the surface hide those below
 
 
-def test_shading_darkens_edges_and_nothing_level():
+def test_shading_darkens_edges_but_not_level_ground():
     rng = np.random.default_rng(0)
     flat = np.column_stack([rng.uniform(-10, 10, (100_000, 2)), np.zeros(100_000)])
     tower = flat.copy()
@@ -111,11 +111,11 @@ def test_shading_darkens_edges_and_nothing_level():
     level = splat(flat, grey, ABOVE, window, (180, 180), GROUND, shaded=True)
     edged = splat(tower, grey, ABOVE, window, (180, 180), GROUND, shaded=True)
     assert np.median(level) == 180
-    assert edged[90, 55:61].min() < 120  # the ground beside the tower's left side
+    assert edged[90, 55:61].min() < 120  # the ground to the left of the tower
     assert np.median(edged[80:100, 80:100]) == 180
 
 
-def test_strays_cost_nothing():
+def test_outliers_do_not_slow_drawing():
     points = np.concatenate([cube([2, 2, 2]).points, [[1e12, 0, 0], [0, -1e12, 1e12]]])
     image = splat(
         points, np.full((len(points), 3), 99, np.uint8), ABOVE, np.array([[-1.0, -1], [1, 1]]), (50, 50), GROUND

@@ -1,4 +1,4 @@
-"""Numbers in sentences: one thing is singular, and a ratio of one is none."""
+"""Numbers in sentences: singular for one, and no ratio of one."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-// Blending of splats and its gradient, a tile at a time; a block of 4 x 4 pixels is one SIMD vector.
+// Blending of splats and its gradient, one tile at a time; a block of 4 x 4 pixels is one SIMD vector.
 #pragma once
 #include "rows.h"
 
@@ -119,7 +119,7 @@ inline void blend_block(const Frame& frame, const BlockArea& area, const float* 
     }
 }
 
-// A tile's splats are scattered in memory: they are prefetched some instances ahead.
+// Prefetches the splat a few instances ahead, because a tile's splats are scattered in memory.
 inline void fetch_ahead(const Frame& frame, const Instance* instance) {
     constexpr int kAhead = 8;
     if (instance + kAhead < frame.instances + frame.starts[frame.tiles_across * frame.tiles_down])

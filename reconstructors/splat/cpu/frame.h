@@ -14,7 +14,7 @@ constexpr int kBlocksAcross = kTile / kBlock;
 constexpr int kTileBlocks = kBlocksAcross * kBlocksAcross;
 constexpr int kTilePixels = kTile * kTile;
 constexpr int kGroup = 256;             // Gaussians that are projected together
-constexpr int kSplatFloats = 16;        // of a stored splat: one cache line
+constexpr int kSplatFloats = 16;        // floats per stored splat: one cache line
 constexpr int kPlainMomentFloats = 11;  // sums over pixels of one Gaussian in one tile
 constexpr int kMomentFloats = 17;       // the same with geometry
 
@@ -49,7 +49,7 @@ struct Images {
 
 struct ImageGradients {  // with respect to the images; null for zero
     const float *color, *transmittance, *depth, *normal;
-    const float* error;  // not a gradient: the image that the error sums weight
+    const float* error;  // not a gradient: error image, summed with the blending weights
 };
 
 struct Frame {

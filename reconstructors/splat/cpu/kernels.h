@@ -13,7 +13,7 @@ struct Kernels {
     // Writes the tiles that the splat of a slot touches, row by row, and their blocks; returns their number.
     int (*cover)(const Frame&, uint32_t slot, uint32_t* tiles, uint32_t* blocks);
 
-    // Blends a tile; `splats` has room for those that touch it, `indices` for one more than there are.
+    // Blends a tile; `splats` has room for all splats that touch it, `indices` for one more.
     void (*blend)(const Frame&, int tile, float* splats, uint32_t* indices);
 
     // The gradient of blend: the sums of each instance are written to `moments` at its emission.

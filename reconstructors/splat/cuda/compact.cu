@@ -1,4 +1,4 @@
-// Compacts the Gaussians that touch a tile, one thread per Gaussian. `slots` is the inclusive prefix sum of those.
+// Compacts the Gaussians that touch a tile, one thread per Gaussian. `slots` numbers them from 1.
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     compact(int count, const int* tiles, const int* slots, const float* depths, long long* ids, float* drawn_depths) {

@@ -9,7 +9,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                      const float* coefficients, const Stored* splats, const float* records, float* grad_means,
                      float* grad_quaternions, float* grad_scales, float* grad_opacities, float* grad_coefficients,
                      float* grad_screen, float* weights, float* errors) {
-    const long long row = static_cast<long long>(blockIdx.x) * kThreads + threadIdx.x;  // 64 bits: times 3 and 4 below
+    const long long row = static_cast<long long>(blockIdx.x) * kThreads + threadIdx.x;  // 64 bits: used times 3 and 4
     if (row >= count) return;
     const Pinhole at = *camera;
     const long long id = ids[row];
