@@ -100,7 +100,7 @@ def job(*methods, **options):
     return BenchJob(Path("photos"), Path("truth.ply"), [f"methods.py:{name}" for name in methods], **options)
 
 
-def methods_run():
+def executed_methods():
     """Names of the methods that have run, in order."""
     path = Path("ran.txt")
     return path.read_text().split() if path.exists() else []

@@ -23,7 +23,7 @@ from pcbench.scenes.synthetic import city
 SIGMA = 0.02  # m, standard deviation of the white noise
 SIZE = 200.0  # m, L
 POINTS = 15_000
-HARDLY_SHOWN = np.sqrt(MIN_INFORMATION)
+MIN_NORMAL_SHARE = np.sqrt(MIN_INFORMATION)
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Cell:
         return f"{self.points:8}{SIZE:6.0f}{self.length:7.1f}  {name:12}{self.correlated if self.ratio else 0:5.1f}"
 
 
-class Judged(NamedTuple):
+class Evaluation(NamedTuple):
     finding: Finding
     scores: Scores
     noise: Noise
@@ -122,7 +122,7 @@ class Scene:
         field = waves @ rng.normal(size=(waves.shape[1], 3)).astype(np.float32)
         return cell.correlated * SIGMA * (field * self.normals).sum(axis=1) + rng.normal(0, SIGMA, len(self.places))
 
-    def judge(self, residuals: np.ndarray) -> Judged:
+    def judge(self, residuals: np.ndarray) -> Evaluation:
         g = self.geometry
         sums = np.add.reduceat(self.columns[self.order] * residuals[self.order][:, None, None], self.starts)
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
@@ -132,15 +132,15 @@ class Scene:
         _, powers = dyadic_moments(self.places, self.normals, left, one, one, self.lower, self.side)
         scores = Scores(g, sums, energy, powers)
         noise = estimate_noise(g, scores)
-        return Judged(decide([PairEvidence(self.sums, g, scores, noise)]), scores, noise)
+        return Evaluation(decide([PairEvidence(self.sums, g, scores, noise)]), scores, noise)
 
-    def fitted(self, judged: Judged) -> np.ndarray:
+    def fitted(self, judged: Evaluation) -> np.ndarray:
         """Return the selected model's displacements (N,) along the normals beyond an affine field."""
         step = self.geometry.step("affine", judged.finding.model)
         return self.cubic @ (step.modes @ (step.modes.T @ judged.scores.total))
 
 
-class Halves:
+class HalvesScene:
     """Two disjoint random halves of a real cloud, each with independent white and correlated noise.
 
     Args:
@@ -184,7 +184,7 @@ class Halves:
         if kind is None:
             return self._judge(np.zeros_like(self._candidate.points))[0], 0.0
         seen, whole = self.shown(kind)
-        scale = times * self.noise / (seen if seen >= HARDLY_SHOWN * whole else whole)
+        scale = times * self.noise / (seen if seen >= MIN_NORMAL_SHARE * whole else whole)
         found, pairs = self._judge(scale * bends(self._candidate.points, self.size)[kind])
         truth = self._beyond_affine(pairs, scale * bends(pairs.places + self._origin, self.size)[kind])
         sums = tile_sums(pairs)

@@ -7,16 +7,16 @@ from pcbench.deformation import deform
 from pcbench.scenes.synthetic import city
 
 
-def sampled(count, rng):
+def sample_city(count, rng):
     """Return points (count, 3) of the city, in metres."""
     return city(3).sample(count, rng)[0]
 
 
-def noisy(points, rng, size=0.02):
+def add_noise(points, rng, size=0.02):
     return points + rng.normal(0, size, points.shape)
 
 
-def dome(points, rms):
+def add_dome(points, rms):
     """Return the points, lowered towards the edge by displacements of this RMS."""
     square = np.square(points[:, :2]).sum(axis=1)
     lift = square - square.mean()
@@ -27,6 +27,6 @@ def verdict(reference, candidate, method="icp", **options):
     return deform(Cloud(reference, unit="m", **options), Cloud(candidate, unit="m"), method)[1]
 
 
-def codes(found):
+def warning_codes(found):
     """Return the codes of the warnings."""
     return [notice.code for notice in found.warnings]

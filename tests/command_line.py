@@ -10,18 +10,18 @@ REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json", "manife
 _PROGRESS = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)
 
 
-def doc(folder):
+def read_comparison(folder):
     return json.loads((Path(folder) / "comparison.json").read_text())
 
 
-def without_the_clock(values):
+def without_timings(values):
     values["provenance"] = None
     for candidate in values["candidates"]:
         candidate["timings_s"] = candidate["peak_rss_bytes"] = None
     return values
 
 
-def one_line(err):
+def is_one_line(err):
     """Whether standard error is a one-line error; on a busy machine, progress lines may precede it."""
     err = _PROGRESS.sub("", err)
     return err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err

@@ -32,14 +32,14 @@ class Pair(NamedTuple):
     bend: Callable[[Points], Points] | None = None  # displacement (N, 3) that was put into the candidate at (N, 3)
 
 
-def correlated(points: Points, length: float, rng: np.random.Generator, kernel: str = "gauss") -> Points:
+def correlated_noise(points: Points, length: float, rng: np.random.Generator, kernel: str = "gauss") -> Points:
     """Return displacements (N, 3) of unit variance along each axis.
 
     They are correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of such, about as exp(-d / l) ("exp").
     """
     if kernel == "exp":
         parts = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
-        fields = [np.sqrt(share) * correlated(points, scale * length, rng) for share, scale in parts]
+        fields = [np.sqrt(share) * correlated_noise(points, scale * length, rng) for share, scale in parts]
         return np.sum(fields, axis=0)
     lower = points.min(axis=0) - 4 * length
     step = length / 2.5
@@ -53,7 +53,7 @@ def correlated(points: Points, length: float, rng: np.random.Generator, kernel: 
     return found / found.std()
 
 
-def noisy(
+def add_noise(
     points: Points, rng: np.random.Generator, length: float, kernel: str = "gauss", uneven: float = 1.0
 ) -> Points:
     """Add white and correlated noise of `SIGMA` each; `uneven` is the ratio of its largest to its smallest size."""
@@ -66,15 +66,15 @@ def noisy(
         size = uneven ** (0.5 * wave)
     e = rng.normal(0, SIGMA, points.shape)
     if length:
-        e += SIGMA * correlated(points, length, rng, kernel)
+        e += SIGMA * correlated_noise(points, length, rng, kernel)
     return points + size[:, None] * e
 
 
-def on_city(count: int, rng: np.random.Generator, seed: int) -> Points:
+def city_points(count: int, rng: np.random.Generator, seed: int) -> Points:
     return city(seed).sample(count, rng)[0]
 
 
-def terrain(count: int, rng: np.random.Generator, seed: int) -> Points:
+def terrain_points(count: int, rng: np.random.Generator, seed: int) -> Points:
     """Return rolling ground with waves of 40 to 150 m."""
     shape = np.random.default_rng(seed)
     xy = rng.uniform(-SIZE / 2, SIZE / 2, (count, 2))
@@ -85,7 +85,7 @@ def terrain(count: int, rng: np.random.Generator, seed: int) -> Points:
     return np.column_stack([xy, z])
 
 
-def forest(count: int, rng: np.random.Generator, seed: int, size: float = 120.0) -> Points:
+def forest_points(count: int, rng: np.random.Generator, seed: int, size: float = 120.0) -> Points:
     """Return points of rolling ground under tree crowns that fill ellipsoids."""
     shape = np.random.default_rng(seed)
     trees = int(size**2 / 30)
@@ -104,17 +104,19 @@ def forest(count: int, rng: np.random.Generator, seed: int, size: float = 120.0)
     return np.concatenate([under, centre + unit * np.column_stack([radius, radius, 0.35 * height])[which]])
 
 
-def metric(points: Points) -> Cloud:
+def metric_cloud(points: Points) -> Cloud:
     return Cloud(points, unit="m")
 
 
 def null_city(candidate: int, ratio: float, kernel: str = "gauss", uneven: float = 1.0) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
-        reference = on_city(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
+        reference = city_points(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
         return Pair(
-            metric(reference),
-            metric(noisy(on_city(candidate, rng, seed % 5), rng, SIZE / ratio if ratio else 0.0, kernel, uneven)),
+            metric_cloud(reference),
+            metric_cloud(
+                add_noise(city_points(candidate, rng, seed % 5), rng, SIZE / ratio if ratio else 0.0, kernel, uneven)
+            ),
         )
 
     return make
@@ -123,15 +125,18 @@ def null_city(candidate: int, ratio: float, kernel: str = "gauss", uneven: float
 def null_sparse(seed: int) -> Pair:
     """Return the city with points metres apart, as in a sparse reconstruction: half of the planes bridge edges."""
     rng = np.random.default_rng(seed)
-    reference, candidate = on_city(60_000, rng, seed % 5), on_city(8_000, rng, seed % 5)
-    return Pair(metric(reference), metric(candidate + rng.normal(0, 0.03, candidate.shape)))
+    reference, candidate = city_points(60_000, rng, seed % 5), city_points(8_000, rng, seed % 5)
+    return Pair(metric_cloud(reference), metric_cloud(candidate + rng.normal(0, 0.03, candidate.shape)))
 
 
 def null_terrain(ratio: float, uneven: float = 1.0) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
-        reference = terrain(120_000, rng, seed) + rng.normal(0, 0.01, (120_000, 3))
-        return Pair(metric(reference), metric(noisy(terrain(40_000, rng, seed), rng, SIZE / ratio, uneven=uneven)))
+        reference = terrain_points(120_000, rng, seed) + rng.normal(0, 0.01, (120_000, 3))
+        return Pair(
+            metric_cloud(reference),
+            metric_cloud(add_noise(terrain_points(40_000, rng, seed), rng, SIZE / ratio, uneven=uneven)),
+        )
 
     return make
 
@@ -139,12 +144,12 @@ def null_terrain(ratio: float, uneven: float = 1.0) -> Callable[[int], Pair]:
 def null_forest(count: int) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
-        return Pair(metric(forest(count, rng, seed)), metric(forest(count, rng, seed)))
+        return Pair(metric_cloud(forest_points(count, rng, seed)), metric_cloud(forest_points(count, rng, seed)))
 
     return make
 
 
-def halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> Callable[[int], Pair]:
+def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> Callable[[int], Pair]:
     """Return halves of a real cloud, undeformed or with a cubic bend of this RMS in its unit."""
 
     def make(seed: int) -> Pair:
@@ -173,7 +178,7 @@ def halves(folder: str, file: str, ground: bool = False, bend: float = 0.0) -> C
     return make
 
 
-def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
+def bent_city(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
     """Return the city and a candidate bent by `times` the noise (RMS length over the surface)."""
     fields = {
         "dome": lambda x, y, z: (0 * x, 0 * x, -(x**2 + y**2)),
@@ -185,8 +190,8 @@ def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
-        reference = on_city(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
-        surface = on_city(40_000, rng, seed % 5)
+        reference = city_points(120_000, rng, seed % 5) + rng.normal(0, 0.01, (120_000, 3))
+        surface = city_points(40_000, rng, seed % 5)
         scale = times * SIGMA * np.sqrt(2)
 
         def unit(places: Points) -> Points:
@@ -195,8 +200,8 @@ def bent(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pair]:
 
         amplitude = scale / float(np.sqrt(np.mean(np.square(unit(surface)).sum(axis=1))))
         return Pair(
-            metric(reference),
-            metric(noisy(surface + amplitude * unit(surface), rng, SIZE / ratio)),
+            metric_cloud(reference),
+            metric_cloud(add_noise(surface + amplitude * unit(surface), rng, SIZE / ratio)),
             lambda places: amplitude * unit(places),
         )
 
@@ -212,12 +217,12 @@ def subsidence(depth: float) -> Callable[[int], Pair]:
         centre = rng.uniform(-100, 100, 2)
         points = pair.candidate.points.copy()
         points[np.hypot(*(points[:, :2] - centre).T) < SIZE * np.sqrt(0.05 / np.pi), 2] -= depth
-        return Pair(pair.reference, metric(points))
+        return Pair(pair.reference, metric_cloud(points))
 
     return make
 
 
-def house(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
+def moved_block(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
     """Return the city with one block of buildings moved."""
 
     def make(seed: int) -> Pair:
@@ -227,12 +232,12 @@ def house(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
         lower = 50.0 * rng.integers(-3, 3, 2) + 5
         inside = ((points[:, :2] > lower) & (points[:, :2] < lower + 40)).all(axis=1) & (points[:, 2] > 4)
         points[inside] += shift
-        return Pair(pair.reference, metric(points))
+        return Pair(pair.reference, metric_cloud(points))
 
     return make
 
 
-def strips(offset: float) -> Callable[[int], Pair]:
+def offset_strips(offset: float) -> Callable[[int], Pair]:
     """Return two strips of a flight with an offset between them."""
 
     def make(seed: int) -> Pair:
@@ -240,22 +245,22 @@ def strips(offset: float) -> Callable[[int], Pair]:
         pair = null_city(40_000, 50)(seed)
         points = pair.candidate.points.copy()
         points[points[:, 0] > rng.uniform(-60, 60)] += offset * np.array([0.5, 0.3, 1.0])
-        return Pair(pair.reference, metric(points))
+        return Pair(pair.reference, metric_cloud(points))
 
     return make
 
 
-def turned(degrees: float) -> Callable[[int], Pair]:
+def turned_city(degrees: float) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         pair = null_city(40_000, 50)(seed)
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        return Pair(pair.reference, metric(pair.candidate.points @ turn.T))
+        return Pair(pair.reference, metric_cloud(pair.candidate.points @ turn.T))
 
     return make
 
 
-def shown(pair: Pair) -> tuple[float, float]:
+def true_rms(pair: Pair) -> tuple[float, float]:
     """Return the RMS of a pair's known bend along the normals, beyond an affine field.
 
     The first value is over the pairs with their weights, the second over the surface by its area.
@@ -296,26 +301,26 @@ NULLS: dict[str, Callable[[int], Pair]] = {
     "terrain, L/50": null_terrain(50),
     "terrain uneven, L/50": null_terrain(50, uneven=4),
     "forest": null_forest(40_000),
-    "conifer halves": halves("wild", "MixedConifer.laz"),
-    "topography halves": halves("wild", "Topography.laz"),
-    "conifer ground": halves("wild", "MixedConifer.laz", ground=True),
-    "topography ground": halves("wild", "Topography.laz", ground=True),
-    "autzen halves": halves("autzen", "autzen_trim.las"),
+    "conifer halves": cloud_halves("wild", "MixedConifer.laz"),
+    "topography halves": cloud_halves("wild", "Topography.laz"),
+    "conifer ground": cloud_halves("wild", "MixedConifer.laz", ground=True),
+    "topography ground": cloud_halves("wild", "Topography.laz", ground=True),
+    "autzen halves": cloud_halves("autzen", "autzen_trim.las"),
 }
 BENDS: dict[str, Callable[[int], Pair]] = {
     **{
-        f"{kind} {times}": bent(kind, times)
+        f"{kind} {times}": bent_city(kind, times)
         for kind in ("dome", "saddle", "twist", "cubic", "height shear")
         for times in (0.5, 1.0, 2.0)
     },
-    "conifer bent 0.7": halves("wild", "MixedConifer.laz", bend=0.7),
-    "topography bent 0.7": halves("wild", "Topography.laz", bend=0.7),
-    "autzen bent 1": halves("autzen", "autzen_trim.las", bend=1.0),
+    "conifer bent 0.7": cloud_halves("wild", "MixedConifer.laz", bend=0.7),
+    "topography bent 0.7": cloud_halves("wild", "Topography.laz", bend=0.7),
+    "autzen bent 1": cloud_halves("autzen", "autzen_trim.las", bend=1.0),
 }
 PARTS: dict[str, Callable[[int], Pair]] = {
     "subsidence 0.3": subsidence(0.3),
     "subsidence 1": subsidence(1.0),
-    "house 0.5": house((0.5, 0.3, 0.0)),
-    "strips 0.1": strips(0.1),
-    "strips 0.5": strips(0.5),
+    "house 0.5": moved_block((0.5, 0.3, 0.0)),
+    "strips 0.1": offset_strips(0.1),
+    "strips 0.5": offset_strips(0.5),
 }

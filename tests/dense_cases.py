@@ -23,8 +23,8 @@ from reconstructors.mvs.mvs import MAPS
 from reconstructors.mvs.views import IMAGE, VIEWS
 
 WINDOW = 9  # pixels along a side of the patches that matchers compare
-FLAT = 4.0  # maximum standard deviation of grey values in an untextured patch; sensor noise alone causes 1.5
-WRONG = 5  # footprints from the true surface beyond which a point is wrong
+MAX_FLAT_STD = 4.0  # maximum standard deviation of grey values in an untextured patch; sensor noise alone causes 1.5
+MIN_WRONG_FOOTPRINTS = 5  # footprints from the true surface beyond which a point is wrong
 SAMPLES = 200_000  # maximum number of surface samples
 
 
@@ -75,7 +75,9 @@ def read_city(folder: Path) -> City:
         cosine = np.einsum("ni,ni->n", lines, samples.normals[here]) / np.linalg.norm(lines, axis=1)
         cosines[:, here] = np.sort([*cosines[:, here], cosine], axis=0)[1:]
         view_counts[here] += 1
-        textured[here] += deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > FLAT
+        textured[here] += (
+            deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > MAX_FLAT_STD
+        )
     seen = view_counts >= MIN_VISIBLE_VIEWS
     slant = np.degrees(np.arccos(np.clip(cosines[0, seen], 0, 1)))
     return City(
@@ -127,7 +129,7 @@ class CloudScore(NamedTuple):
 
 def score_cloud(city: City, points: np.ndarray) -> CloudScore:
     """Score a cloud in the frame of the city's cameras against its surface."""
-    limits = city.footprint * np.array([1, 2, WRONG])
+    limits = city.footprint * np.array([1, 2, MIN_WRONG_FOOTPRINTS])
 
     def shares(distances: np.ndarray) -> np.ndarray:
         return np.array([np.mean(distances <= limit) if len(distances) else np.nan for limit in limits])
@@ -137,7 +139,7 @@ def score_cloud(city: City, points: np.ndarray) -> CloudScore:
     return CloudScore(len(points), shares(there), *recall, float(np.mean(~city.textured)))
 
 
-class Missed(NamedTuple):
+class Recall(NamedTuple):
     """Recall of a part of the observed textured surface.
 
     Args:
@@ -148,10 +150,10 @@ class Missed(NamedTuple):
 
     share: float
     recall: float
-    missed: float
+    recall_by_view: float
 
 
-def missed(city: City, points: np.ndarray) -> dict[str, Missed]:
+def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
     """Return where a cloud misses textured surface, by the number of images that observe it and by its slant."""
     away = Index(points).query(city.seen).distances > 2 * city.footprint
     parts = {
@@ -166,7 +168,7 @@ def missed(city: City, points: np.ndarray) -> dict[str, Missed]:
     found = {}
     for name, part in parts.items():
         whole, here = (np.count_nonzero(part & city.textured & which) for which in (True, away))
-        found[name] = Missed(whole / total, 1 - here / max(1, whole), here / max(1, missing))
+        found[name] = Recall(whole / total, 1 - here / max(1, whole), here / max(1, missing))
     return found
 
 
@@ -239,12 +241,12 @@ def _share(which: np.ndarray, among: np.ndarray) -> float:
 def _pixels(city: City, camera: Camera, workspace: Path) -> Pixels:
     depth_map, true, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
     with Image.open(workspace / VIEWS / camera.name / IMAGE) as image:
-        plain = deviations(np.asarray(image.convert("L"))) <= FLAT
+        plain = deviations(np.asarray(image.convert("L"))) <= MAX_FLAT_STD
     row, column = np.nonzero(depth_map.known)
     depth = depth_map.depth[row, column].astype(float)
     points = world_points(camera, np.stack([column + 0.5, row + 0.5], axis=1), depth)
     far = np.zeros(depth_map.depth.shape, dtype=bool)
-    far[row, column] = city.index.query(points).distances > WRONG * depth / k.fx
+    far[row, column] = city.index.query(points).distances > MIN_WRONG_FOOTPRINTS * depth / k.fx
     on_city = true.depth > 0
     errors = np.full(on_city.shape, np.inf)
     errors[on_city] = np.abs(depth_map.depth - true.depth)[on_city] / (true.depth[on_city] / k.fx)

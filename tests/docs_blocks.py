@@ -70,7 +70,7 @@ def commands(block: Block) -> list[tuple[str, str]]:
     return [(command, "\n".join(lines)) for command, lines in found]
 
 
-def agrees(shown: str, printed: str) -> bool:
+def matches(shown: str, printed: str) -> bool:
     """Compare texts: `...` matches anything, white space matches other white space, and numbers match close numbers."""
     shown, printed = (" ".join(text.split()) for text in (shown, printed))
     pattern, numbers = "", []

@@ -81,7 +81,7 @@ def corpus():
         return {name: write(Path(folder) / f"{name}.e57", scans).read_bytes() for name, scans in files.items()}
 
 
-def sealed(data):
+def add_checksums(data):
     """Recompute the checksum of each complete page: CRC-32C of 1,020 bytes, big-endian."""
     pages = [data[start : start + _PAGE] for start in range(0, len(data), _PAGE)]
     whole = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]

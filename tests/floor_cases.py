@@ -36,7 +36,7 @@ class Means(NamedTuple):
         return self.scores / np.maximum(self.floors, 1e-30)
 
 
-def directions(reference: np.ndarray, candidate: np.ndarray, settings: Settings) -> tuple[Direction, Direction]:
+def measure_directions(reference: np.ndarray, candidate: np.ndarray, settings: Settings) -> tuple[Direction, Direction]:
     """Return both directions, candidate → reference and back, of aligned clouds."""
     prepared = Reference.prepare(Cloud(reference), settings)
     index = Index(candidate - prepared.origin)
@@ -45,7 +45,7 @@ def directions(reference: np.ndarray, candidate: np.ndarray, settings: Settings)
     return accuracy, from_reference(prepared, index, forth.indices, back, forth=accuracy, seed=settings.seed)
 
 
-def measured(case: Case, runs: int) -> Means:
+def mean_floors(case: Case, runs: int) -> Means:
     scores, floors = np.zeros((2, 2, len(METRICS)))
     for run in range(runs):
         rng = np.random.default_rng([run, case.reference, case.candidate])
@@ -53,7 +53,7 @@ def measured(case: Case, runs: int) -> Means:
         candidate, normals = surface(case.surface).sample(case.candidate, rng, case.falling)
         size = case.noise * len(candidate) ** -0.5
         candidate = candidate + size * rng.normal(size=(len(candidate), 1)) * normals
-        for way, direction in enumerate(directions(reference, candidate, Settings(seed=run))):
+        for way, direction in enumerate(measure_directions(reference, candidate, Settings(seed=run))):
             for column, metric in enumerate(MEAN_METRICS):
                 values, floor = metric.values_of(direction.distances), direction.floors[metric.name]
                 assert values is not None

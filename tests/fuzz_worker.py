@@ -53,10 +53,10 @@ def run(corpus, count, seed, folder):
     assert done.returncode == 0, f"exit {done.returncode}, last file in {folder}:\n{done.stdout}{done.stderr}"
 
 
-def damaged(data, rng):
+def damage(data, rng):
     """Damage a file as for PLY; in binary headers also replace a number with an extreme one."""
     if rng.random() < 0.5:
-        return ply_bytes.damaged(data, rng)
+        return ply_bytes.damage(data, rng)
     data = bytearray(data)
     for _ in range(rng.randint(1, 3)):
         code = rng.choice("BHIQd")
@@ -94,9 +94,9 @@ def main(corpus, count, seed, folder):
     for number in range(count):
         name, data = rng.choice(files)
         path = folder / f"a{Path(name).suffix if corpus == 'meshes' else f'.{corpus}'}"
-        data = damaged(data, rng)
+        data = damage(data, rng)
         # Most files get new checksums, since E57 checksums reveal damage at once.
-        path.write_bytes(e57_bytes.sealed(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
+        path.write_bytes(e57_bytes.add_checksums(data) if corpus == "e57" and rng.random() < 0.8 else data)  # kept
         notes = []
         signal.alarm(MAX_SECONDS_PER_FILE)
         try:

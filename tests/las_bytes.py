@@ -71,10 +71,10 @@ def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", com
         vlrs = [*vlrs, vlr(b"laszip encoded", 22204, bytes(laszip.record_data()))]
     start = header_bytes + sum(map(len, vlrs))
     if compress == "chunks":
-        points = compressed(points, laszip, start)
+        points = compress_points(points, laszip, start)
     elif compress:
         cut = len(points) // record_bytes // 3 * record_bytes
-        points = compressed([points[:cut], points[cut:]], laszip, start)
+        points = compress_points([points[:cut], points[cut:]], laszip, start)
     said = replaced.get("said", count)
     block = struct.pack("<4sHH16sBB32s32sHHHIIBHI5I3d3d6d", b"LASF", 0, 0, b"", 1, minor, b"by hand", b"", 1, 2024,
                         header_bytes, start, len(vlrs), form | (128 if compress else 0), record_bytes,
@@ -87,7 +87,7 @@ def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", com
     return b"".join([block, *vlrs, points, *evlrs])
 
 
-def compressed(points, laszip, start):
+def compress_points(points, laszip, start):
     import lazrs
 
     buffer = io.BytesIO(bytes(start))

@@ -45,7 +45,7 @@ def icosphere(levels=3):
     return vertices, faces
 
 
-def spiky(levels=2, seed=0):
+def spiky_sphere(levels=2, seed=0):
     """An icosphere with random radii from 0.3 to 1.5: closed, star-shaped about the origin, with sharp edges."""
     vertices, faces = icosphere(levels)
     return vertices * np.random.default_rng(seed).uniform(0.3, 1.5, (len(vertices), 1)), faces

@@ -95,7 +95,7 @@ def corpus():
     return files
 
 
-def damaged(data, rng: random.Random):
+def damage(data, rng: random.Random):
     """Apply one to three kinds of damage: flipped bits, bytes inserted or deleted, truncation, changed header words."""
     for _ in range(rng.choice([1, 1, 2, 3])):
         data = rng.choice([_flip, _insert, _delete, _cut, _number, _word, _swap])(bytearray(data), rng)

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 
-def ends(pid):
+def has_ended(pid):
     """Whether a process ends within ten seconds; an orphan is reaped with a short delay."""
     for _ in range(100):
         if not _is_alive(pid):

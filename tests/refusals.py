@@ -1,6 +1,6 @@
 """Error messages of refused files."""
 
-from wording import refused
+from wording import check_error
 
 from pcbench import read_cloud
 
@@ -9,7 +9,7 @@ def refusal(path, data=None, **options):
     """Return the message without the path that it starts with. Bytes or text are written to the path first."""
     if data is not None:
         path.write_bytes(data if isinstance(data, bytes | bytearray) else data.encode())
-    with refused() as caught:
+    with check_error() as caught:
         read_cloud(path, **options)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")

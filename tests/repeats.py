@@ -47,14 +47,14 @@ class Repeat(NamedTuple):
 
 def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **settings: str) -> Repeat:
     """Run a reconstructor with fast settings in a new workspace."""
-    with under(conditions):
+    with apply_conditions(conditions):
         made = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
     points = len(made.require_reconstruction().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 
 @contextmanager
-def under(conditions: Conditions) -> Iterator[None]:
+def apply_conditions(conditions: Conditions) -> Iterator[None]:
     """Run the child processes of the block under these conditions."""
     allowed = os.sched_getaffinity(0)
     threads = os.environ.get("OMP_NUM_THREADS")

@@ -23,7 +23,7 @@ def picture(path, size=(64, 48), value=0):
     Image.fromarray(rng.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)).save(path)
 
 
-def ten_pictures(folder):
+def ten_images_folder(folder):
     """Create a folder with images/0.png to 9.png of 64 x 48 pixels."""
     for number in range(10):
         picture(folder / "images" / f"{number}.png", value=number)

@@ -181,10 +181,10 @@ class PlainTorch(ByAutograd):
     """Float32 tensors of all pixels of a tile and all Gaussians in it, with torch's own compiled code only."""
 
     def draw(self) -> Tensor:
-        return draw_plainly(self._leaves.gaussians(), self._picture.view)
+        return render_plainly(self._leaves.gaussians(), self._picture.view)
 
 
-def draw_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
+def render_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
     """Render with tensor operations only."""
     return draw_in_tiles(project(gaussians, view), view)
 

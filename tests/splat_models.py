@@ -16,7 +16,7 @@ def model(points, opacities, axes, degree=3):
     return Cloud(points, attributes=attributes)
 
 
-def some(count=5, dimensions=3, degree=3):
+def make_gaussians(count=5, dimensions=3, degree=3):
     """Return splats with opacities 0.1, 0.3, ... and axes 0.01, 0.02, ... times 1, 2 and 3."""
     opacities = np.linspace(0.1, 0.9, count)
     axes = 0.01 * np.arange(1, count + 1)[:, None] * np.arange(1, dimensions + 1)

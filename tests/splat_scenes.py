@@ -29,7 +29,7 @@ def camera(width, height, position=(0.3, -4.0, 0.7), target=(0.0, 0.0, 0.0), foc
     return Camera("view.png", k, look_at(position, target))
 
 
-def scattered(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed):
+def scattered_cloud(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed):
     """A cloud about the origin, seen from outside, with sizes over a factor of twenty and all opacities."""
     means = rng.normal(size=(count, 3))
     quats = rng.normal(size=(count, 4)) * rng.uniform(0.2, 5, size=(count, 1))
@@ -40,17 +40,17 @@ def scattered(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed)
     return SplatScene(*numbers, camera(width, height, **placed), np.array([0.2, 0.5, 0.9], np.float32))
 
 
-def among_them(rng):
+def camera_inside(rng):
     """The camera is inside the cloud: Gaussians behind it, around it, and nearer than the near plane."""
-    scene = scattered(rng, 90, position=(0.1, -0.2, 0.1), target=(0.0, 3.0, 0.3), size=0.1)
+    scene = scattered_cloud(rng, 90, position=(0.1, -0.2, 0.1), target=(0.0, 3.0, 0.3), size=0.1)
     scene.means[:6] = scene.camera.position + np.outer([-1, -0.02, 0, 0.005, 0.011, 0.03], scene.camera.direction)
     scene.scales[:6] *= np.float32(0.02)
     return scene
 
 
-def on_the_border(rng):
+def means_at_border(rng):
     """Means on the image's border, outside it, and beyond the bounds of the affine approximation."""
-    scene = scattered(rng, 80)
+    scene = scattered_cloud(rng, 80)
     k, motion = scene.camera.intrinsics, scene.camera.cam_from_world
     share = rng.uniform(-0.3, 1.3, size=(80, 2))
     share[:40] = np.where(rng.random((40, 2)) < 0.5, 0, 1)  # the four corners
@@ -64,7 +64,7 @@ def on_the_border(rng):
 
 def needles(rng):
     """Gaussians with ratios of axes up to a million."""
-    scene = scattered(rng, 60)
+    scene = scattered_cloud(rng, 60)
     scene.scales[:] = 10 ** rng.uniform(-6, 0, size=(60, 3))
     scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 10 ** rng.uniform(-1, 0.5, size=60)
     return scene
@@ -72,32 +72,32 @@ def needles(rng):
 
 def discs(rng):
     """Surfels: one axis of length zero; for a few two or three axes."""
-    scene = scattered(rng, 60)
+    scene = scattered_cloud(rng, 60)
     scene.scales[np.arange(60), rng.integers(0, 3, 60)] = 0
     scene.scales[50:, 1] = 0
     scene.scales[58:] = 0
     return scene
 
 
-def huge(rng):
+def huge_gaussians(rng):
     """Gaussians that cover the image, some of low opacity, between small ones; three are too large for any image."""
-    scene = scattered(rng, 60)
+    scene = scattered_cloud(rng, 60)
     scene.scales[:20] *= 30
     scene.opacities[:20] *= np.float32(0.2)
     scene.scales[20:23] = [[1e9, 1e9, 1e9], [1e12, 1, 1e12], [1e18, 1e18, 1e18]]
     return scene
 
 
-def faint(rng):
+def faint_gaussians(rng):
     """Opacities of 0, below 1/255 and just above it."""
-    scene = scattered(rng, 80)
+    scene = scattered_cloud(rng, 80)
     scene.opacities[:70] = np.repeat([0, 0.002, 0.0039, 0.00393, 0.004, 0.005, 0.01], 10)
     return scene
 
 
-def opaque(rng):
+def opaque_gaussians(rng):
     """Opacities of 1, clamped to 0.99, so that rays end after a few; some share a position, some all parameters."""
-    scene = scattered(rng, 120, size=0.4)
+    scene = scattered_cloud(rng, 120, size=0.4)
     scene.opacities[:] = 1
     scene.means[:6] = scene.means[0]
     scene.means[6:12], scene.scales[6:12], scene.quats[6:12] = scene.means[6], 0.7, scene.quats[6]
@@ -106,7 +106,7 @@ def opaque(rng):
 
 def odd_quaternions(rng):
     """Quaternions of zero, nearly zero and very large norm."""
-    scene = scattered(rng, 60)
+    scene = scattered_cloud(rng, 60)
     scene.quats[:10] = 0
     scene.quats[10:20] *= np.float32(1e-14)
     scene.quats[20:30] *= np.float32(1e-9)
@@ -116,33 +116,33 @@ def odd_quaternions(rng):
 
 def crowd(rng):
     """Two thousand Gaussians at one pixel."""
-    scene = scattered(rng, 2000, width=18, height=17, degree=1, size=0.02)
+    scene = scattered_cloud(rng, 2000, width=18, height=17, degree=1, size=0.02)
     scene.means[:] *= np.float32(0.02)
     scene.opacities[:] = rng.uniform(0, 0.03, size=2000)
     return scene
 
 
-def nothing(rng):
-    return scattered(rng, 0)
+def no_gaussians(rng):
+    return scattered_cloud(rng, 0)
 
 
-def one_pixel(rng):
-    return scattered(rng, 50, width=1, height=1, degree=2)
+def one_pixel_image(rng):
+    return scattered_cloud(rng, 50, width=1, height=1, degree=2)
 
 
-def whole_tiles(rng):
-    return scattered(rng, 60, width=32, height=16, degree=0)
+def whole_tile_image(rng):
+    return scattered_cloud(rng, 60, width=32, height=16, degree=0)
 
 
-def tall(rng):
-    return scattered(rng, 60, width=5, height=49, degree=2)
+def tall_image(rng):
+    return scattered_cloud(rng, 60, width=5, height=49, degree=2)
 
 
 SCENES = [
-    scattered, among_them, on_the_border, needles, discs, huge, faint, opaque, odd_quaternions, crowd, nothing,
-    one_pixel, whole_tiles, tall,
+    scattered_cloud, camera_inside, means_at_border, needles, discs, huge_gaussians, faint_gaussians, opaque_gaussians,
+    odd_quaternions, crowd, no_gaussians, one_pixel_image, whole_tile_image, tall_image,
 ]  # fmt: skip
 
 
-def make(kind, seed=0):
+def make_scene(kind, seed=0):
     return kind(np.random.default_rng([seed, SCENES.index(kind)]))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from splat_scenes import scattered
+from splat_scenes import scattered_cloud
 
 from pcbench.geometry.cameras import look_at
 from reconstructors.splat.model import Gaussians
@@ -15,7 +15,7 @@ from reconstructors.splat.view import View
 
 def truth():
     """Return a model of 60 Gaussians and eight images of it from around."""
-    scene = scattered(np.random.default_rng(5), 60, width=48, height=32, degree=0, size=0.25)
+    scene = scattered_cloud(np.random.default_rng(5), 60, width=48, height=32, degree=0, size=0.25)
     means, quats, scales, opacities, sh = (torch.from_numpy(a) for a in scene.arrays)
     model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
     pictures = []

@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from processes import ends
-from wording import said
+from processes import has_ended
+from wording import check_text
 
 import pcbench
 from pcbench import children
@@ -63,13 +63,13 @@ def test_descendants_end_with_the_child(script):
     body = ("import subprocess, time", "print(subprocess.Popen(['sleep', '600']).pid)")
     ended = run_script(script(*body))
     assert (ended.code, ended.timed_out) == (0, False)
-    assert ends(int(ended.output))
+    assert has_ended(int(ended.output))
     for seconds in (1, 10, 100):  # on a busy machine the first line may take longer than one second
         ended = run_script(script(*body, "time.sleep(600)"), limits=Limits(seconds=seconds))
         assert (ended.code, ended.timed_out) == (-signal.SIGKILL, True)
         if ended.output:
             break
-    assert ends(int(ended.output))
+    assert has_ended(int(ended.output))
 
 
 DAEMON = (
@@ -99,7 +99,7 @@ def test_daemons_end_with_the_child(script, tmp_path, end):
         if len(started) == 2:
             break
     assert len(started) == 2
-    assert all(ends(pid) for pid in started)
+    assert all(has_ended(pid) for pid in started)
     assert (ended.code, ended.timed_out) == {
         "": (0, False),
         "time.sleep(600)": (-signal.SIGKILL, True),
@@ -131,7 +131,7 @@ def test_log_is_limited_and_notes_the_omission(tmp_path, monkeypatch):
     assert text.endswith("99999\nthe end\n")
     assert len(text) < 1400
     omitted = int(re.search(r"\n\[(\d+) [^]]*\]\n", text)[1])
-    said(text[text.index("\n[") : text.index("]\n") + 2])
+    check_text(text[text.index("\n[") : text.index("]\n") + 2])
     assert omitted + len(text) - len(text[text.index("\n[") : text.index("]\n") + 2]) == 588_890 + len("the end\n")
 
 
@@ -157,7 +157,7 @@ def test_child_ends_with_its_parent(script, tmp_path):
         parent.wait()
     pids = [int(word) for word in pid.read_text().split()]
     assert len(pids) == 2
-    assert all(ends(pid) for pid in pids)
+    assert all(has_ended(pid) for pid in pids)
 
 
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux ends children with their parent")
@@ -183,7 +183,7 @@ def test_child_ends_if_its_parent_ends_at_once(script, tmp_path):
         parent = subprocess.run([sys.executable, "-c", "\n".join(code)], stdout=subprocess.PIPE, text=True)
         pid = int(parent.stdout)
         try:
-            assert ends(pid)
+            assert has_ended(pid)
         finally:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGTERM)
@@ -211,7 +211,7 @@ def test_program_does_not_start_without_its_waiting_process(script, tmp_path):
     )
     watch = subprocess.run([sys.executable, "-c", "\n".join(code)], stdout=subprocess.PIPE, text=True)
     assert watch.returncode == -signal.SIGKILL
-    assert ends(int(watch.stdout))
+    assert has_ended(int(watch.stdout))
     assert not started.exists()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from optional import NO_LIBUSB, SYSTEM_LIBRARIES, break_library, break_system_libraries
 from repository import ROOT, TESTS
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import MissingExtra
@@ -30,14 +30,14 @@ from pcbench.scenes.synthetic.render import check_renderer
 )
 def test_any_import_error_becomes_one_line(monkeypatch, tmp_path, error):
     break_library(monkeypatch, tmp_path, "open3d", error)
-    with refused(MissingExtra) as raised:
+    with check_error(MissingExtra) as raised:
         require("open3d")
     assert import_problem("json", "open3d") == str(raised.value)
 
 
 def test_submodule_of_a_broken_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "matplotlib", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         require("matplotlib.figure")
 
 
@@ -93,7 +93,7 @@ def test_commands_report_a_broken_library_on_one_line(run, monkeypatch, tmp_path
         break_library(monkeypatch, tmp_path / "packages", library)
     code, out, err = run("compare", tmp_path / "a.ply", tmp_path / "a.ply", "--map", "poisson", "--out", tmp_path / "r")
     assert (code, out) == (2, "")
-    assert said(err).count("\n") == 1
+    assert check_text(err).count("\n") == 1
     assert "apt-get install libusb-1.0-0" in err
 
 
@@ -132,5 +132,5 @@ def test_broken_renderer_is_reported_before_rendering(monkeypatch, tmp_path):
         check_renderer()
     monkeypatch.setenv("DISPLAY", ":0")
     break_library(monkeypatch, tmp_path, "pyvista", "ImportError('libXrender.so.1: cannot open shared object file')")
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         check_renderer()

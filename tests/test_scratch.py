@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from wording import refused
+from wording import check_error
 
 from pcbench.io.files import atomic_write
 from pcbench.scratch import attribute_errors_to, lock_output, remove_leftovers, scratch_file, scratch_folder
@@ -58,7 +58,7 @@ def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other):
     old = time.time() - 10**6
     for path in tmp_path.iterdir():
         os.utime(path, (old, old))  # age alone does not make a leftover
-    with refused(), lock_output(tmp_path / "out"):
+    with check_error(), lock_output(tmp_path / "out"):
         pass
     with atomic_write(tmp_path / "mine.txt") as file:
         file.write(b"mine")

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from processes import ends
+from processes import has_ended
 from repository import ROOT
 
 from pcbench import systems
@@ -146,7 +146,7 @@ print(ended.timed_out, ended.output.strip())
     quick, slow = simulated(lines, tmp_path).splitlines()
     timed_out, pid = slow.split()
     assert (quick, timed_out) == ("3", "True")
-    assert ends(int(pid))
+    assert has_ended(int(pid))
 
 
 def test_memory_and_cpus():

@@ -3,7 +3,7 @@
 import pytest
 import wording
 from repository import ROOT
-from wording import refused, said, texts_of
+from wording import check_error, check_text, texts_of
 
 from pcbench.errors import InputError
 
@@ -11,21 +11,21 @@ HERE = "tests/test_wording.py::test_texts_are_compared_after_a_test_has_passed"
 
 
 def test_masking_of_numbers_and_folders(tmp_path):
-    said(f"{tmp_path}/a.ply: 1,270,820 points,   spacing 2.31e-1 m, d2 of T_a_b4 at (-3, 4.5, 6)")
-    said("4 of 5 points", masked=False)
-    with refused():
+    check_text(f"{tmp_path}/a.ply: 1,270,820 points,   spacing 2.31e-1 m, d2 of T_a_b4 at (-3, 4.5, 6)")
+    check_text("4 of 5 points", masked=False)
+    with check_error():
         raise InputError(f"{ROOT}/README.md: expected 3 numbers, got 4")
 
 
 def test_texts_are_compared_after_a_test_has_passed():
     golden = {HERE: ["one of #", "two\n\nlines"]}
     with texts_of(HERE, golden, None):
-        said("one of 12")
-        said("two\n\nlines")
+        check_text("one of 12")
+        check_text("two\n\nlines")
     for texts in (["one of 12"], ["one of 12", "two\n\nlines", "three"], ["another", "two\n\nlines"]):
         with pytest.raises(pytest.fail.Exception, match="make wording"), texts_of(HERE, golden, None):
             for text in texts:
-                said(text)
+                check_text(text)
 
 
 def test_failure_of_the_test_takes_precedence():

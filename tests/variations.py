@@ -70,7 +70,7 @@ def variations(folder: Path) -> dict[str, Variation]:
     }
 
 
-def runs_here(environment: dict[str, str]) -> bool:
+def is_supported(environment: dict[str, str]) -> bool:
     """Whether this processor has the instruction set of a variation; other failures are left to the tests."""
     if environment.get("PCBENCH_ISA") not in ("avx2", "avx512"):
         return True
@@ -90,7 +90,7 @@ def main(names: list[str], seed: int) -> int:
                 f"-- {name}: --shuffle={seed} {' '.join(f'{key}={value!r}' for key, value in environment.items())}",
                 flush=True,
             )
-            if not runs_here(environment):
+            if not is_supported(environment):
                 print("skipped: this processor lacks the instruction set")
                 continue
             # Report failures only.

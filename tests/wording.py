@@ -1,7 +1,7 @@
 """Texts for users, compared with one golden file.
 
-Tests assert values, codes and verdicts. Texts of the program are passed to `said`, and error messages are checked with
-`refused`. The texts of each test are in `wording.txt` next to this module. After a change of wording run
+Tests assert values, codes and verdicts. Texts of the program are passed to `check_text`, error messages to
+`check_error`. The texts of each test are in `wording.txt` next to this module. After a change of wording run
 `make wording` and read the diff.
 """
 
@@ -27,7 +27,7 @@ Texts = dict[str, list[str]]
 _texts: list[str] | None = None
 
 
-def said(text: object, *, masked: bool = True) -> str:
+def check_text(text: object, *, masked: bool = True) -> str:
     """Compare a text with the golden file after the running test has passed, and return the text.
 
     Numbers are masked, because they depend on the processor and tests assert them as values. So are runs of spaces,
@@ -39,7 +39,7 @@ def said(text: object, *, masked: bool = True) -> str:
 
 
 @contextmanager
-def refused(
+def check_error(
     error: type[BaseException] = InputError, *, masked: bool = False
 ) -> Iterator[pytest.ExceptionInfo[BaseException]]:
     """Expect an error with a one-line message, and compare the message with the golden file.
@@ -51,13 +51,13 @@ def refused(
     message = str(caught.value)
     assert "\n" not in message
     if masked:
-        said(message)
+        check_text(message)
     else:
         _record(_without_folders(message))
 
 
 def _record(text: str) -> None:
-    assert _texts is not None, "said() and refused() must be called inside a test"
+    assert _texts is not None, "check_text() and check_error() must be called inside a test"
     text = text.replace("\0", "\\0")  # the golden file is a text file
     _texts.append("\n".join(line.rstrip() for line in text.strip().splitlines()))
 

@@ -19,7 +19,7 @@ from measure import limit_threads, setting
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import pytest
-from deformation_cases import BENDS, NULLS, PARTS, Pair, bent, shown, turned
+from deformation_cases import BENDS, NULLS, PARTS, Pair, bent_city, true_rms, turned_city
 
 from pcbench.deformation import Deformation, deform
 
@@ -64,7 +64,7 @@ def bends(runs: int, only: str, first: int) -> None:
         if only not in name:
             continue
         try:
-            rows = [(evaluate(make, seed), shown(make(seed))) for seed in range(first, first + runs)]
+            rows = [(evaluate(make, seed), true_rms(make(seed))) for seed in range(first, first + runs)]
         except pytest.skip.Exception:
             continue
         sized = [(found.amplitude, truth) for found, truth in rows if found.amplitude is not None]
@@ -80,7 +80,7 @@ def bends(runs: int, only: str, first: int) -> None:
 def parts(runs: int, only: str, first: int) -> None:
     """Print the verdicts on pairs with moved parts, and on unregistered pairs."""
     print(f"\nparts that moved, and clouds that are not registered\n{HEAD}  warnings")
-    for name, make in {**PARTS, "turned by 3 degrees, not registered": turned(3.0)}.items():
+    for name, make in {**PARTS, "turned by 3 degrees, not registered": turned_city(3.0)}.items():
         if only not in name:
             continue
         method = "none" if name.startswith("turned") else "icp"
@@ -101,7 +101,7 @@ def domes(runs: int, first: int) -> None:
     for ratio in RATIOS:
         shares = []
         for times in DOMES:
-            found = [evaluate(bent("dome", times, ratio), seed) for seed in range(first, first + runs)]
+            found = [evaluate(bent_city("dome", times, ratio), seed) for seed in range(first, first + runs)]
             shares.append(np.mean([each.verdict == "non-affine" for each in found]))
         print(f"L/{ratio:<6}{runs:5}" + "".join(f"{share:8.2f}" for share in shares), flush=True)
 

@@ -17,7 +17,7 @@ from measure import limit_threads, setting
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from floor_cases import METRICS, Case, measured
+from floor_cases import METRICS, Case, mean_floors
 
 SIZES = (
     (50, 50, 1),
@@ -46,7 +46,7 @@ def main() -> None:
     print(f"{'surface':9}{'reference':>10}{'candidate':>10}{'falling':>8}{'noise':>6}{columns}")
     without = np.ones((2, len(METRICS)))
     for case in NOISY if options.noise else CASES:
-        found = measured(case, options.runs)
+        found = mean_floors(case, options.runs)
         if case.noise == 0:
             without = np.maximum(found.floors, 1e-30)
         grown = found.floors / without

@@ -18,7 +18,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from dense_cases import WRONG, City, CloudScore, missed, read_city, score_cloud, score_maps
+from dense_cases import MIN_WRONG_FOOTPRINTS, City, CloudScore, read_city, recall_by_view, score_cloud, score_maps
 
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
@@ -97,7 +97,7 @@ def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
 def on_lakes(city: City, points: np.ndarray) -> str:
     """Return the share of water with points nearby, and the share of wrong points over it, as text."""
     plan = lay_out(CitySettings(extent=EXTENT, water=True, seed=LAKES))
-    limit, seen, over = WRONG * city.footprint, [], []
+    limit, seen, over = MIN_WRONG_FOOTPRINTS * city.footprint, [], []
     for lake in (block for block in plan.blocks if block.kind == "lake"):
         low, high = np.add(lake.low, SHORE), np.subtract(lake.high, SHORE)
         here = city.seen[((city.seen[:, :2] > low) & (city.seen[:, :2] < high)).all(axis=1)]
@@ -133,7 +133,7 @@ def what_is_missed(root: Path) -> None:
     """Print the properties of the missing textured surface."""
     city = read_city(root / "city")
     print(f"\n{'textured, visible in':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
-    for name, found in missed(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
+    for name, found in recall_by_view(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
         print(f"{name:24}{found.share:8.1%}{found.recall:10.3f}{found.missed:15.1%}")
 
 

@@ -1,4 +1,4 @@
-"""Where registrations succeed, fail and warn, against other libraries: python tests/bench/registration.py
+"""Count successes, failures and warnings of registrations, against other libraries: python tests/bench/registration.py
 
 --seeds 3      scenes per case
 --quick        one scene, few cases

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.cli import clouds
@@ -17,18 +17,18 @@ from pcbench.geometry.transform import read_matrix
 def test_crop_register_and_info(files, run):
     code, out, _ = run("crop", "a.ply", "cut.ply", "--crop", "box:0,0,-1,10,10,30")
     assert code == 0
-    assert "1,500 points" in said(out)
+    assert "1,500 points" in check_text(out)
     assert (read_cloud("cut.ply").points[:, 0] <= 10).all()
     code, out, _ = run("register", "ref.ply", "a.ply", "--out", "aligned.ply", "--matrix", "T.txt")
     assert code == 0
-    said(out.splitlines()[0])
+    check_text(out.splitlines()[0])
     moved = read_matrix("T.txt").apply(read_cloud("a.ply").points)
     np.testing.assert_allclose(read_cloud("aligned.ply").points, moved, atol=1e-12)
     code, out, _ = run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--json", "-")
     assert json.loads(out)["candidates"][0]["registration"]["method"] == f"matrix:{files / 'T.txt'}"
     code, out, _ = run("info", "ref.ply", "a.ply")
     assert code == 0
-    said(out)
+    check_text(out)
     assert "4,000 points" in out
     assert "1,500 points" in out
 
@@ -51,7 +51,7 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
     assert float(turned.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
     assert scale.startswith("# scale: 1 ")
     assert "100.0%" in fit
-    said("\n".join([scale, title]))
+    check_text("\n".join([scale, title]))
     assert len(matrix) == 4
     (files / "T.txt").write_text(out)  # the whole output is a valid matrix file
     np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
@@ -61,8 +61,8 @@ def test_register_of_a_cloud_with_itself_moves_nothing(files, run):
     code, out, _ = run("register", "ref.ply", "ref.ply", "--register", "none")
     assert code == 0
     shift, turned, *_ = out.splitlines()
-    assert "0 m (+0, +0, +0)" in said(shift)
-    assert " 0 " in said(turned)
+    assert "0 m (+0, +0, +0)" in check_text(shift)
+    assert " 0 " in check_text(turned)
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["with pyproj", "without"])
@@ -100,8 +100,8 @@ def test_files_named_by_settings_are_not_replaced(files, run):
     ):
         code, _, err = run(*command)
         assert code == 2
-        assert one_line(err)
-        said(err)
+        assert is_one_line(err)
+        check_text(err)
         assert matrix.read_text() == rows
 
 
@@ -116,7 +116,7 @@ def test_convert(files, run):
         np.testing.assert_allclose(read_cloud(name).points, read_cloud("c.ply").points, atol=1e-4)
     code, _, err = run("convert", "c.ply", "c.xyz", "--classes", "2")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from command_line import one_line
-from wording import said
+from command_line import is_one_line
+from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 
@@ -61,7 +61,7 @@ def test_bad_input_is_one_line(files, run, name):
     out = ("--out", "report") if arguments.startswith("compare") else ()
     code, stdout, err = run(*arguments.split(), *out)
     assert code == 2
-    assert one_line(err), err
+    assert is_one_line(err), err
     assert expected in err
     assert not stdout
     assert sorted(p.name for p in files.iterdir()) == before
@@ -84,14 +84,14 @@ def test_usage_errors_are_one_line_too(files, run):
     for arguments in (("compare", "ref.ply"), ("compare", "--seed", "x"), ("demo", "--points", "5"), ("nonsense",)):
         code, _, err = run(*arguments)
         assert code == 2
-        assert one_line(err), err
+        assert is_one_line(err), err
     assert run("compare", "ref.ply", "a.ply", "--seed", "-1")[0] == 2
 
 
 def test_an_unwritable_output_is_refused_before_the_computation(files, run):
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report", "--json", "no/x.json")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
     assert not (files / "report").exists()
     assert run("register", "ref.ply", "a.ply", "--out", "b2.ply", "--matrix", "no/m.txt")[0] == 2
     assert not (files / "b2.ply").exists()
@@ -106,12 +106,12 @@ def test_outputs_never_replace_inputs(files, run):
     ):
         code, _, err = run(*arguments)
         assert code == 2
-        assert one_line(err)
+        assert is_one_line(err)
     assert {p.name: p.read_bytes() for p in files.iterdir()} == before
     run("compare", "ref.ply", "a.ply", "--out", "report", "-q")
     code, _, err = run("compare", "ref.ply", "report/a_deviation.ply", "--out", "report")
     assert code == 2
-    said(err)
+    check_text(err)
 
 
 def test_disk_full_leaves_nothing(files):
@@ -122,7 +122,7 @@ def test_disk_full_leaves_nothing(files):
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 2
-    assert one_line(done.stderr), done.stderr
+    assert is_one_line(done.stderr), done.stderr
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
 
 
@@ -131,13 +131,13 @@ def test_an_unwritable_folder(files, run):
     (files / "locked").mkdir(mode=0o555)
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "locked/report")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
 
 
 def test_out_below_a_file(files, run):
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply/report")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
 
 
 def test_interrupt_leaves_nothing(files, run, monkeypatch):
@@ -172,5 +172,5 @@ def test_a_name_too_long_for_the_reports_files_is_refused_before_anything_is_rea
     assert run("compare", "ref.ply", "a" * 220 + ".ply", "--no-figures", "--out", "kept", "-q")[0] == 0
     code, _, err = run("compare", "no.ply", "é" * 111 + ".ply", "--out", "report")
     assert code == 2
-    assert one_line(err)
-    assert " 220 bytes" in said(err)
+    assert is_one_line(err)
+    assert " 220 bytes" in check_text(err)

@@ -9,10 +9,10 @@ import mesh_bytes
 import numpy as np
 import pytest
 import splat_models
-from command_line import one_line
+from command_line import is_one_line
 from las_bytes import las
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.formats import CLOUDS, MESHES
@@ -108,13 +108,13 @@ def test_points_are_drawn_on_a_mesh(tmp_path, run, monkeypatch):
     on_a_face = np.isclose(np.abs(drawn.points), np.abs(drawn.points).max(), atol=1e-9).any(axis=1)
     assert on_a_face.all()
     np.testing.assert_allclose(np.linalg.norm(drawn.normals, axis=1), 1, atol=1e-6)
-    assert "12 faces of area 24" in said(run("info", "cube.stl")[1])
+    assert "12 faces of area 24" in check_text(run("info", "cube.stl")[1])
     write_cloud("cloud.ply", POINTS)
     for arguments in (("cloud.ply", "b.ply", "--sample", "9"), ("cube.stl", "b.ply", "--classes", "2")):
         code, _, err = run("convert", *arguments)
         assert code == 2
-        assert one_line(err)
-        said(err)
+        assert is_one_line(err)
+        check_text(err)
 
 
 def test_damaged_faces_still_give_the_points(tmp_path, run, monkeypatch):
@@ -125,16 +125,16 @@ def test_damaged_faces_still_give_the_points(tmp_path, run, monkeypatch):
     code, out, err = run("info", "a.ply")
     assert code == 0
     assert out.startswith("a.ply: 3 points\n")
-    assert "7" in said(err)
+    assert "7" in check_text(err)
 
 
 @pytest.mark.parametrize("dimensions", [3, 2])
 def test_splats_are_reported_and_filtered(tmp_path, run, monkeypatch, dimensions):
     monkeypatch.chdir(tmp_path)
-    write_cloud("splats.ply", splat_models.some(5, dimensions))
+    write_cloud("splats.ply", splat_models.make_gaussians(5, dimensions))
     code, out, _ = run("info", "splats.ply")
     assert code == 0
-    said(out)
+    check_text(out)
     axes = {3: "0.03 to 0.15, median 0.09", 2: "0.02 to 0.1, median 0.06"}[dimensions]
     for value in (f"{dimensions}D ", "5 splats", "degree 3", "0.1 to 0.9, median 0.5", axes):
         assert value in out
@@ -145,7 +145,7 @@ def test_splats_are_reported_and_filtered(tmp_path, run, monkeypatch, dimensions
     assert (code, out) == (0, f"small.ply: {2 if dimensions == 3 else 3} points\n")
     code, _, err = run("convert", "splats.ply", "none.ply", "--min-opacity", "2")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
 
 
 def test_compare_filters_splats(files, run):
@@ -158,5 +158,5 @@ def test_compare_filters_splats(files, run):
     assert document["candidates"][0]["points"] == 1000
     code, _, err = run("compare", "ref.ply", "a.ply", "--min-opacity", "0.5", "--register", "none")
     assert code == 2
-    assert one_line(err)
-    said(err)
+    assert is_one_line(err)
+    check_text(err)

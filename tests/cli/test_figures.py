@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import read_cloud
 from pcbench.report import Figures
@@ -21,7 +21,7 @@ from pcbench.report.figures import ink, recorded_figures
     + [{"range": float("nan")}, {"range": "1"}, {"format": "gif"}, {"format": None}],
 )
 def test_invalid_looks_are_refused(wrong):
-    with refused():
+    with check_error():
         Figures(**wrong)
 
 
@@ -69,7 +69,7 @@ def test_wrong_options_are_refused_before_anything_is_measured(files, run, optio
     code, out, err = run("compare", "ref.ply", "a.ply", option, value, "--out", "one")
     assert code == 2
     assert not out
-    assert option in err or one_line(err)
+    assert option in err or is_one_line(err)
     assert not Path("one").exists()
 
 
@@ -84,4 +84,4 @@ def test_deform_draws_as_asked_and_plot_as_deform_did(files, run):
     assert run("plot", "bend", "deformation")[1] == "bend/figures/deformation.svg\n"
     code, _, err = run("deform", "ref.ply", "a.ply", "--format", "gif", "--out", "other")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)

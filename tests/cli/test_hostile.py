@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scene_folders
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
@@ -41,7 +41,7 @@ class Mine:
 def scene(tmp_path, monkeypatch):
     """Create photos/ with cameras, points and a ground truth, and mine.py, in the current folder."""
     monkeypatch.chdir(tmp_path)
-    folder = scene_folders.ten_pictures(Path("photos"))
+    folder = scene_folders.ten_images_folder(Path("photos"))
     points = Cloud(np.random.default_rng(0).normal(size=(30, 3)))
     write_colmap_model(folder / "sparse", scene_folders.orbit(scene_folders.NAMES), points)
     (folder / "truth").mkdir()
@@ -83,8 +83,8 @@ def test_inputs_are_never_overwritten(scene, run, command):
     before = everything()
     code, _, err = run(*command.split())
     assert code == 2
-    assert one_line(err), err
-    said(err)
+    assert is_one_line(err), err
+    check_text(err)
     assert everything() == before
 
 
@@ -94,16 +94,16 @@ def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_mad
         assert run(*command)[0] == 0
     write_cloud("photos/new.ply", Cloud(np.eye(3)))  # now a file of the user
     code, _, err = run(*command)
-    assert (code, one_line(err)) == (2, True)
-    said(err)
+    assert (code, is_one_line(err)) == (2, True)
+    check_text(err)
 
 
 def test_json_goes_beside_a_report_not_into_it(files, run):
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
     before = everything()
     code, _, err = run("compare", "ref.ply", "b.ply", "--out", "report", "--json", "report/a_T.txt")
-    assert (code, one_line(err)) == (2, True)
-    said(err)
+    assert (code, is_one_line(err)) == (2, True)
+    check_text(err)
     assert everything() == before
 
 
@@ -118,8 +118,8 @@ def test_one_run_per_output(scene, run):
         mine = ("reconstruct", "mine.py:Mine", "photos", "-q")
         for arguments in (("-o", "cloud.ply", "--workspace", "w"), ("-o", "c.ply", "--workspace", "cloud.work")):
             code, _, err = run(*mine, *arguments)
-            assert (code, one_line(err)) == (2, True)
-            said(err)
+            assert (code, is_one_line(err)) == (2, True)
+            check_text(err)
         assert list(Path().glob(".pcbench-*"))
         other.send_signal(signal.SIGKILL)
         other.wait()
@@ -141,8 +141,8 @@ def test_two_comparisons_into_one_report(files, run, monkeypatch):
         patched.setattr("pcbench.measure.comparison.register", again)
         run("compare", "ref.ply", "a.ply", "--out", "report")
     ((code, _, err),) = inside
-    assert (code, one_line(err)) == (2, True)
-    said(err)
+    assert (code, is_one_line(err)) == (2, True)
+    check_text(err)
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
 
 
@@ -164,7 +164,7 @@ def test_a_limit_of_file_sizes_names_the_file(files, run, command, named, size):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert code == 2
-    assert one_line(err), err
+    assert is_one_line(err), err
     assert err.startswith(f"error: {named}")
     assert "File too large" in err
     assert everything() == before
@@ -189,8 +189,8 @@ def test_too_deeply_nested_json(scene, run, text):
     for command in commands:
         code, out, err = run(*command)
         assert (code, out) == (2, "")
-        assert one_line(err), err
-        said(err)
+        assert is_one_line(err), err
+        check_text(err)
 
 
 def test_threads_that_no_machine_has(files):
@@ -198,7 +198,7 @@ def test_threads_that_no_machine_has(files):
     many = {**os.environ, "OMP_NUM_THREADS": "100000"}
     done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert one_line(done.stderr), done.stderr
+    assert is_one_line(done.stderr), done.stderr
     assert "OMP_NUM_THREADS=100000" in done.stderr
     done = subprocess.run([sys.executable, "-c", "import pcbench; pcbench.Index"], env=many, capture_output=True)
     assert b"InputError: OMP_NUM_THREADS=100000" in done.stderr
@@ -213,7 +213,7 @@ def test_an_address_space_of_a_gibibyte(files):
         command = [sys.executable, "-c", limited, str(mebibytes)]
         done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
         assert done.returncode == code, done.stderr
-        assert code == 0 or one_line(done.stderr), done.stderr
+        assert code == 0 or is_one_line(done.stderr), done.stderr
 
 
 def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
@@ -242,8 +242,8 @@ def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
             assert drawn.count("\n") == 1
             assert str(Path(path).parent) in drawn
     code, _, err = run("plot", "bench")
-    assert (code, one_line(err)) == (2, True)
-    said(err)
+    assert (code, is_one_line(err)) == (2, True)
+    check_text(err)
 
 
 def test_a_line_break_in_a_name(files, run):
@@ -265,5 +265,5 @@ def test_a_plugin_whose_import_never_ends(tmp_path, run):
     (tmp_path / "loop.py").write_text("while True:\n    pass\n")
     code, _, err = run("plugins", f"{tmp_path}/loop.py:X", "--time-limit", "1")
     assert code == 2
-    assert one_line(err)
-    assert " 1 s" in said(err)
+    assert is_one_line(err)
+    assert " 1 s" in check_text(err)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 
 from pcbench import read_cloud, write_cloud
 from pcbench.geometry.cloud import Cloud
@@ -75,5 +75,5 @@ def test_a_document_replaces_no_input_and_no_other_result(files, run, command):
     Path("T.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n")
     before = {path: path.read_bytes() for path in files.iterdir() if path.is_file()}
     code, out, err = run(*command.split())
-    assert (code, out, one_line(err)) == (2, "", True), err
+    assert (code, out, is_one_line(err)) == (2, "", True), err
     assert {path: path.read_bytes() for path in files.iterdir() if path.is_file()} == before

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import one_line
-from wording import said
+from command_line import is_one_line
+from wording import check_text
 
 from pcbench import Cloud, __version__, read_cloud, write_cloud
 from pcbench.errors import InputError, record_error
@@ -47,10 +47,10 @@ def test_steps_settings_and_versions_are_logged(files, run):
 
 def test_errors_are_logged_with_where_they_came_from(files, run):
     code, _, err = run("--log", "run.log", "register", "ref.ply", "none.ply")
-    assert (code, one_line(err)) == (2, True)
+    assert (code, is_one_line(err)) == (2, True)
     level, text = records("run.log")[-1]
     assert level == "ERROR"
-    said(text.splitlines()[0])
+    check_text(text.splitlines()[0])
     assert "Traceback" in text
     assert "read_cloud" in text
 
@@ -93,7 +93,7 @@ def test_a_log_replaces_nothing(files, run, command):
     os.mkfifo("pipe")
     before = (files / "a.ply").read_bytes()
     code, _, err = run(*command.split())
-    assert (code, one_line(err)) == (2, True), err
+    assert (code, is_one_line(err)) == (2, True), err
     assert (files / "a.ply").read_bytes() == before
 
 
@@ -109,7 +109,7 @@ def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
     assert "1,500 " in done.stdout
     told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
     assert len(told) == 1
-    assert "run.log" in said(told[0])
+    assert "run.log" in check_text(told[0])
     assert "Traceback" not in done.stderr
 
 

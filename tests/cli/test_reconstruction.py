@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, read_cloud
 
@@ -40,12 +40,12 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     assert "sfm (pcbench " in run("plugins")[1]
     assert "min_views: " not in run("plugins")[1]
     assert "min_views: " in run("plugins", "sfm")[1]
-    said(out)
+    check_text(out)
     assert "points=int" in out
     arguments = ("reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply")
     code, out, err = run(*arguments, "--set", "points=3", "--write-cameras", "cameras.json")
     assert (code, err) == (0, "warning: four\n")
-    said("\n".join(out.splitlines()[:2]))  # times and memory follow
+    check_text("\n".join(out.splitlines()[:2]))  # times and memory follow
     assert "note: three\n" in out
     assert "four" not in out
     assert "3 points, georeferenced, 1 cameras" in out
@@ -55,7 +55,7 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     for wrong in (("--set", "points=x"), ("--set", "points"), ("--cameras", "none"), ("--set", "other=1")):
         code, out, err = run(*arguments, *wrong)
         assert (code, out) == (2, "")
-        assert one_line(err)
+        assert is_one_line(err)
     # Unwritable outputs are reported before anything is computed.
     for wrong in (
         ("-o", "cloud.pts"),
@@ -65,12 +65,12 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     ):
         code, out, err = run(*arguments, "--workspace", "untouched", *wrong)
         assert (code, out) == (2, "")
-        assert one_line(err)
+        assert is_one_line(err)
     assert not Path("untouched").exists()
     assert not Path("cloud.ply").exists()
     Path("mine.py").write_text(Path("mine.py").read_text().replace("return None", "return 'no such chip'"))
-    assert "no such chip" in said(run("plugins", "mine.py:Mine")[1])
-    assert "no such chip" in said(run(*arguments)[2])
+    assert "no such chip" in check_text(run("plugins", "mine.py:Mine")[1])
+    assert "no such chip" in check_text(run(*arguments)[2])
     code, out, err = run("plugins", "mine.py:Yours")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import REPORT, doc, one_line, without_the_clock
+from command_line import REPORT, is_one_line, read_comparison, without_timings
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import read_matrix
@@ -18,13 +18,13 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     code, out, err = run("compare", "ref.ply", "a.ply", "b.ply", "--out", "report")
     assert code == 0
     assert not err
-    said(out.splitlines()[-1])
+    check_text(out.splitlines()[-1])
     fields = {f"{name}_deformation.{kind}" for name in "ab" for kind in ("csv", "ply")}
     expected = (
         REPORT | fields | {f"{name}_{kind}" for name in "ab" for kind in ("deviation.ply", "completeness.ply", "T.txt")}
     )
     assert {p.name for p in Path("report").iterdir()} - {"figures"} == expected
-    values = doc("report")
+    values = read_comparison("report")
     assert [c["name"] for c in values["candidates"]] == ["a", "b"]
     assert values["reference"]["sha256"]
     assert "NaN" not in (files / "report/comparison.json").read_text()
@@ -55,14 +55,14 @@ def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     options = ("--crop", "quantile:0.9", "--register", "similarity", "--thresholds", "0.1,0.3", "--preset", "open3d")
     assert run("compare", "ref.ply", "a.ply", "b.ply", *options, "--seed", 5, "--out", "one")[0] == 0
     assert run("compare", "--settings", "one/settings.json", "--out", "two")[0] == 0
-    one, two = without_the_clock(doc("one")), without_the_clock(doc("two"))
+    one, two = without_timings(read_comparison("one")), without_timings(read_comparison("two"))
     for values in (one, two):
         for entry in (values["reference"], *values["candidates"]):
             entry["path"] = Path(entry["path"]).name
     assert one == two
     code, _, err = run("compare", "--settings", "one/settings.json", "--crop", "none")
     assert code == 2
-    said(err.partition(" (see ")[0])  # the rest is the command line of pytest
+    check_text(err.partition(" (see ")[0])  # the rest is the command line of pytest
 
 
 def test_settings_notice_a_changed_file(files, run):
@@ -70,7 +70,7 @@ def test_settings_notice_a_changed_file(files, run):
     write_cloud("a.ply", read_cloud("b.ply"))
     code, out, _ = run("compare", "--settings", "one/settings.json")
     assert code == 0
-    said(next(line for line in out.splitlines() if line.startswith("warning: ")))
+    check_text(next(line for line in out.splitlines() if line.startswith("warning: ")))
 
 
 def test_json_on_standard_output(files, run):
@@ -86,14 +86,14 @@ def test_equal_stems_get_numbers(files, run):
     write_cloud("reference.ply", read_cloud("b.ply"))
     code, _, _ = run("compare", "ref.ply", "a.ply", "sub/a.ply", "reference.ply", "--out", "report")
     assert code == 0
-    assert [c["name"] for c in doc("report")["candidates"]] == ["a", "a_2", "reference_2"]
+    assert [c["name"] for c in read_comparison("report")["candidates"]] == ["a", "a_2", "reference_2"]
 
 
 def test_one_bad_candidate_leaves_nothing(files, run):
     (files / "bad.ply").write_bytes((files / "a.ply").read_bytes()[:-5])
     code, _, err = run("compare", "ref.ply", "a.ply", "bad.ply", "--out", "new/report")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
     assert "bad.ply" in err
     assert not (files / "new").exists()
 
@@ -116,10 +116,10 @@ def test_a_folder_of_something_else_is_left_alone(files, run):
     (files / "thesis/chapter.tex").write_text("years of work")
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "thesis")
     assert code == 2
-    said(err)
+    check_text(err)
     code, _, err = run("compare", "ref.ply", "b.ply", "--out", "a.ply")
     assert code == 2
-    said(err)
+    check_text(err)
 
 
 def test_nan_points_are_dropped_and_counted(files, run):
@@ -129,8 +129,8 @@ def test_nan_points_are_dropped_and_counted(files, run):
     code, out, _ = run("compare", "ref.ply", "holes.npy", "--out", "report")
     assert code == 0
     assert "7 of 1500" in out
-    assert "7 of 1500" in doc("report")["candidates"][0]["warnings"][0]
-    assert doc("report")["candidates"][0]["points"] == 1493
+    assert "7 of 1500" in read_comparison("report")["candidates"][0]["warnings"][0]
+    assert read_comparison("report")["candidates"][0]["points"] == 1493
 
 
 def test_suspected_units_are_warned_about(files, run):
@@ -138,7 +138,7 @@ def test_suspected_units_are_warned_about(files, run):
     write_cloud("mm.ply", Cloud(1000 * (points - points.mean(axis=0)) + points.mean(axis=0)))
     code, out, _ = run("compare", "ref.ply", "mm.ply", "--register", "none")
     assert code == 0
-    said(next(line for line in out.splitlines() if "millimetres" in line))
+    check_text(next(line for line in out.splitlines() if "millimetres" in line))
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_damaged_settings_are_one_line(files, run, key, value):
     (files / "bad.json").write_text(json.dumps(values))
     code, _, err = run("compare", "--settings", "bad.json", "--out", "two")
     assert code == 2
-    assert one_line(err), err
+    assert is_one_line(err), err
     assert not (files / "two").exists()
 
 
@@ -198,10 +198,10 @@ def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatc
     (files / "elsewhere").mkdir()
     monkeypatch.chdir(files / "elsewhere")
     assert run("compare", "--settings", "../one/settings.json", "--out", "two")[0] == 0
-    assert doc("two")["candidates"][0]["metrics"] == doc("../one")["candidates"][0]["metrics"]
+    assert read_comparison("two")["candidates"][0]["metrics"] == read_comparison("../one")["candidates"][0]["metrics"]
     (files / "T.txt").write_text((files / "T.txt").read_text() + "# touched\n")
     out = run("compare", "--settings", "../one/settings.json")[1]
-    assert "T.txt" in said(next(line for line in out.splitlines() if line.startswith("warning: ")))
+    assert "T.txt" in check_text(next(line for line in out.splitlines() if line.startswith("warning: ")))
 
 
 def test_las_in_las_out(files, run):
@@ -210,7 +210,7 @@ def test_las_in_las_out(files, run):
     assert run("compare", "ref.ply", "a.laz", "--out", "report")[0] == 0
     cloud = read_cloud("report/a_deviation.laz")
     assert cloud.colors is not None
-    found = doc("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
+    found = read_comparison("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
     assert cloud.attributes["distance"].max() == pytest.approx(found, rel=1e-6)
 
 
@@ -230,13 +230,13 @@ def test_classes_filter_las_inputs_only(files, run):
     write_cloud("ref.las", Cloud(points, attributes={"classification": classes}))
     code, _, err = run("compare", "ref.las", "a.ply", "--classes", "2", "--out", "report")
     assert code == 0, err
-    assert doc("report")["reference"]["points"] == int((classes == 2).sum())
+    assert read_comparison("report")["reference"]["points"] == int((classes == 2).sum())
     code, _, err = run("compare", "ref.ply", "a.ply", "--classes", "2")
     assert code == 2
-    said(err)
+    check_text(err)
     code, _, err = run("compare", "ref.las", "a.ply", "--classes", "9")
     assert code == 2
-    assert one_line(err)
+    assert is_one_line(err)
 
 
 def test_a_mesh_file_as_the_reference(files, run):
@@ -245,7 +245,7 @@ def test_a_mesh_file_as_the_reference(files, run):
     write_cloud("low.ply", Cloud(np.column_stack([rng.uniform(1, 19, (500, 2)), np.full(500, 0.1)])))
     code, _, err = run("compare", "square.obj", "low.ply", "--register", "none", "--out", "report")
     assert code == 0, err
-    values = doc("report")
+    values = read_comparison("report")
     assert values["reference"]["faces"] == 2
     assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
     assert "mesh_distance" in read_cloud("report/low_deviation.ply").attributes

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import numpy as np
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import said
+from wording import check_text
 
 from pcbench import read_cloud
 
@@ -25,7 +25,7 @@ def test_scene_lists_its_files_and_converts_cameras(tmp_path, monkeypatch, run):
     write_colmap_model(Path("photos/sparse"), cameras)
     code, out, err = run("scene", "photos", "--write-cameras", "photos/transforms.json", "--figure", "cameras.png")
     assert (code, err) == (0, "")
-    said(out)
+    check_text(out)
     for value in ("3 images", "40 x 30", "cameras 3", "GPS 0", "masks 0"):
         assert value in out
     assert Path("cameras.png").stat().st_size
@@ -36,14 +36,14 @@ def test_scene_lists_its_files_and_converts_cameras(tmp_path, monkeypatch, run):
     before = Path("photos/images/1.png").read_bytes()
     code, out, err = run("scene", "photos", "--figure", "photos/images/1.png")
     assert code == 2
-    assert one_line(err)
-    said(err)
+    assert is_one_line(err)
+    check_text(err)
     assert Path("photos/images/1.png").read_bytes() == before
     Path("photos/images/1.png").write_bytes(b"")
     for arguments in (("photos",), ("nowhere",), ("photos", "--image-scale", "2")):
         code, out, err = run("scene", *arguments, "--figure", "other.png")
         assert (code, out) == (2, "")
-        assert one_line(err)
+        assert is_one_line(err)
     assert not Path("other.png").exists()
 
 
@@ -76,10 +76,10 @@ def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     )
     code, out, err = run("scene", "photos", "--write-cameras", "sphere.json")
     assert code == 0
-    assert "-0.26 %" in said(err)
+    assert "-0.26 %" in check_text(err)
     code, out, err = run("scene", "photos", "--wgs84", "--write-cameras", "wgs84.json")
     assert (code, err) == (0, "")
-    said(out)
+    check_text(out)
     sphere, wgs84 = (
         np.array([frame["transform_matrix"] for frame in json.loads(Path(name).read_text())["frames"]])[:, :3, 3]
         for name in ("sphere.json", "wgs84.json")
@@ -94,9 +94,9 @@ def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     np.testing.assert_allclose(made[:, :3, 3], wgs84, atol=1e-6)
     code, out, err = run(*arguments, "--set", "gauge=arbitrary")
     assert code == 0
-    said(err)
+    check_text(err)
     for command in (("scene", "photos"), arguments):
         code, out, err = run(*command, "--wgs84", "--cameras", "none")
         assert (code, out) == (2, "")
-        assert one_line(err)
-        said(err)
+        assert is_one_line(err)
+        check_text(err)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scene_folders
-from command_line import one_line
-from wording import refused, said
+from command_line import is_one_line
+from wording import check_error, check_text
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError
@@ -81,10 +81,10 @@ def ended(request, tmp_path_factory):
         request.param(folder / name)
     (folder / "mesh.gltf").write_text('{"asset": {"version": "2.0"}, "buffers": [{"uri": "FILE", "byteLength": 36}]}')
     write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
-    scene_folders.ten_pictures(folder / "photos")
+    scene_folders.ten_images_folder(folder / "photos")
     commands = dict(NAMED)
     for number, (what, name) in enumerate(IN_A_SCENE.items()):
-        scene = scene_folders.ten_pictures(folder / f"scene{number}")
+        scene = scene_folders.ten_images_folder(folder / f"scene{number}")
         if "sparse" in name:
             write_colmap_model(scene / "sparse/0", scene_folders.orbit(scene_folders.NAMES))
             (scene / name).unlink()
@@ -115,8 +115,8 @@ def ended(request, tmp_path_factory):
 @pytest.mark.parametrize("what", [*NAMED, *IN_A_SCENE])
 def test_a_pipe_or_a_device_is_refused_in_one_line(ended, what):
     code, err = ended[what]
-    assert (code, one_line(err)) == (2, True), err
-    said(err)
+    assert (code, is_one_line(err)) == (2, True), err
+    check_text(err)
 
 
 def test_links_to_regular_files_are_read(tmp_path):
@@ -131,7 +131,7 @@ def test_texts_are_bounded(tmp_path):
     """A sparse file, larger than its space on the disk, is refused without reading."""
     with (tmp_path / "a").open("wb") as file:
         file.truncate(1 << 40)
-    with refused():
+    with check_error():
         read_bytes(tmp_path / "a")
     (tmp_path / "b").write_bytes(bytes(11))
     assert read_bytes(tmp_path / "b", 11) == bytes(11)
@@ -141,9 +141,9 @@ def test_texts_are_bounded(tmp_path):
 
 def test_binary_files_are_refused_as_text(tmp_path):
     (tmp_path / "a").write_bytes(b"\xff\xfe\x00")
-    with refused():
+    with check_error():
         read_text(tmp_path / "a")
-    with refused():
+    with check_error():
         read_text(tmp_path)
     with pytest.raises(FileNotFoundError):
         read_text(Path(tmp_path / "none"))

@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from command_line import one_line
-from wording import said
+from command_line import is_one_line
+from wording import check_text
 
 from pcbench import read_cloud
 
@@ -21,8 +21,8 @@ def shell(command):
 
 def test_a_closed_output_is_an_error_if_something_was_printed(files):
     code, _, err = shell(f"{PCBENCH} info a.ply >&-")
-    assert (code, one_line(err)) == (2, True), err
-    said(err)
+    assert (code, is_one_line(err)) == (2, True), err
+    check_text(err)
 
 
 def test_a_closed_output_is_no_error_if_nothing_is_printed(files):
@@ -50,5 +50,5 @@ def test_a_closed_pipe_ends_the_run_quietly(files, what):
 
 def test_a_full_output_is_an_error(files):
     code, _, err = shell(f"{PCBENCH} info a.ply >/dev/full")
-    assert (code, one_line(err)) == (2, True), err
+    assert (code, is_one_line(err)) == (2, True), err
     assert os.strerror(28) in err

@@ -1,7 +1,7 @@
 """`pcbench demo`; tests/studies tests `bench` and `experiment`."""
 
 from command_line import REPORT
-from wording import said
+from wording import check_text
 
 
 def test_demo_at_a_small_size(tmp_path, run):
@@ -21,6 +21,6 @@ def test_the_demo_writes_into_no_folder_of_others(tmp_path, run):
     mine.write_text("mine")
     code, _, err = run("demo", "--points", 20_000, "--out", tmp_path)
     assert code == 2
-    said(err)
+    check_text(err)
     assert mine.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [tmp_path / "clouds"]

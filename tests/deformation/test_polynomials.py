@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wording import refused
+from wording import check_error
 
 from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials, normal_equations, normal_matrix
 
@@ -25,7 +25,7 @@ def test_moments_contain_the_normal_equations_of_a_cubic_field():
 def test_invalid_groups_are_refused():
     one, places = np.ones(4), np.zeros((4, 3))
     for starts in ([2, 1], [0, 5], [-1]):
-        with refused(ValueError):
+        with check_error(ValueError):
             normal_equations(places, places, one, one, np.array(starts))
 
 

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from bent_clouds import dome, noisy, sampled, verdict
-from wording import refused, said
+from bent_clouds import add_dome, add_noise, sample_city, verdict
+from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.deformation import Deformation, deform
@@ -20,7 +20,7 @@ LEFT_HALF = Box(np.array([-300.0, -300.0, -50.0]), np.array([0.0, 300.0, 100.0])
 @pytest.fixture(scope="module")
 def clouds():
     rng = np.random.default_rng(14)
-    points = noisy(sampled(60_000, rng), rng), noisy(dome(sampled(30_000, rng), 0.1), rng)
+    points = add_noise(sample_city(60_000, rng), rng), add_noise(add_dome(sample_city(30_000, rng), 0.1), rng)
     return tuple(Cloud(values, unit="m") for values in points)
 
 
@@ -65,7 +65,7 @@ def test_older_reports_without_both_sizes_are_read(bent):
     again = Deformation.from_json(values)
     assert again.amplitude.rms == bent.amplitude.rms
     assert again.amplitude.rms_surface is None
-    said(again.sentence())
+    check_text(again.sentence())
 
 
 def test_numbers_have_six_digits(bent):
@@ -75,23 +75,23 @@ def test_numbers_have_six_digits(bent):
 
 def test_an_answer_in_words(bent):
     size = bent.amplitude
-    assert f"{size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS" in said(bent.sentence("a.ply", "m"))
-    assert f"{size.rms:.3g} RMS, p < 1e-9" in said(repr(bent))
+    assert f"{size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS" in check_text(bent.sentence("a.ply", "m"))
+    assert f"{size.rms:.3g} RMS, p < 1e-9" in check_text(repr(bent))
     text = "only 12 pairs of points: too few to distinguish a deformation from noise"
     undecided_because = Deformation.undecided_because(Notice("few-pairs", text))
-    said(undecided_because.sentence("a.ply"), masked=False)
-    said(repr(undecided_because))
+    check_text(undecided_because.sentence("a.ply"), masked=False)
+    check_text(repr(undecided_because))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])
 def test_a_seed_must_be_an_integer(seed):
-    with refused():
+    with check_error():
         deform(np.eye(3), np.eye(3), seed=seed)
 
 
 def test_it_is_deterministic():
     rng = np.random.default_rng(13)
-    reference, candidate = noisy(sampled(60_000, rng), rng), noisy(sampled(20_000, rng), rng)
+    reference, candidate = add_noise(sample_city(60_000, rng), rng), add_noise(sample_city(20_000, rng), rng)
     first, second = (verdict(reference, candidate) for _ in range(2))
     assert first == second
     np.testing.assert_array_equal(first.field.displacements, second.field.displacements)
@@ -117,7 +117,7 @@ def test_a_region_is_an_object_or_its_text(clouds):
 
 
 def test_an_empty_region_is_refused(clouds):
-    with refused():
+    with check_error():
         deform(*clouds, crop=Box(LEFT_HALF.lower - 1000, LEFT_HALF.upper - 1000))
 
 

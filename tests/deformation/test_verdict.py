@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from bends import Halves
-from bent_clouds import codes, dome, noisy, sampled, verdict
+from bends import HalvesScene
+from bent_clouds import add_dome, add_noise, sample_city, verdict, warning_codes
 from data_folder import data_folder
 from optional import import_or_skip
 
@@ -17,15 +17,15 @@ UTM = np.array([500_000.0, 4_800_000.0, 100.0])
 
 def test_a_dome_between_two_clouds_is_found_with_its_size():
     rng = np.random.default_rng(1)
-    candidate = dome(sampled(40_000, rng), 0.1)
-    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    candidate = add_dome(sample_city(40_000, rng), 0.1)
+    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
     assert found.verdict == "non-affine"
     # Along the normals: half of the surface is walls or steep roofs, which hardly show a vertical displacement.
     low, high = found.amplitude.ci
     assert 0.06 < low < found.amplitude.rms < high < 0.1
     assert found.growth.with_distance.ci[1] < 0
     field = found.field
-    truth = dome(field.places, 0.1) - field.places
+    truth = add_dome(field.places, 0.1) - field.places
     seen = field.counts >= 20
     vertical = np.isfinite(field.vertical) & seen
     assert np.corrcoef(field.displacements[vertical, 2], truth[vertical, 2])[0, 1] > 0.98
@@ -36,8 +36,8 @@ def test_a_dome_between_two_clouds_is_found_with_its_size():
 def test_a_bend_of_fifty_sigma_is_no_outlier():
     """A robust fit that starts from the rigid model would give it almost no weight."""
     rng = np.random.default_rng(2)
-    candidate = dome(sampled(40_000, rng), 1.0)
-    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    candidate = add_dome(sample_city(40_000, rng), 1.0)
+    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
     assert found.verdict == "non-affine"
     assert found.amplitude.rms > 0.6
     assert found.remaining_rms < 0.05
@@ -50,7 +50,7 @@ def test_hard_pairs(case, bend):
     few, many = (6_000, 300_000) if case.startswith("sparse") else (50_000, 100_000)
     if case == "sparse reference":
         few, many = many, few
-    reference, candidate = noisy(sampled(many, rng), rng), noisy(dome(sampled(few, rng), bend), rng)
+    reference, candidate = add_noise(sample_city(many, rng), rng), add_noise(add_dome(sample_city(few, rng), bend), rng)
     if case == "overlap":  # 40 % of each cloud
         reference, candidate = reference[reference[:, 0] < 86], candidate[candidate[:, 0] > -86]
     if case == "outliers":
@@ -64,7 +64,7 @@ def test_hard_pairs(case, bend):
 
 def test_one_moved_building_is_a_local_change():
     rng = np.random.default_rng(4)
-    candidate = sampled(60_000, rng)
+    candidate = sample_city(60_000, rng)
     patches = city(3).patches
     roofs = patches.take(np.flatnonzero((patches.kind == 2) & (np.hypot(*patches.corner[:, :2].T) > 100)))
     largest = int(np.argmax(roofs.areas()))
@@ -72,7 +72,7 @@ def test_one_moved_building_is_a_local_change():
     half = 0.5 * np.abs(roofs.u + roofs.v)[largest, :2] + 0.05
     moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof; it has no floor
     candidate[moved] += [0.2, 0.1, 0.1]
-    found = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
+    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
     assert found.verdict == "none"
     assert np.isfinite(found.field.local).sum() == found.local.tiles_tested < len(found.field.local)
     places = found.field.places[found.field.changed]
@@ -83,30 +83,35 @@ def test_one_moved_building_is_a_local_change():
 
 def test_scale_counts_only_between_metric_clouds():
     rng = np.random.default_rng(5)
-    reference, candidate = noisy(sampled(80_000, rng), rng), noisy(1.002 * sampled(40_000, rng), rng)
+    reference, candidate = add_noise(sample_city(80_000, rng), rng), add_noise(1.002 * sample_city(40_000, rng), rng)
     assert verdict(reference, candidate).verdict == "similarity"
     _, found = deform(Cloud(reference), Cloud(candidate))
     assert (found.verdict, found.model) == ("none", "similarity")
-    assert codes(found) == ["scale-differs"]
+    assert warning_codes(found) == ["scale-differs"]
 
 
 def test_residual_tilt_and_scale_are_no_bend():
     rng = np.random.default_rng(6)
     tilt = np.array([[1, 0, 0.002], [0, 1, 0], [-0.002, 0, 1]])
-    found = verdict(noisy(sampled(80_000, rng), rng), noisy(1.001 * sampled(40_000, rng) @ tilt.T, rng), "none")
+    found = verdict(
+        add_noise(sample_city(80_000, rng), rng), add_noise(1.001 * sample_city(40_000, rng) @ tilt.T, rng), "none"
+    )
     assert found.verdict == "similarity"
 
 
 def test_shear_is_affine():
     rng = np.random.default_rng(7)
     shear = np.array([[1, 0.003, 0], [0, 1, 0], [0, 0, 1]])
-    assert verdict(noisy(sampled(80_000, rng), rng), noisy(sampled(40_000, rng) @ shear.T, rng)).verdict == "affine"
+    assert (
+        verdict(add_noise(sample_city(80_000, rng), rng), add_noise(sample_city(40_000, rng) @ shear.T, rng)).verdict
+        == "affine"
+    )
 
 
 def test_flat_ground_shows_no_horizontal_motion():
     rng = np.random.default_rng(8)
     ground = [np.column_stack([rng.uniform(-100, 100, (n, 2)), np.zeros(n)]) for n in (60_000, 30_000)]
-    found = verdict(noisy(ground[0], rng), noisy(ground[1], rng))
+    found = verdict(add_noise(ground[0], rng), add_noise(ground[1], rng))
     assert found.verdict == "none"
     assert found.observable == Observable(x=0.0, y=0.0, z=1.0)
 
@@ -121,14 +126,14 @@ def test_noise_above_an_exact_plane_is_noise():
     # Outliers beyond the maximum correspondence distance are not counted, so sigma is less than 0.01.
     assert found.noise.sigma_white == pytest.approx(0.01, rel=0.25)
     assert found.minimum_detectable_rms > 1e-4
-    low, high = verdict(exact, dome(points, 0.01), "none").amplitude.ci
+    low, high = verdict(exact, add_dome(points, 0.01), "none").amplitude.ci
     assert high - low > 1e-4
 
 
 @pytest.mark.parametrize("shape", ["one place", "a line", "two places"])
 def test_clouds_without_a_surface_are_undecided(shape):
     rng = np.random.default_rng(8)
-    reference = sampled(20_000, rng)
+    reference = sample_city(20_000, rng)
     steps = {"one place": np.zeros(2000), "a line": np.linspace(0, 1, 2000), "two places": np.arange(2000) % 2}[shape]
     points = reference[0] + steps[:, None] * [0.0, 0.0, 30.0]
     assert verdict(reference, points, "none").verdict == "undecided"
@@ -136,7 +141,7 @@ def test_clouds_without_a_surface_are_undecided(shape):
 
 
 def test_an_exact_copy_is_not_bent():
-    points = sampled(20_000, np.random.default_rng(9))
+    points = sample_city(20_000, np.random.default_rng(9))
     found = verdict(points, points.copy())
     assert found.verdict == "none"
     assert found.amplitude.rms < 1e-12
@@ -145,10 +150,10 @@ def test_an_exact_copy_is_not_bent():
 
 def test_too_few_points_are_undecided():
     rng = np.random.default_rng(10)
-    points = sampled(250, rng)
-    found = verdict(points, noisy(points, rng), "none")
+    points = sample_city(250, rng)
+    found = verdict(points, add_noise(points, rng), "none")
     assert found.verdict == "undecided"
-    assert codes(found) == ["few-pairs"]
+    assert warning_codes(found) == ["few-pairs"]
 
 
 def test_the_map_projection_is_removed_first():
@@ -164,14 +169,14 @@ def test_the_map_projection_is_removed_first():
     on_map = terrain(150_000) + UTM
     places = terrain(50_000) + UTM
     in_space = places + euclidean_offsets("EPSG:32632", places)
-    reference = Cloud(noisy(on_map, rng), unit="m", crs="EPSG:32632")
-    candidate = Cloud(noisy(in_space, rng), unit="m")
+    reference = Cloud(add_noise(on_map, rng), unit="m", crs="EPSG:32632")
+    candidate = Cloud(add_noise(in_space, rng), unit="m")
     _, found = deform(reference, candidate)
     assert found.verdict == "none"
-    assert codes(found) == ["map-bend-taken-off"]
+    assert warning_codes(found) == ["map-bend-taken-off"]
     _, unknown = deform(Cloud(reference.points, unit="m"), candidate)
     assert unknown.verdict == "non-affine"
-    assert "map-not-named" in codes(unknown)
+    assert "map-not-named" in warning_codes(unknown)
 
 
 def test_the_curvature_of_the_earth_is_correct():
@@ -187,16 +192,16 @@ def test_the_curvature_of_the_earth_is_correct():
 
 def test_vegetation_classes_have_low_weight():
     rng = np.random.default_rng(12)
-    ground = sampled(60_000, rng)
+    ground = sample_city(60_000, rng)
     square = np.square(ground[:, :2]).sum(axis=1)
     foliage = rng.random(len(ground)) < 0.15
     candidate = ground.copy()
     # The candidate sees the leaves, higher towards the edge, which looks like bending.
     candidate[foliage, 2] += 0.08 * square[foliage] / square.max()
     classes = np.where(foliage, 5, 2).astype(np.uint8)
-    reference = Cloud(noisy(sampled(120_000, rng), rng), unit="m")
-    _, blind = deform(reference, Cloud(noisy(candidate, rng), unit="m"))
-    _, seeing = deform(reference, Cloud(noisy(candidate, rng), unit="m", attributes={"classification": classes}))
+    reference = Cloud(add_noise(sample_city(120_000, rng), rng), unit="m")
+    _, blind = deform(reference, Cloud(add_noise(candidate, rng), unit="m"))
+    _, seeing = deform(reference, Cloud(add_noise(candidate, rng), unit="m", attributes={"classification": classes}))
     assert seeing.amplitude.rms < 0.5 * blind.amplitude.rms
 
 
@@ -212,7 +217,7 @@ def lidar():
     "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
 )  # with seed 18 an unconstrained field among the trees finds pairs that confirm it
 def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
-    found, _ = Halves(lidar, 0.1, seed).judge(None, 0.0)
+    found, _ = HalvesScene(lidar, 0.1, seed).judge(None, 0.0)
     assert found.verdict == "none", found.warnings
 
 
@@ -220,7 +225,7 @@ def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
     "kind", ["dome", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("strip drift", "half wave of a sine"))]
 )
 def test_bent_halves_of_a_lidar_cloud(lidar, kind):
-    found, error = Halves(lidar, 0.1, 16).judge(kind, 2.0)
+    found, error = HalvesScene(lidar, 0.1, 16).judge(kind, 2.0)
     assert found.verdict == "non-affine", found.warnings
     # Noise of 0.2 that is correlated over 20 feet adds a deformation itself.
     assert found.amplitude.rms == pytest.approx(0.4, rel=0.15)

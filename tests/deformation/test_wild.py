@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bent_clouds import codes, dome, noisy, sampled, verdict
-from deformation_cases import BENDS, NULLS, PARTS, correlated, turned
+from bent_clouds import add_dome, add_noise, sample_city, verdict, warning_codes
+from deformation_cases import BENDS, NULLS, PARTS, correlated_noise, turned_city
 from scipy.spatial.distance import cdist
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud
 from pcbench.deformation import Side, deform, residual_deformation
@@ -48,7 +48,7 @@ def test_subsidence_is_reported_with_its_size_and_place():
     answer = found(PARTS["subsidence 1"], 43)
     assert answer.verdict == "none"
     assert answer.local.largest == pytest.approx(1.0, rel=0.4)  # a tile beside walls contains more than ground
-    assert f" {answer.local.largest:.3g} m at (" in said(answer.sentence("b.ply", "m"))
+    assert f" {answer.local.largest:.3g} m at (" in check_text(answer.sentence("b.ply", "m"))
     shifted = answer.shifted(np.array([1000.0, 0, 0]))
     assert shifted.local.at[0] == pytest.approx(answer.local.at[0] + 1000)
 
@@ -56,23 +56,23 @@ def test_subsidence_is_reported_with_its_size_and_place():
 def test_offset_strips_are_reported():
     answer = found(PARTS["strips 0.5"], 44)
     assert answer.verdict == "undecided"
-    assert "parts-displaced" in codes(answer)
-    assert " 90 degrees " in said(answer.warnings[0])
+    assert "parts-displaced" in warning_codes(answer)
+    assert " 90 degrees " in check_text(answer.warnings[0])
 
 
 def test_clouds_that_are_not_registered_get_no_verdict():
-    answer = found(turned(3.0), 45, "none")
+    answer = found(turned_city(3.0), 45, "none")
     assert answer.verdict == "undecided"
-    assert codes(answer)[0] in ("not-registered", "doubtful-registration")
+    assert warning_codes(answer)[0] in ("not-registered", "doubtful-registration")
 
 
 def test_both_sizes_of_a_bend_are_correct():
     """The sizes of a dome over the ground and over the whole surface differ, because walls do not show it."""
     rng = np.random.default_rng(46)
-    candidate = dome(sampled(40_000, rng), 0.1)
-    answer = verdict(noisy(sampled(120_000, rng), rng), noisy(candidate, rng))
-    surface, size = sampled(200_000, np.random.default_rng(47)), answer.amplitude
-    lift = (dome(surface, 0.1) - surface)[:, 2]
+    candidate = add_dome(sample_city(40_000, rng), 0.1)
+    answer = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
+    surface, size = sample_city(200_000, np.random.default_rng(47)), answer.amplitude
+    lift = (add_dome(surface, 0.1) - surface)[:, 2]
     # The city's normals: vertical on flat ground and roofs, horizontal on walls.
     normals = estimate_normals(Index(surface)).directions
     columns = (normals[:, :, None] * np.hstack([np.ones((len(surface), 1)), surface / 200])[:, None]).reshape(-1, 12)
@@ -115,7 +115,7 @@ def test_sizes_of_uneven_noise_are_recovered():
 def test_simulated_noise_has_its_correlation():
     rng = np.random.default_rng(50)
     places = rng.uniform(0, 100, (3000, 3)) * [1, 1, 0.1]
-    fields = np.concatenate([correlated(places, 5.0, rng) for _ in range(10)], axis=1)
+    fields = np.concatenate([correlated_noise(places, 5.0, rng) for _ in range(10)], axis=1)
     apart = cdist(places[:1500], places[1500:])
     for low, high in ((0, 2), (4, 6), (9, 11), (25, 40)):
         i, j = np.nonzero((apart >= low) & (apart < high))
@@ -125,13 +125,13 @@ def test_simulated_noise_has_its_correlation():
 
 def test_a_doubtful_registration_withholds_the_verdict():
     rng = np.random.default_rng(51)
-    clouds = [Cloud(noisy(sampled(count, rng), rng), unit="m") for count in (30_000, 10_000)]
+    clouds = [Cloud(add_noise(sample_city(count, rng), rng), unit="m") for count in (30_000, 10_000)]
     registration = register(*clouds, "none")
     sides = [Side(Surface(Index(c.points)), np.ones(len(c), dtype=bool), c) for c in clouds]
     assert residual_deformation(*sides, registration, np.zeros(3)).verdict == "none"
     doubted = replace(registration, warnings=(Notice(FAR_OFF, "far off"),))
     answer = residual_deformation(*sides, doubted, np.zeros(3))
-    assert (answer.verdict, codes(answer)) == ("undecided", ["doubtful-registration"])
+    assert (answer.verdict, warning_codes(answer)) == ("undecided", ["doubtful-registration"])
 
 
 def test_cells_are_listed_once():

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, Settings, compare, deform
 from pcbench.registration.result import UNOBSERVABLE
@@ -36,16 +36,16 @@ def test_an_undetermined_pose_is_reported_before_the_verdict(scene):
     registration, found = deform(reference, straight)
     assert registration.warnings[0].code == UNOBSERVABLE
     assert found.verdict == "none"
-    said(found.sentence("a"))
+    check_text(found.sentence("a"))
     assert not found.further_warnings  # the sentence contains it
     _, found = deform(reference, bent)
     assert found.verdict == "undecided"
-    assert "p =" not in said(found.sentence("a"))
+    assert "p =" not in check_text(found.sentence("a"))
     assert (found.amplitude, found.p_value, found.local, found.minimum_detectable_rms) == (None,) * 4
     # A given pose was not estimated, so its free directions do not matter.
     _, found = deform(reference, bent, "none")
     assert found.verdict == "non-affine"
-    said(found.sentence("a"))
+    check_text(found.sentence("a"))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_candidates_with_doubtful_poses_get_no_verdict(town):
     assert wrong.deformation.warnings[0].code == "doubtful-registration"
     assert (wrong.deformation.amplitude, wrong.deformation.p_value, wrong.deformation.growth) == (None, None, None)
     text = markdown(found)
-    said(wrong.deformation.sentence("wrong"))
+    check_text(wrong.deformation.sentence("wrong"))
     assert wrong.deformation.sentence("wrong") in text
     assert "than wrong" not in text
     assert "told apart" not in text
@@ -82,7 +82,7 @@ def test_a_cloud_against_itself_differs_by_nothing(town, place):
     assert not (*itself.warnings, *itself.registration.warnings, *itself.deformation.warnings)
     assert itself.deformation.remaining_rms == itself.deformation.noise.sigma_white == 0
     text = markdown(found)
-    assert said(itself.deformation.sentence("candidate_1")) in text
+    assert check_text(itself.deformation.sentence("candidate_1")) in text
     assert not re.search(r"e-1\d", text)
 
 
@@ -90,5 +90,5 @@ def test_a_registered_copy_differs_by_rounding(town):
     found = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
     assert 0 < found.metrics.hausdorff.symmetric_max < 1e-8
     assert not (*found.warnings, *found.registration.warnings, *found.deformation.warnings)
-    said(found.deformation.sentence())
+    check_text(found.deformation.sentence())
     assert found.deformation.amplitude.rms == found.deformation.minimum_detectable_rms == 0

@@ -12,10 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from docs_blocks import Block, agrees, blocks, commands
+from docs_blocks import Block, blocks, commands, matches
 from optional import import_or_skip
 from repository import ROOT
-from wording import refused
+from wording import check_error
 
 from pcbench import cli
 
@@ -89,14 +89,14 @@ def test_output_on_page_matches(page, call, tmp_path, request, monkeypatch):
         elif block.language == "console":
             for command, shown in commands(block):
                 printed = call(command, tmp_path)
-                assert not shown or agrees(shown, printed), f"{where}: {command}\nshown:\n{shown}\nprinted:\n{printed}"
+                assert not shown or matches(shown, printed), f"{where}: {command}\nshown:\n{shown}\nprinted:\n{printed}"
         elif block.language == "python":
             stdout = io.StringIO()
             with contextlib.chdir(tmp_path), contextlib.redirect_stdout(stdout):
                 exec(compile(block.text, where, "exec"), namespace)
             output = stdout.getvalue()
         elif block.language == "text" and block.follows:
-            assert agrees(block.text, output), f"{where}\nshown:\n{block.text}\nprinted:\n{output}"
+            assert matches(block.text, output), f"{where}\nshown:\n{block.text}\nprinted:\n{output}"
         else:
             pytest.fail(f"{where}: neither run nor marked, see tests/docs_blocks.py")
 
@@ -160,7 +160,7 @@ def test_targets_of_make():
 def test_table_of_readme_matches_demo(tmp_path):
     """The demo runs at its full size, as in the README."""
     (shown,) = (b.text for b in blocks(ROOT / "README.md") if b.mark == ("made by", "pcbench demo --out demo"))
-    assert agrees(shown, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
+    assert matches(shown, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -174,12 +174,12 @@ def test_table_of_readme_matches_demo(tmp_path):
     ],
 )
 def test_comparison_of_shown_and_printed_text(shown, printed, same):
-    assert agrees(shown, printed) is same
+    assert matches(shown, printed) is same
 
 
 def test_block_without_mark_is_found(call, tmp_path, request, monkeypatch):
     page = SimpleNamespace(read_text=lambda: "```text\nsaid by nobody\n```\n", relative_to=lambda root: "page.md")
-    with refused(pytest.fail.Exception):
+    with check_error(pytest.fail.Exception):
         test_output_on_page_matches(page, call, tmp_path, request, monkeypatch)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
@@ -51,7 +51,7 @@ def test_scaling_preserves_rays():
     ],
 )
 def test_refusals(make):
-    with refused():
+    with check_error():
         make()
 
 
@@ -73,5 +73,5 @@ def test_directions_invert_projection(distortion):
 
 def test_folding_distortion_is_refused():
     k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
-    with refused():
+    with check_error():
         k.directions(np.array([[0.0, 0.0], [160, 100]]))

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import MissingExtra, PcbenchError
 from pcbench.geometry.cloud import Cloud, as_cloud
@@ -40,8 +40,8 @@ def test_length_bounds_and_name():
     cloud = full_cloud()
     assert len(cloud) == 4
     assert [corner.tolist() for corner in cloud.bounds] == [[0, 1, 2], [9, 10, 11]]
-    said(repr(cloud), masked=False)
-    said(repr(Cloud(POINTS)), masked=False)
+    check_text(repr(cloud), masked=False)
+    check_text(repr(Cloud(POINTS)), masked=False)
 
 
 def test_is_frozen():
@@ -96,7 +96,7 @@ def test_as_cloud():
 
 @pytest.mark.parametrize("make", [Cloud, Cloud.from_finite])
 def test_overflowing_sums_raise_and_are_not_dropped_as_infinite(make):
-    with refused():
+    with check_error():
         make(np.full((3, 3), 1.7e308))
 
 
@@ -154,7 +154,7 @@ ONE_NAN = np.vstack([POINTS[:3], NAN[:1]])
     ],
 )
 def test_refusals(make):
-    with refused() as caught:
+    with check_error() as caught:
         make()
     assert isinstance(caught.value, PcbenchError)
 
@@ -239,11 +239,11 @@ def test_a_cloud_from_open3d_is_a_copy():
 
 
 def test_other_types_than_open3d_clouds_are_refused():
-    with refused():
+    with check_error():
         Cloud.from_open3d([1, 2])
     open3d = import_or_skip("open3d")
     for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
-        with refused():
+        with check_error():
             Cloud.from_open3d(empty)
 
 
@@ -261,12 +261,12 @@ def test_from_trimesh():
     assert Cloud.from_trimesh(box).colors is None
     box.visual.vertex_colors = np.tile(colors[:1], (8, 1))
     assert (Cloud.from_trimesh(box).colors == colors[0, :3]).all()
-    with refused():
+    with check_error():
         Cloud.from_trimesh(trimesh.Scene(box))
 
 
 def test_errors_have_standard_base_classes():
-    with refused(ValueError):
+    with check_error(ValueError):
         Cloud(np.zeros((0, 3)))
     assert issubclass(MissingExtra, ImportError)
-    said(MissingExtra("trimesh", "mesh"))
+    check_text(MissingExtra("trimesh", "mesh"))

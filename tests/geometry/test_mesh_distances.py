@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from mesh_shapes import cube, height_field, icosphere, spiky, tetrahedron
+from mesh_shapes import cube, height_field, icosphere, spiky_sphere, tetrahedron
 from repository import TESTS
 from shapes import UTM
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
@@ -163,7 +163,7 @@ def test_ties_go_to_the_lowest_face():
 
 
 def test_results_are_bit_identical_across_batches_threads_and_runs():
-    vertices, faces = spiky(4)
+    vertices, faces = spiky_sphere(4)
     points = np.random.default_rng(6).normal(size=(3000, 3))
     index = MeshIndex(Mesh(vertices, faces))
     whole = index.query(points)
@@ -174,10 +174,10 @@ def test_results_are_bit_identical_across_batches_threads_and_runs():
             np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
     code = (
         f"import sys\nsys.path.insert(0, {str(TESTS)!r})\n"
-        "import hashlib, numpy as np\nfrom mesh_shapes import spiky\n"
+        "import hashlib, numpy as np\nfrom mesh_shapes import spiky_sphere\n"
         "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
         "points = np.random.default_rng(6).normal(size=(3000, 3))\n"
-        "print(hashlib.sha256(b''.join(m.tobytes() for m in MeshIndex(Mesh(*spiky(4))).query(points))).hexdigest())"
+        "print(hashlib.sha256(b''.join(m.tobytes() for m in MeshIndex(Mesh(*spiky_sphere(4))).query(points))).hexdigest())"
     )
     prints = {
         subprocess.run([sys.executable, "-c", code], env={**os.environ, "OMP_NUM_THREADS": threads}, check=True,
@@ -189,7 +189,7 @@ def test_results_are_bit_identical_across_batches_threads_and_runs():
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-9, 1e12, 1e60])
 def test_scale_invariance(scale):
-    vertices, faces = spiky(2)
+    vertices, faces = spiky_sphere(2)
     points = np.random.default_rng(7).normal(size=(500, 3))
     plain = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
     scaled = MeshIndex(Mesh(vertices * scale, faces)).query(points * scale, signed=True)
@@ -220,7 +220,7 @@ def test_no_queries():
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
 @pytest.mark.parametrize("seed", range(3))
 def test_signs_agree_with_the_winding_number(seed, origin):
-    vertices, faces = spiky(2, seed)
+    vertices, faces = spiky_sphere(2, seed)
     rng = np.random.default_rng(seed)
     edges = vertices[faces[:, 0]] + 0.4 * (vertices[faces[:, 1]] - vertices[faces[:, 0]])
     around = np.concatenate([np.tile(vertices, (5, 1)), edges, vertices[faces].mean(axis=1)])
@@ -263,7 +263,7 @@ def test_signs_do_not_depend_on_face_orientation():
 
 
 def test_faces_with_a_repeated_vertex_are_ignored():
-    vertices, faces = spiky(2)
+    vertices, faces = spiky_sphere(2)
     needles = faces[:40, [0, 0, 1]]
     mesh = Mesh(vertices, np.concatenate([needles, faces]))
     assert mesh.is_closed
@@ -276,7 +276,7 @@ def test_faces_with_a_repeated_vertex_are_ignored():
 
 def test_signed_refusals():
     vertices, faces = cube()
-    with refused():
+    with check_error():
         MeshIndex(Mesh(vertices, faces[1:])).query([(0, 0, 0)], signed=True)
     # Corner 8 on the edge 01 of the first face: a face of no area closes the gap.
     first, rest = faces[0], faces[1:]
@@ -284,7 +284,7 @@ def test_signed_refusals():
     split = [(a, 8, c), (8, b, c), (a, b, 8)]
     mesh = Mesh(np.concatenate([vertices, [(vertices[a] + vertices[b]) / 2]]), np.concatenate([split, rest]))
     assert mesh.is_closed
-    with refused():
+    with check_error():
         MeshIndex(mesh).query([(0, 0, 0)], signed=True)
     assert MeshIndex(mesh).query([(0, 0, 0)]).distances == 1
     assert (
@@ -299,9 +299,9 @@ def test_signed_refusals():
 
 def test_query_refusals():
     index = MeshIndex(Mesh(*cube()))
-    with refused():
+    with check_error():
         index.query(np.zeros(3))
-    with refused():
+    with check_error():
         index.query([(0, 0, np.nan)])
 
 
@@ -309,8 +309,8 @@ def test_kernel_validates_its_arguments():
     from pcbench.native import _core
 
     vertices, faces = cube()
-    with refused(IndexError):
+    with check_error(IndexError):
         _core.MeshIndex(vertices, faces + 1)
     tree = _core.MeshIndex(vertices, faces)
-    with refused(ValueError):
+    with check_error(ValueError):
         tree.query(np.zeros((2, 3)), np.empty(1), np.empty((2, 3)), np.empty(2, np.int64), np.empty(2, np.uint8))

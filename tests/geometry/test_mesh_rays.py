@@ -5,7 +5,7 @@ import pytest
 from mesh_shapes import cube, icosphere
 from oracles import first_hits
 from shapes import UTM
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
@@ -75,5 +75,5 @@ def test_ray_refusals():
         ([[0, 0, 0], [1, 1, 1]], [[0, 0, 1]]),
         ([0, 0], [[0, 0, 1]]),
     ):
-        with refused():
+        with check_error():
             index.cast(origins, directions)

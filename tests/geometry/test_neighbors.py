@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from optional import import_or_skip
-from point_shapes import SHAPES, clustered, grid, oblique_plane, uniform
-from wording import refused
+from point_shapes import SHAPES, clustered_points, grid_points, oblique_plane, uniform_points
+from wording import check_error
 
 from pcbench.geometry.neighbors import Index, match_both_directions, median_spacing
 
@@ -90,7 +90,7 @@ def test_any_finite_coordinates(points, queries):
 def test_a_million_points_agree_with_scipy():
     scipy_spatial = import_or_skip("scipy.spatial")
     rng = np.random.default_rng(11)
-    points, queries = clustered(rng, 1_000_000), clustered(rng, 50_000)
+    points, queries = clustered_points(rng, 1_000_000), clustered_points(rng, 50_000)
     found = Index(points).query(queries)
     _, expected = scipy_spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries, workers=-1)
     x, y, z = (queries - points[expected]).T
@@ -125,7 +125,7 @@ def test_matching_in_both_directions_equals_two_queries(shape):
 
 
 def test_an_index_matched_with_itself_finds_every_point():
-    index = Index(uniform(np.random.default_rng(6), 50))
+    index = Index(uniform_points(np.random.default_rng(6), 50))
     for found in match_both_directions(index, index):
         assert_matches(found, (np.zeros(50), np.arange(50)))
 
@@ -168,7 +168,7 @@ def test_ties_of_many_duplicates_cost_no_more_than_matches():
 
 
 def test_tied_counts_every_point_but_the_match():
-    points = grid(np.random.default_rng(17), 300)
+    points = grid_points(np.random.default_rng(17), 300)
     index = Index(points)
     duplicated = index.nearest_other().distances == 0
     assert 0 < duplicated.sum() < 300
@@ -263,7 +263,7 @@ def test_empty_queries_give_empty_results():
 
 
 def test_points_are_not_copied_and_read_only():
-    points = uniform(np.random.default_rng(9), 10)
+    points = uniform_points(np.random.default_rng(9), 10)
     index = Index(points)
     assert np.shares_memory(index.points, points) and not index.points.flags.writeable and points.flags.writeable
     assert Index(points.astype(np.float32)).points.dtype == np.float64
@@ -271,7 +271,7 @@ def test_points_are_not_copied_and_read_only():
 
 
 def test_memory_is_at_most_40_bytes_per_point():
-    assert Index(uniform(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
+    assert Index(uniform_points(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
 
 
 def moved_with_hint(hint):
@@ -304,7 +304,7 @@ def moved_with_hint(hint):
     ],
 )
 def test_refusals(make):
-    with refused():
+    with check_error():
         make()
 
 
@@ -320,7 +320,7 @@ def test_nearest_of_moved_equals_a_query_with_moved_points(shape):
         np.testing.assert_allclose(moved, queries @ motion[:, :3].T + motion[:, 3], rtol=0, atol=1e-14 * scale)
         for column, expected in zip(found, index.query(moved), strict=True):
             np.testing.assert_array_equal(column, expected)
-    with refused():
+    with check_error():
         index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
 
 

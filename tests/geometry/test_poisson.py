@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from optional import break_library, import_or_skip
 from shapes import UTM, fibonacci_sphere
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import MissingExtra
 from pcbench.extras import import_problem
@@ -57,12 +57,12 @@ def test_reconstruction_is_reproducible():
 
 def test_refusals():
     points, normals = fibonacci_sphere(60)
-    with refused():
+    with check_error():
         poisson_mesh(Cloud(points))
-    with refused():
+    with check_error():
         poisson_mesh(cloud_with_normals(points, normals), depth=0)
     normals[20:] = 0
-    with refused():
+    with check_error():
         poisson_mesh(cloud_with_normals(points, normals))
 
 
@@ -71,7 +71,7 @@ def test_without_a_library(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "open3d", None)
     cloud = cloud_with_normals(*fibonacci_sphere(60))
     for call in (poisson_mesh, poisson.orient_normals):
-        with refused(MissingExtra):
+        with check_error(MissingExtra):
             call(cloud)
 
 
@@ -81,7 +81,7 @@ def test_pymeshlab_is_used_if_open3d_does_not_load(monkeypatch, tmp_path):
     points, normals = fibonacci_sphere(4000, 10.0)
     mesh = poisson_mesh(cloud_with_normals(points, normals))
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 10).max() < 0.1  # a fifth of the spacing
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         poisson.orient_normals(cloud_with_normals(points, normals))
 
 

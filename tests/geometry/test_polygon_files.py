@@ -8,8 +8,8 @@ import pytest
 from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from polygon_rings import BESIDE, HOLE, SQUARE
-from wording import refused, said
+from polygon_rings import HOLE, SEPARATE_SQUARE, SQUARE
+from wording import check_error, check_text
 
 from pcbench import Cloud, parse_region
 from pcbench.errors import InputError
@@ -33,7 +33,7 @@ def feature(geometry):
 
 
 THREE = [[*map(float, v), 7.0] for v in SQUARE]
-MULTI = geojson("MultiPolygon", [[SQUARE, HOLE], [BESIDE]])
+MULTI = geojson("MultiPolygon", [[SQUARE, HOLE], [SEPARATE_SQUARE]])
 SAME_REGION = {
     "multi.json": json.dumps(MULTI),
     "bom.json": "\ufeff" + json.dumps(MULTI),
@@ -41,7 +41,7 @@ SAME_REGION = {
     "collection.json": json.dumps(
         {
             "type": "FeatureCollection",
-            "features": [feature(geojson("Polygon", [THREE, HOLE])), feature(geojson("Polygon", [BESIDE]))],
+            "features": [feature(geojson("Polygon", [THREE, HOLE])), feature(geojson("Polygon", [SEPARATE_SQUARE]))],
         }
     ),
     "plain.wkt": "MULTIPOLYGON (((0 0,4 0,4 4,0 4,0 0),(1 1,1 3,3 3,3 1,1 1)),((6 0,8 0,8 2,6 2,6 0)))\n",
@@ -87,7 +87,7 @@ def test_selection_volume(tmp_path):
     region = parse_region(f"polygon:{tmp_path / 'barn.json'}", CLOUD)
     rows = points([3.5, 0, 0.5], [0.5, 0, 3.5], [3.5, -1.5, 0.5], [3.5, 2.6, 0.5])
     assert region.contains(rows).tolist() == [True, False, True, False]
-    said(region, masked=False)
+    check_text(region, masked=False)
 
 
 def test_autzen_selection():
@@ -100,7 +100,7 @@ def test_autzen_selection():
 
 
 def test_several_polygons_are_a_union(tmp_path):
-    (tmp_path / "two.json").write_text(json.dumps(geojson("MultiPolygon", [[SQUARE], [BESIDE]])))
+    (tmp_path / "two.json").write_text(json.dumps(geojson("MultiPolygon", [[SQUARE], [SEPARATE_SQUARE]])))
     region = parse_region(f"polygon:{tmp_path / 'two.json'}", CLOUD)
     assert isinstance(region, Union)
     assert region.contains(points([1, 1, 0], [5, 1, 0], [7, 1, 0])).tolist() == [1, 0, 1]
@@ -112,8 +112,8 @@ def test_the_text_of_a_polygon_is_its_file(tmp_path):
     region = read_polygon(tmp_path / "p.wkt")
     assert region.text == f"polygon:{tmp_path / 'p.wkt'}"
     # A modified copy no longer refers to the file.
-    said(replace(region, lower=1).text, masked=False)
-    said(region.shifted(np.ones(3)).text, masked=False)
+    check_text(replace(region, lower=1).text, masked=False)
+    check_text(region.shifted(np.ones(3)).text, masked=False)
 
 
 # Refusals
@@ -180,13 +180,13 @@ def test_the_text_of_a_polygon_is_its_file(tmp_path):
 def test_refused_files(tmp_path, content):
     path = tmp_path / "p"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
-    with refused() as caught:
+    with check_error() as caught:
         parse_region(f"polygon:{path}", CLOUD)
     assert len(str(caught.value)) < len(str(path)) + 250
 
 
 def test_refused_endless_file():
-    with refused():
+    with check_error():
         read_polygon("/dev/zero")
 
 

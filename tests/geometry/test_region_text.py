@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from wording import refused
+from wording import check_error
 
 import pcbench
 from pcbench import Box, Cloud, Polygon, Sphere, crop, parse_region
@@ -31,7 +31,7 @@ def test_as_region_accepts_objects_and_texts():
     assert as_region(box, CLOUD) is box
     assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
     for wrong in (None, 3, [0, 0, 0, 1, 1, 1]):
-        with refused():
+        with check_error():
             as_region(wrong, CLOUD)
 
 
@@ -67,7 +67,7 @@ def test_a_crop_that_contains_all_points_returns_the_cloud():
     ],
 )
 def test_an_empty_crop_is_refused(region):
-    with refused():
+    with check_error():
         pcbench.crop(CLOUD, region)
 
 
@@ -104,12 +104,12 @@ def test_an_empty_crop_is_refused(region):
     ],
 )
 def test_refused_texts(text):
-    with refused():
+    with check_error():
         parse_region(text, CLOUD)
 
 
 def test_refused_quantile_of_coincident_points():
-    with refused():
+    with check_error():
         parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from polygon_rings import BESIDE, HOLE, SQUARE
+from polygon_rings import HOLE, SEPARATE_SQUARE, SQUARE
 from shapes import UTM_DECIMAL as UTM
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, parse_region
 from pcbench.geometry.regions import Box, Polygon, Region, Sphere, Union
@@ -26,21 +26,21 @@ def test_box_is_closed():
     inside = box.contains(points([0, 0, 0], [1, 2, 3], [0.5, 1, 1], [1.1, 1, 1], [0.5, -0.1, 1], [0.5, 1, 3.1]))
     assert inside.tolist() == [True, True, True, False, False, False]
     assert inside.dtype == bool
-    said(box, masked=False)
+    check_text(box, masked=False)
 
 
 def test_sphere_is_closed():
     sphere = Sphere([1, 2, 3], 2.5)
     assert sphere.contains(points([1, 2, 3], [3.5, 2, 3], [3.51, 2, 3], [2.5, 4, 3])).tolist() == [1, 1, 0, 1]
-    said(sphere, masked=False)
+    check_text(sphere, masked=False)
 
 
 def test_polygon_with_hole_and_second_part():
-    polygon = Polygon((SQUARE, HOLE, BESIDE), lower=0, upper=1)
+    polygon = Polygon((SQUARE, HOLE, SEPARATE_SQUARE), lower=0, upper=1)
     rows = [[0.5, 0.5, 0], [2, 2, 0], [7, 1, 1], [5, 1, 0], [0.5, 0.5, 1.1], [0.5, 0.5, -0.1]]
     assert polygon.contains(points(*rows)).tolist() == [1, 0, 1, 0, 0, 0]
-    said(polygon, masked=False)
-    said(Polygon((SQUARE,)), masked=False)
+    check_text(polygon, masked=False)
+    check_text(Polygon((SQUARE,)), masked=False)
 
 
 @pytest.mark.parametrize("ring", [SQUARE, SQUARE[::-1], SQUARE[:-1], [v for v in SQUARE for _ in range(3)]])
@@ -77,8 +77,8 @@ def test_one_ring_needs_no_list_of_rings():
 def test_overlapping_polygons_are_united():
     region = Union(tuple(Polygon([[x, 0], [x + 4, 0], [x + 4, 4], [x, 4]]) for x in (0, 2)))
     assert region.contains(points([1, 1, 0], [3, 1, 0], [5, 1, 0], [7, 1, 0])).tolist() == [1, 1, 1, 0]
-    said(region, masked=False)
-    said(Union((region,) * 4), masked=False)
+    check_text(region, masked=False)
+    check_text(Union((region,) * 4), masked=False)
 
 
 def test_bounding_box_contains_all_points():
@@ -137,7 +137,7 @@ def test_text_round_trip(region, text, short):
 
 def test_a_polygon_without_a_file_is_described():
     polygon = Polygon(SQUARE, upper=2)
-    assert polygon.text == said(polygon, masked=False)
+    assert polygon.text == check_text(polygon, masked=False)
     assert repr(polygon) == f"<{polygon}>"
     assert repr(Union((polygon,))) == repr(polygon)
     assert replace(polygon, upper=3).upper == 3
@@ -244,5 +244,5 @@ def test_no_points():
     ],
 )
 def test_refused_values(make):
-    with refused():
+    with check_error():
         make()

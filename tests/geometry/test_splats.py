@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import splat_models
-from wording import refused
+from wording import check_error
 
 import pcbench
 from pcbench import Cloud, read_cloud, write_cloud
@@ -12,7 +12,7 @@ from pcbench.geometry.splats import splat_model
 
 @pytest.mark.parametrize(("dimensions", "degree"), [(3, 3), (3, 0), (2, 3), (3, 1)])
 def test_models_are_recognised_by_their_attributes(tmp_path, dimensions, degree):
-    write_cloud(tmp_path / "a.ply", splat_models.some(5, dimensions, degree))
+    write_cloud(tmp_path / "a.ply", splat_models.make_gaussians(5, dimensions, degree))
     model = splat_model(read_cloud(tmp_path / "a.ply"))
     assert (model.dimensions, model.sh_degree) == (dimensions, degree)
     np.testing.assert_allclose(model.opacities, [0.1, 0.3, 0.5, 0.7, 0.9], rtol=1e-6)
@@ -20,7 +20,7 @@ def test_models_are_recognised_by_their_attributes(tmp_path, dimensions, degree)
 
 
 def test_opacities_from_0_to_1_are_not_logits():
-    cloud = splat_models.some()
+    cloud = splat_models.make_gaussians()
     plain = Cloud(cloud.points, attributes={**cloud.attributes, "opacity": np.linspace(0, 1, 5)})
     np.testing.assert_array_equal(splat_model(plain).opacities, np.linspace(0, 1, 5))
 
@@ -31,7 +31,7 @@ def test_other_clouds_are_not_models(tmp_path):
 
 def test_filters_on_reading(tmp_path):
     file = tmp_path / "a.ply"
-    whole = splat_models.some()
+    whole = splat_models.make_gaussians()
     write_cloud(file, whole)
     np.testing.assert_array_equal(read_cloud(file, min_opacity=0.49).points, whole.points[2:])
     np.testing.assert_array_equal(read_cloud(file, max_axis=0.061).points, whole.points[:2])
@@ -42,7 +42,7 @@ def test_filters_on_reading(tmp_path):
 
 def test_refusals(tmp_path):
     splats, cloud = tmp_path / "a.ply", tmp_path / "b.ply"
-    write_cloud(splats, splat_models.some())
+    write_cloud(splats, splat_models.make_gaussians())
     write_cloud(cloud, np.zeros((4, 3)))
     for path, options in (
         (splats, {"min_opacity": 1.5}),
@@ -53,7 +53,7 @@ def test_refusals(tmp_path):
         ),
         (cloud, {"min_opacity": 0.5}),
     ):
-        with refused():
+        with check_error():
             read_cloud(path, **options)
 
 
@@ -73,7 +73,7 @@ def test_a_comparison_filters_low_opacity_and_large_splats(tmp_path):
     called = pcbench.compare(plane, {"the reference": splats}, **limits)
     assert [(c.name, c.points) for c in called] == [("the reference", 900)]
     assert called.reference.points == 900
-    with refused():
+    with check_error():
         pcbench.compare(plane, plane, **limits)
-    with refused():
+    with check_error():
         pcbench.compare(plane, splats, register="none", min_opacity=1.0)

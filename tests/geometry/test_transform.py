@@ -6,7 +6,7 @@ import shapes
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapes import UTM_DECIMAL as UTM
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
 
@@ -345,7 +345,7 @@ BLOB = np.random.default_rng(7).normal(size=(5, 3))
     ],
 )
 def test_refusals(make):
-    with refused():
+    with check_error():
         make()
 
 
@@ -367,5 +367,5 @@ def test_refused_files(tmp_path, content):
     path = tmp_path / "m.txt"
     if content is not None:
         path.write_bytes(content)
-    with refused():
+    with check_error():
         read_matrix(path)

@@ -11,7 +11,7 @@ import pytest
 from data_folder import data_folder
 from ply_bytes import XYZ, corpus, ply, points
 from refusals import refusal
-from wording import refused
+from wording import check_error
 
 import pcbench
 from pcbench.errors import InputError
@@ -117,7 +117,7 @@ def test_unknown_extension_lists_supported_extensions(tmp_path, name):
 
 
 def write_refusal(path):
-    with refused() as caught:
+    with check_error() as caught:
         write_cloud(path, Cloud(np.zeros((1, 3))))
     return str(caught.value).removeprefix(f"{path}: ")
 
@@ -277,5 +277,5 @@ def test_full_disk_leaves_no_files(tmp_path, name):
 @pytest.mark.parametrize("call", [read_cloud, lambda path: write_cloud(path, np.zeros((1, 3))), read_mesh])
 @pytest.mark.parametrize("path", [None, 3, b"a.ply"])
 def test_arguments_that_are_not_paths_are_refused(call, path):
-    with refused():
+    with check_error():
         call(path)

@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 from optional import import_or_skip
-from ply_bytes import damaged
-from wording import refused
+from ply_bytes import damage
+from wording import check_error
 
 from pcbench.errors import PcbenchError
 from pcbench.geometry.cloud import Cloud
@@ -95,11 +95,11 @@ def test_folders(tmp_path, place):
 
 
 def test_folders_without_a_model(tmp_path):
-    with refused():
+    with check_error():
         read_points3d(tmp_path)
-    with refused():
+    with check_error():
         read_cloud(tmp_path)
-    with refused():
+    with check_error():
         write_cloud(tmp_path / "points3D.bin", Cloud(np.zeros((1, 3))))
     assert not list(tmp_path.iterdir())
 
@@ -127,11 +127,11 @@ DAMAGED = {
 }
 
 
-@pytest.mark.parametrize(("name", "damage"), [(name, damage) for name, cases in DAMAGED.items() for damage in cases])
-def test_damaged(tmp_path, name, damage):
+@pytest.mark.parametrize(("name", "case"), [(name, case) for name, cases in DAMAGED.items() for case in cases])
+def test_damaged(tmp_path, name, case):
     path = tmp_path / name
-    path.write_bytes(DAMAGED[name][damage])
-    with refused() as caught:
+    path.write_bytes(DAMAGED[name][case])
+    with check_error() as caught:
         read_cloud(tmp_path)
     assert str(caught.value).startswith(f"{path}: ")
     assert str(caught.value).isprintable()
@@ -142,7 +142,7 @@ def test_random_damage(tmp_path):
     failures = 0
     for name, data in (("points3D.bin", model(9)), ("points3D.txt", TEXT)):
         for _ in range(300):
-            (tmp_path / name).write_bytes(damaged(data, rng))
+            (tmp_path / name).write_bytes(damage(data, rng))
             try:
                 read_cloud(tmp_path / name, on_warning=lambda note: None)
             except PcbenchError as error:

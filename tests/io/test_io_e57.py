@@ -10,7 +10,7 @@ import pytest
 from data_folder import data_folder
 from e57_bytes import RAE, XYZ, write
 from optional import break_library, import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import read_cloud
 from pcbench.errors import InputError, MissingExtra, PcbenchError
@@ -142,7 +142,7 @@ def test_files_of_other_formats(pye57, tmp_path):
 
 def test_checksums_match_the_library(pye57, tmp_path):
     good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
-    assert e57_bytes.sealed(good) == good
+    assert e57_bytes.add_checksums(good) == good
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is full")
@@ -163,7 +163,7 @@ def test_full_disk_is_not_reported_as_damage(pye57, tmp_path, monkeypatch):
 def test_without_pye57(monkeypatch, tmp_path):
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
     monkeypatch.setitem(sys.modules, "pye57", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         read(tmp_path / "a.e57")
 
 
@@ -174,7 +174,7 @@ def test_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
         "raise OSError('libxerces-c.so: cannot open shared object file')"
     )
     monkeypatch.syspath_prepend(str(tmp_path / "broken"))
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         read(path)
 
 

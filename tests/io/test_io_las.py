@@ -13,7 +13,7 @@ import refusals
 from data_folder import data_folder
 from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
 from optional import break_library, import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
@@ -188,7 +188,7 @@ def test_wrong_returns(tmp_path, returns):
 
 def test_filters_of_other_formats(tmp_path):
     np.save(tmp_path / "a.npy", np.ones((2, 3)))
-    with refused():
+    with check_error():
         read_cloud(tmp_path / "a.npy", classes=(2,))
 
 
@@ -241,14 +241,14 @@ def test_heights_in_another_unit_are_a_warning():
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
     assert cloud.unit is None  # distances have no single unit
     assert len(notes) == 1
-    said(notes[0])
+    check_text(notes[0])
 
 
 def test_without_pyproj(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyproj", None)
     assert projected(tmp_path, wkt(UTM)) == (UTM, None, [])
     assert projected(tmp_path, geo_keys(model=1, projected=2992, unit=9002)) == ("EPSG:2992", "ft", [])
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         write_cloud(tmp_path / "b.las", Cloud(np.zeros((1, 3)), crs="EPSG:32617"))
     assert not (tmp_path / "b.las").exists()
 
@@ -303,7 +303,7 @@ def test_damaged_extended_records_are_a_warning(tmp_path):
     assert read(tmp_path, data).crs in ("EPSG:32617", UTM)
     cloud, notes = noted(tmp_path, data[:-5])
     assert (len(cloud), cloud.crs, len(notes)) == (10, None, 1)
-    said(notes[0])
+    check_text(notes[0])
 
 
 def test_damaged_laz(tmp_path):
@@ -354,7 +354,7 @@ def test_lazrs_that_does_not_load(tmp_path, monkeypatch):
     worker.write_text("import sys\nsys.path[:] = []\n" + Path(laz._WORKER).read_text())
     monkeypatch.setattr(laz, "_WORKER", str(worker))
     (tmp_path / "a.laz").write_bytes(las(0, 10, compress="chunks"))
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         read_cloud(tmp_path / "a.laz")
 
 
@@ -378,7 +378,7 @@ def test_without_lazrs(tmp_path, monkeypatch):
     needs_lazrs()
     data = las(0, 10, compress="chunks")
     break_library(monkeypatch, tmp_path / "packages", "lazrs", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         read(tmp_path, data)
     with pytest.raises(MissingExtra):
         write_cloud(tmp_path / "b.laz", Cloud(np.zeros((1, 3))))
@@ -420,7 +420,7 @@ def test_unverifiable_laz_is_a_warning(tmp_path, monkeypatch):
         except InputError:
             outcomes.append(["refused"])
     assert all(outcomes)
-    said(next(notes[0] for notes in outcomes if notes != ["refused"]))
+    check_text(next(notes[0] for notes in outcomes if notes != ["refused"]))
     assert noted(tmp_path, data)[1] == []
 
 

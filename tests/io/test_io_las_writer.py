@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
@@ -99,7 +99,7 @@ def test_hundredths_are_exact(tmp_path):
 
 
 def check_refusal(path, cloud):
-    with refused():
+    with check_error():
         write_cloud(path, cloud)
     assert not path.exists()
 

@@ -8,8 +8,8 @@ import pytest
 from mesh_bytes import CUBES, FACES, OBJ, VERTICES, ascii_stl, glb, obj, off, ply_mesh, stl
 from mesh_shapes import icosphere
 from optional import break_library, import_or_skip
-from ply_bytes import XYZ, damaged, ply
-from wording import refused
+from ply_bytes import XYZ, damage, ply
+from wording import check_error
 
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, PcbenchError
@@ -65,7 +65,7 @@ def test_without_trimesh(tmp_path, monkeypatch):
     path = tmp_path / "a.glb"
     path.write_bytes(glb())
     break_library(monkeypatch, tmp_path / "packages", "trimesh", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         read_mesh(path)
 
 
@@ -164,7 +164,7 @@ REFUSED = {
 def test_refusals(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(REFUSED[name])
-    with refused():
+    with check_error():
         read_mesh(path)
 
 
@@ -186,7 +186,7 @@ def test_damage_reported_by_libraries(tmp_path, name, data, expected):
 
 def test_missing_file(tmp_path):
     for path in (tmp_path / "a.stl", tmp_path):
-        with refused():
+        with check_error():
             read_mesh(path)
 
 
@@ -217,7 +217,7 @@ def test_crash_hang_or_memory_growth_is_a_one_line_error(tmp_path, monkeypatch):
     limits = "import resource, sys\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\n"
     for code in ("import os\nos.abort()", limits + "while True: pass", "raise ValueError('two\\nlines')"):
         child.write_text(code)
-        with refused():
+        with check_error():
             read_mesh(path)
     from pcbench.io import trimesh_child  # the actual worker, with little memory
 
@@ -230,7 +230,7 @@ def test_crash_hang_or_memory_growth_is_a_one_line_error(tmp_path, monkeypatch):
 def damaged_glb(tmp_path, count, seed):
     rng = random.Random(seed)
     for _ in range(count):
-        data = bytearray(damaged(glb(), rng))
+        data = bytearray(damage(glb(), rng))
         data[8:12] = struct.pack("<I", len(data))  # passes the first check
         (tmp_path / "a.glb").write_bytes(data)
         try:

@@ -7,9 +7,9 @@ import zipfile
 
 import numpy as np
 import pytest
-from ply_bytes import damaged
+from ply_bytes import damage
 from refusals import refusal
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
@@ -218,7 +218,7 @@ def test_npz_refuses_two_arrays_of_one_name(tmp_path):
 
 @pytest.mark.parametrize(("name", "values"), [("crs", [1]), ("", [1]), ("a\0b", [1]), ("a", ["text"]), ("a", [None])])
 def test_npz_refuses_attributes(tmp_path, name, values):
-    with refused():
+    with check_error():
         write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={name: np.array(values)}))
     assert not list(tmp_path.iterdir())
 
@@ -241,7 +241,7 @@ def test_mutations_only_raise_input_errors(tmp_path, extension):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(400):
-            path.write_bytes(damaged(rng.choice(corpus), rng))
+            path.write_bytes(damage(rng.choice(corpus), rng))
             try:
                 read_cloud(path, on_warning=lambda note: None)
             except InputError as error:

@@ -7,7 +7,7 @@ from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
@@ -218,7 +218,7 @@ def test_as_written(tmp_path):
 
 
 def test_pts_is_not_written(tmp_path):
-    with refused():
+    with check_error():
         write_cloud(tmp_path / "a.pts", Cloud(np.zeros((1, 3))))
 
 
@@ -227,13 +227,13 @@ def test_refuses_names(tmp_path, name):
     cloud = Cloud(
         np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
     )
-    with refused():
+    with check_error():
         write_cloud(tmp_path / "a.csv", cloud)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
 def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
-    with refused():
+    with check_error():
         write_cloud(tmp_path / "a.csv", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ import pytest
 import shapes
 from optional import import_or_skip
 from shapes import UTM_WHOLE as UTM
-from wording import refused
+from wording import check_error
 
 from pcbench import Cloud, Settings, Sphere, compare
 from pcbench.errors import RegistrationError
@@ -275,16 +275,16 @@ def test_inputs_are_not_modified(pair):
 def test_invalid_inputs_are_refused(pair, monkeypatch):
     reference, candidate = pair
     for crop in ("sphere:900,0,0,1", Sphere([900, 0, 0], 1)):
-        with refused():
+        with check_error():
             compare(reference, candidate, Settings(crop=crop))
     monkeypatch.setattr(advice, "has_global", lambda: True)  # the message does not depend on what is installed
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         compare(reference, candidate + 1e4, NONE)
-    with refused():
+    with check_error():
         compare(reference, [], NONE)
-    with refused():
+    with check_error():
         Settings(thresholds=(0.0,))
-    with refused():
+    with check_error():
         compare(reference, {"x": candidate[candidate[:, 0] > 20]}, Settings("none", crop="box:0,0,-9,10,40,9"))
 
 
@@ -343,9 +343,9 @@ def test_poses_and_methods_may_be_objects_or_texts(pair, tmp_path):
     assert doc["settings"]["register"] == "icp"
     np.testing.assert_array_equal(doc["settings"]["initial"], turn.matrix)
     assert "initial" not in document(compare(reference, candidate, NONE))["settings"]
-    with refused():
+    with check_error():
         Settings(register=np.diag([1.0, 2, 1, 1]))
-    with refused():
+    with check_error():
         Settings(register=7)
 
 
@@ -356,7 +356,7 @@ def test_access_by_name_and_iteration(pair, tmp_path):
     assert [c.name for c in comparison] == ["a", "<b>"]
     assert len(comparison) == 2
     assert "a" in comparison and "c" not in comparison
-    with refused(KeyError):
+    with check_error(KeyError):
         comparison["c"]
     text = repr(comparison)
     assert len(text.splitlines()) == 3
@@ -384,7 +384,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     assert (tmp_path / "without/comparison.json").is_file()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").touch()
-    with refused():
+    with check_error():
         comparison.save(tmp_path / "mine", figures=False)
 
 
@@ -392,7 +392,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
 def test_names_that_are_no_file_names_are_not_saved(name, tmp_path):
     corners = np.eye(3)
     comparison = compare(corners, {name: corners}, NONE)
-    with refused():
+    with check_error():
         comparison.save(tmp_path / "report", figures=False)
     assert not any(tmp_path.iterdir())  # no file next to the report either
 
@@ -403,7 +403,7 @@ def test_regions_may_be_objects_or_texts(pair):
     by_object = document(compare(reference, candidate, Settings("none", crop=Box([10, 10, -9], [25, 30, 9]))))
     assert by_object["candidates"][0]["metrics"] == by_text["candidates"][0]["metrics"]
     assert by_object["settings"]["crop"] == "box:10,10,-9,25,30,9"
-    with refused():
+    with check_error():
         Settings(crop=(0, 1))
 
 
@@ -412,5 +412,5 @@ def test_names_are_taken_from_any_iterable():
     assert names.presets == ("gao2025", "mpeg", "pdal")
     assert names.maps == ("m3c2",)
     for wrong in ("pdal", None, 7):
-        with refused():
+        with check_error():
             Settings(presets=wrong)

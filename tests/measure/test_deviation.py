@@ -6,7 +6,7 @@ import pytest
 import shapes
 from data_folder import data_folder
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import Settings, compare, read_cloud
 from pcbench.geometry.mesh import Mesh
@@ -44,7 +44,7 @@ def test_m3c2_registration_error_and_empty_cylinders():
     assert found.lod[0] == pytest.approx(0.0196)
     assert found.significant[0] == 0
     assert np.isnan([found.distances[1], found.lod[1], found.significant[1]]).all()
-    with refused():
+    with check_error():
         m3c2(Index(plane), Index(plane), cores, np.tile(UP, (2, 1)), radius=0, half_length=1)
 
 
@@ -105,7 +105,7 @@ def test_poisson_map_and_the_papers_d2():
 
 
 def test_unknown_map():
-    with refused():
+    with check_error():
         Settings(maps=("x",))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from floor_cases import Case, measured
+from floor_cases import Case, mean_floors
 
 from pcbench import Cloud, Settings, compare
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
@@ -38,13 +38,13 @@ def test_a_poisson_plane_has_its_closed_form(reference, candidate):
     ids=lambda case: f"{case.surface}-{case.reference}-{case.candidate}",
 )
 def test_error_free_samples_score_their_floors(case):
-    ratios = measured(case, 12).ratios
+    ratios = mean_floors(case, 12).ratios
     np.testing.assert_allclose(ratios[:, [0, 2]], 1, atol=0.1)  # D1 and the mean distance
     np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few points at edges dominate
 
 
 def test_floor_excludes_noise_of_the_candidate():
-    without, noisy = measured(Case("torus", 3_000, 3_000), 3), measured(Case("torus", 3_000, 3_000, noise=0.5), 3)
+    without, noisy = mean_floors(Case("torus", 3_000, 3_000), 3), mean_floors(Case("torus", 3_000, 3_000, noise=0.5), 3)
     np.testing.assert_allclose(noisy.floors / without.floors, 1, atol=0.07)
     assert (noisy.ratios[:, 0] > 1.15).all()
     assert (noisy.ratios[:, 1] > 20).all()

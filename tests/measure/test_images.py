@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 from optional import break_library, import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.measure import perceptual
 from pcbench.measure.images import absolute_error, psnr, ssim
@@ -96,13 +96,13 @@ def test_error_maps_are_in_grey_levels():
 @pytest.mark.parametrize("metric", [psnr, ssim])
 def test_invalid_inputs_are_refused(metric):
     image = photograph(0)
-    with refused():
+    with check_error():
         metric(image, image[:-1])
-    with refused():
+    with check_error():
         metric(image[..., 0], image[..., 0])
-    with refused():
+    with check_error():
         metric(image.astype(int), image.astype(int))
-    with refused():
+    with check_error():
         metric(image, image, np.ones((48, 67), dtype=np.uint8))
 
 
@@ -126,7 +126,7 @@ def test_missing_packages_are_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "flip_evaluator", None)
     here = Perceptual.here()
     assert [notice.code for notice in here.missing] == ["no-lpips", "no-flip"]
-    said("\n".join(notice.text for notice in here.missing))
+    check_text("\n".join(notice.text for notice in here.missing))
     scores = here.scores(photograph(0), photograph(1))
     assert scores.lpips is None
     assert scores.flip is None
@@ -142,7 +142,7 @@ def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
     here = Perceptual.here()
     assert here.lpips is None
     assert here.missing[0].code == "no-lpips"
-    said(here.missing[0].text)
+    check_text(here.missing[0].text)
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ import numpy as np
 import oracles
 import pytest
 import shapes
-from command_line import one_line
+from command_line import is_one_line
 from data_folder import data_folder
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
 
@@ -92,7 +92,7 @@ def test_core_points_outside_the_region_are_left_out(pair):
     found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
     inside = cores[(cores[:, 0] >= low) & (cores[:, 2] < 1000)]
     np.testing.assert_allclose(found.cores, inside)
-    with refused():
+    with check_error():
         compare(reference, candidate, Settings(register="none", m3c2=M3C2Settings(1.2, cores=cores[-1:]), crop=box))
 
 
@@ -113,7 +113,7 @@ def test_core_points_outside_the_region_are_left_out(pair):
     ],
 )
 def test_invalid_texts_are_refused(text):
-    with refused():
+    with check_error():
         Settings(m3c2=text)
 
 
@@ -123,9 +123,9 @@ def test_settings_survive_a_round_trip_through_text():
     assert M3C2Settings.parse(how.text).text == how.text
     assert Settings(m3c2="radius=1").maps == ("m3c2",)
     for wrong in (3, True, {"radius": 1}):
-        with refused():
+        with check_error():
             Settings(m3c2=wrong)
-    with refused():
+    with check_error():
         M3C2Settings("0.5")
 
 
@@ -147,7 +147,7 @@ def test_from_the_command_line_and_again(pair, tmp_path, run):
     for wrong, named in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
         code, _, err = run("compare", *files, "--m3c2", wrong)
         assert code == 2
-        assert one_line(err)
+        assert is_one_line(err)
         assert named in err
 
 
@@ -160,4 +160,4 @@ def test_cylinders_with_too_few_points_give_a_warning(pair):
 
     assert warned("radius=1.2") == []
     (text,) = warned("radius=1e-9")
-    said(text, masked=False)
+    check_text(text, masked=False)

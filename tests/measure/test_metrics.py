@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from wording import refused
+from wording import check_error
 
 from pcbench import Cloud, metrics, write_cloud
 from pcbench.geometry.neighbors import Index
@@ -112,7 +112,7 @@ def test_plane_distances_by_rows_are_those_of_copies():
     found = metrics.plane_distances(queries, closest, normals, **rows)
     np.testing.assert_array_equal(found, metrics.plane_distances(*copies))
     np.testing.assert_allclose(found, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
-    with refused(IndexError):
+    with check_error(IndexError):
         metrics.plane_distances(queries, closest, normals, closest_rows=np.full(50, 50))
 
 
@@ -137,13 +137,13 @@ def test_psnr_of_mpeg():
     ],
 )
 def test_no_distances_are_refused(call):
-    with refused():
+    with check_error():
         call(np.empty(0))
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, np.nan])
 def test_thresholds_must_be_positive(threshold):
-    with refused():
+    with check_error():
         metrics.fscore(np.ones(3), np.ones(3), threshold)
 
 
@@ -155,22 +155,22 @@ BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
 def test_points_instead_of_distances_are_refused_with_the_right_call(name):
     points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
     arguments = [points] if name in ONE_WAY else [points, points]
-    with refused() as caught:
+    with check_error() as caught:
         getattr(metrics, name)(*arguments, *further)
     named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(caught.value))
     assert getattr(metrics, named[1])(points, points, *further) is not None
     if name in BOTH_WAYS:
-        with refused():
+        with check_error():
             getattr(metrics, name)(np.zeros(7), points, *further)
 
 
 def test_values_must_have_one_row_per_point():
     voxels = cells(np.random.default_rng(0).random((7, 3)), 0.5)
-    with refused():
+    with check_error():
         metrics.area_weighted_mean(np.zeros((7, 3)), voxels)
-    with refused():
+    with check_error():
         metrics.area_weighted_mean(np.zeros(6), voxels)
-    with refused():
+    with check_error():
         metrics.fscore([0.0, np.nan, 1.0], [0.0], 1.0)
 
 
@@ -203,15 +203,15 @@ def test_two_clouds_may_be_clouds_or_files(tmp_path):
     write_cloud(tmp_path / "a.ply", Cloud(first))
     assert metrics.hausdorff_between(tmp_path / "a.ply", Cloud(second)) == expected
     assert metrics.hausdorff_between(str(tmp_path / "a.ply"), second.tolist()) == expected
-    with refused():
+    with check_error():
         metrics.hausdorff_between(tmp_path / "b.ply", second)
-    with refused():
+    with check_error():
         metrics.chamfer_unsquared_between(first[:, 0], second)
 
 
 @pytest.mark.parametrize("name", ["chamfer_unsquared", "hausdorff", "fscore"])
 def test_signed_distances_are_refused_if_they_would_cancel(name):
     further = [0.1] if name == "fscore" else []
-    with refused():
+    with check_error():
         getattr(metrics, name)([1.0, -1.0], [1.0], *further)
     assert metrics.mean_square([1.0, -1.0]) == 1.0  # squares do not depend on the sign

@@ -8,7 +8,7 @@ import pytest
 import shapes
 from data_folder import data_folder
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import Cloud, Settings, compare, read_cloud
 
@@ -115,7 +115,7 @@ def test_identical_clouds_have_no_psnr():
 
 
 def test_unknown_preset():
-    with refused():
+    with check_error():
         Settings(presets=("nonsense",))
 
 

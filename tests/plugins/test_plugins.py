@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optional import import_or_skip
-from processes import ends
+from processes import has_ended
 from repository import ROOT
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, plugins, read_cloud
 from pcbench.errors import InputError, ReconstructionError
@@ -145,7 +145,7 @@ def test_failures_are_results(scene, plugin, tmp_path, body, status):
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work")
     assert result.status == status
     assert result.reconstruction is None
-    with refused(ReconstructionError) as raised:
+    with check_error(ReconstructionError) as raised:
         result.require_reconstruction()
     assert f"{status}: {result.message}" in str(raised.value)
     assert "log.txt" in str(raised.value)
@@ -155,10 +155,10 @@ def test_hanging_plugin_is_ended_with_its_children(scene, plugin, tmp_path):
     body = "import subprocess; p = subprocess.Popen(['sleep', '600']); print(p.pid); time.sleep(600)"
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work", time_limit_s=3)
     assert result.status == "timeout"
-    assert " 3 s" in said(result.message)
+    assert " 3 s" in check_text(result.message)
     assert result.wall_s < 60
     child = int(result.log.read_text())
-    assert ends(child)
+    assert has_ended(child)
 
 
 def test_old_result_is_not_used_after_a_crash(scene, plugin, tmp_path):
@@ -173,7 +173,7 @@ def test_user_mistakes_are_refused(scene, plugin, tmp_path):
     def check_refusal(job):
         result = run(job, tmp_path / "work")
         assert result.status == "refused"
-        with refused():
+        with check_error():
             result.require_reconstruction()
 
     check_refusal(ReconstructionJob(spec, scene, {"m": "1"}))
@@ -200,7 +200,7 @@ def test_settings_are_converted(plugin):
         ("maybe", "float|none", "None"),
     ]
     for name, text in (("flag", "maybe"), ("n", "1.5"), ("maybe", "much")):
-        with refused():
+        with check_error():
             found.configure({name: text})
 
 
@@ -210,7 +210,7 @@ def test_integer_settings_have_32_bits(plugin, text):
     found = find_plugin(plugin(GOOD, "n: int = 2\nmaybe: int | None = None"))
     assert found.configure({"n": "2147483647"}).n == 2**31 - 1
     for name in ("n", "maybe"):
-        with refused() as caught:
+        with check_error() as caught:
             found.configure({name: text})
         assert len(str(caught.value)) < 200
 
@@ -223,14 +223,14 @@ def test_help_is_the_docstring(plugin):
 def test_required_settings_are_named(plugin):
     found = find_plugin(plugin(GOOD, "n: int"))
     assert found.settings[0].default is None
-    with refused():
+    with check_error():
         found.configure({})
 
 
 def test_invalid_reconstructors_are_refused(tmp_path):
     (tmp_path / "a.py").write_text("class A:\n    def reconstruct(self, scene, workspace): ...\nB = 3\n")
     for file, name in (("a", "A"), ("a", "B"), ("a", "C"), ("b", "A")):
-        with refused():
+        with check_error():
             find_plugin(f"{tmp_path}/{file}.py:{name}")
     with pytest.raises(InputError, match="nowhere"):  # Python's reason follows
         find_plugin("nowhere:A")
@@ -240,9 +240,9 @@ def test_entry_points(monkeypatch):
     points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
     monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: points)
     assert plugins.installed_reconstructors() == ("one", "two")
-    with refused():
+    with check_error():
         find_plugin("two")
-    with refused():
+    with check_error():
         find_plugin("three")
 
 
@@ -277,13 +277,13 @@ def test_survey_residuals_are_returned(scene, plugin, tmp_path):
     )
     outcome = tmp_path / "work/outcome.json"
     outcome.write_text(outcome.read_text().replace('"dx"', '"d"'))
-    with refused(ValueError):
+    with check_error(ValueError):
         read_reconstruction(tmp_path / "work")
 
 
 def test_invalid_reconstruction_is_refused():
     cloud = Cloud(POINTS)
-    with refused():
+    with check_error():
         Reconstruction(cloud, "metric", ["a"])
     assert Reconstruction(cloud, "metric").cameras == Reconstruction(cloud, "metric", cameras=None).cameras == {}
 
@@ -303,11 +303,11 @@ def test_foreign_folder_is_refused_as_workspace(scene, plugin, tmp_path, request
     spec = plugin("return Reconstruction(scene.points, 'metric')")
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--workspace", work)
     assert code == 2
-    said(err)
+    check_text(err)
     assert (work / "cameras" / "mine.txt").read_text() == "mine"
     before = sorted((scene / "sparse").iterdir())
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--write-cameras", scene / "sparse")
     assert (code, sorted((scene / "sparse").iterdir())) == (2, before)
-    said(err)
+    check_text(err)
     for _ in range(2):  # a reconstruction's workspace may be used again
         assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

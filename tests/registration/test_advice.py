@@ -2,7 +2,7 @@
 
 import pytest
 import shapes
-from wording import said
+from wording import check_text
 
 from pcbench.errors import RegistrationError
 from pcbench.registration import FeatureSettings, IcpSettings, advice, from_features, register
@@ -23,7 +23,7 @@ def test_a_method_that_is_not_installed_is_recommended_with_its_package(monkeypa
     assert "pip install" not in failure(factor * CITY + 1e6, method)
     monkeypatch.setattr(advice, "has_global", lambda: False)
     text = failure(factor * CITY + 1e6, method)
-    assert "pip install 'pcbench[global]'" in said(text)
+    assert "pip install 'pcbench[global]'" in check_text(text)
     assert text.count("--register global-similarity") == (factor != 1)
 
 

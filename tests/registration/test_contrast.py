@@ -5,7 +5,7 @@ import pytest
 import shapes
 from registrations import codes, error
 from repository import ROOT
-from wording import said
+from wording import check_text
 
 from pcbench import Similarity
 from pcbench.registration import register
@@ -62,7 +62,7 @@ def test_a_shift_in_a_forest_is_doubtful(shift):
     assert DOUBTFUL_POSE in codes(found)
     assert found.contrast < 0.6
     (text,) = (notice.text for notice in found.warnings if notice.code == DOUBTFUL_POSE)
-    said(text)
+    check_text(text)
 
 
 def test_a_mirror_image_is_doubtful():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from registrations import motion
-from wording import refused
+from wording import check_error
 
 from pcbench.registration import (
     ControlPoints,
@@ -47,7 +47,7 @@ def test_control_and_check_points(scene, tmp_path):
 )
 def test_bad_pairs(scene, tmp_path, text):
     (tmp_path / "pairs.txt").write_text(text)
-    with refused():
+    with check_error():
         register(*scene, f"points:{tmp_path / 'pairs.txt'}")
 
 
@@ -76,5 +76,5 @@ def test_control_points_without_scale_are_rigid():
     ],
 )
 def test_control_points_that_are_none(arguments):
-    with refused():
+    with check_error():
         ControlPoints(*arguments)

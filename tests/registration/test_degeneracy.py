@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapes
 from registrations import motion
-from wording import said
+from wording import check_text
 
 from pcbench.registration import (
     register,
@@ -49,7 +49,7 @@ def test_a_missing_scale_is_reported(scene):
         asked = [notice.text for notice in result.warnings if notice.code == SCALE_MISSING]
         assert len(asked) == (scale != 1)
         for text in asked:
-            said(text)
+            check_text(text)
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
 
@@ -70,4 +70,4 @@ def test_unobservable_motions_are_reported():
     pipe = register(cylinder(40_000), cylinder(8000))
     assert pipe.weakest_sigma is None
     assert pipe.warnings[0].code == UNOBSERVABLE
-    assert "(+0.00, +0.00, +1.00)" in said(pipe.warnings[0].text)
+    assert "(+0.00, +0.00, +1.00)" in check_text(pipe.warnings[0].text)

@@ -11,7 +11,7 @@ from data_folder import data_folder
 from optional import break_library
 from registrations import codes, error
 from shapes import UTM_WHOLE as UTM
-from wording import refused
+from wording import check_error
 
 from pcbench import cli, read_cloud, write_cloud
 from pcbench.errors import MissingExtra, RegistrationError
@@ -80,14 +80,14 @@ def test_outliers_do_not_hide_the_pose():
 def test_refuses_unrelated_clouds(method):
     """Another city with the same terrain and street grid, of which three quarters fit the first."""
     reference, candidate = windows(1, 1.0, other=9)
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(reference, pose(1).inverse().apply(candidate), method)
 
 
 @needs_kiss
 def test_refuses_noise():
     rng = np.random.default_rng(7)
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(rng.normal(size=(5000, 3)), rng.normal(size=(5000, 3)), "global")
 
 
@@ -178,14 +178,14 @@ def test_real_aerial_cloud_from_any_pose():
 def test_a_missing_library_is_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "kiss_matcher", None)
     reference, candidate = windows(1, 1.0, counts=(5000, 5000))
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         register(reference, candidate, "global")
 
 
 def test_too_few_points_and_other_names():
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(np.random.default_rng(0).normal(size=(500, 3)), np.eye(3).repeat(7, axis=0)[:20], "global")
-    with refused():
+    with check_error():
         register(np.eye(3), np.eye(3), "global:x")
 
 

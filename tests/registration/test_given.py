@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapes
 from registrations import motion
-from wording import refused
+from wording import check_error
 
 from pcbench import Similarity
 from pcbench.geometry.transform import format_matrix, read_matrix
@@ -57,7 +57,7 @@ NO_SIMILARITIES = {
 def test_invalid_similarities_are_refused(name):
     array = NO_SIMILARITIES[name]
     cloud = shapes.plane_grid(4)
-    with refused():
+    with check_error():
         register(cloud, cloud, array)
-    with refused():
+    with check_error():
         register(cloud, cloud, "icp", initial=array)

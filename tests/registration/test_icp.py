@@ -6,7 +6,7 @@ import shapes
 from data_folder import data_folder
 from registrations import codes, error, motion
 from shapes import UTM_WHOLE as UTM
-from wording import refused
+from wording import check_error
 
 from pcbench import Similarity, read_cloud
 from pcbench.errors import RegistrationError
@@ -118,7 +118,7 @@ def test_doubled_points_and_exact_copies():
         assert result.overlap == 1.0
         assert result.warnings == ()
     assert register(1e-160 * points, 1e-160 * points, "none").warnings
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(1e-160 * points, 1e-160 * points)
 
 
@@ -172,7 +172,7 @@ def test_settings_change_what_icp_does(scene):
     assert small.T_local.matrix.tolist() != register(reference, moved).T_local.matrix.tolist()
     near = register(reference, candidate + [0, 0, 30.0], IcpSettings(max_correspondence_distance=40.0))
     assert error(near.T_reference_candidate, away([0, 0, -30.0]), candidate) < 0.003
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(reference, candidate + [0, 0, 100.0], IcpSettings(max_correspondence_distance=0.5))
 
 
@@ -191,5 +191,5 @@ def test_settings_change_what_icp_does(scene):
     ],
 )
 def test_invalid_settings_are_refused(settings):
-    with refused():
+    with check_error():
         IcpSettings(**settings)

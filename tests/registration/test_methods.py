@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapes
 from registrations import codes, motion
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, Similarity
 from pcbench.errors import Notice, RegistrationError
@@ -29,14 +29,14 @@ from pcbench.registration.result import NO_CONVERGENCE, UNIT_MISMATCH, UNOBSERVA
 
 def test_refusals(scene):
     reference, candidate = scene
-    with refused():
+    with check_error():
         register(reference, candidate, "magic")
-    with refused():
+    with check_error():
         register(reference, candidate, "matrix:no-such")
     for method in ("icp", "none"):
-        with refused(RegistrationError, masked=True):
+        with check_error(RegistrationError, masked=True):
             register(reference, candidate + 5000, method)
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(np.zeros((100, 3)), candidate)
 
 
@@ -44,7 +44,7 @@ def test_suspected_units(scene):
     reference, candidate = scene
     in_feet = register(reference, candidate / 0.3048, "none")
     assert UNIT_MISMATCH in codes(in_feet)
-    said(*(notice.text for notice in in_feet.warnings if notice.code == UNIT_MISMATCH))
+    check_text(*(notice.text for notice in in_feet.warnings if notice.code == UNIT_MISMATCH))
     assert not register(reference, candidate, "none").warnings
 
 
@@ -85,19 +85,19 @@ def test_files_are_read_as_the_text_is_parsed(tmp_path):
     assert found.text == f"matrix:{tmp_path / 'T.txt'}"
     assert parse_method("none").text == "none"
     for text in ("matrix", "matrix:", "points", "points:", "icp:", "none:x", "ICP", ""):
-        with refused():
+        with check_error():
             parse_method(text)
 
 
 @pytest.mark.parametrize("wrong", [None, 3, {"method": "icp"}, object()])
 def test_invalid_methods_are_refused(wrong):
-    with refused():
+    with check_error():
         register(np.eye(3), np.eye(3), wrong)
 
 
 def test_only_icp_takes_an_initial_pose():
     for method in ("none", "global", Similarity.identity(), ControlPoints(np.eye(3), np.eye(3))):
-        with refused():
+        with check_error():
             register(np.eye(3), np.eye(3), method, initial=np.eye(4))
 
 
@@ -115,9 +115,9 @@ def test_a_target_of_another_reference_is_refused(scene):
         points - origin - [1, 0, 0],
         moved - origin,
     ):
-        with refused():
+        with check_error():
             register(reference, candidate, target=Target(Surface(Index(surface))))
-    with refused():
+    with check_error():
         register(Cloud(moved), candidate, target=Target.of(reference))
 
 
@@ -136,12 +136,12 @@ def test_warnings_of_a_wrong_pose_make_it_doubtful(scene):
 def test_the_representation_is_one_line(scene):
     reference, candidate = scene
     told = repr(register(reference, motion().inverse().apply(candidate), "similarity"))
-    assert "\n" not in said(told)
-    said(repr(register(reference, candidate / 0.3048, "none")))
+    assert "\n" not in check_text(told)
+    check_text(repr(register(reference, candidate / 0.3048, "none")))
 
 
 def check_failure(reference, candidate, method="icp"):
-    with refused(RegistrationError, masked=True):
+    with check_error(RegistrationError, masked=True):
         register(reference, candidate, method)
 
 
@@ -168,7 +168,7 @@ def test_stated_differences_precede_the_failure(scene):
 )
 def test_a_unit_is_suspected_from_sizes_if_none_is_stated(scene, factor, told):
     reference, candidate = (cloud[:6000] for cloud in scene)
-    with refused(RegistrationError, masked=True) as caught:
+    with check_error(RegistrationError, masked=True) as caught:
         register(reference, factor * candidate + 1e6, "none")
     assert told in str(caught.value)
     check_failure(reference, 2 * candidate + 1e5, "none")
@@ -183,7 +183,7 @@ def test_a_failed_overlap_recommends_other_methods(scene):
 def test_different_stated_units_are_a_warning(scene):
     reference, candidate = scene
     stated = register(Cloud(reference, unit="m"), Cloud(candidate, unit="ft"), "none")
-    said(*(notice.text for notice in stated.warnings if notice.code == UNIT_MISMATCH))
+    check_text(*(notice.text for notice in stated.warnings if notice.code == UNIT_MISMATCH))
     assert UNIT_MISMATCH in codes(stated)
     converted = Similarity(np.eye(3), np.zeros(3), 0.3048)
     in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), converted)

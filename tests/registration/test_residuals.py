@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from registrations import motion
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, compare, write_cloud
 from pcbench.cli.clouds import register as register_command
@@ -58,7 +58,7 @@ def test_horizontal_and_vertical_need_z_that_is_up():
     assert found.rmse(found.check).total == pytest.approx(0.13, abs=1e-9)
     assert found.rmse(found.check).horizontal is None
     assert found.rmse(found.check).vertical is None
-    said("\n".join(found.rmse_lines()), masked=False)
+    check_text("\n".join(found.rmse_lines()), masked=False)
 
 
 def test_plain_values_round_trip():
@@ -88,7 +88,7 @@ def test_register_prints_every_point_and_the_rmse(files, capsys):
     assert check.endswith(": 0.13 (dx +0.03, dy +0.04, dz +0.12)")
     (rmse,) = (line for line in lines if line.startswith("2 check points: "))
     assert rmse.endswith(" H 0.05 m, Z 0.12 m, 3D 0.13 m")
-    said("\n".join(lines[:-4]))
+    check_text("\n".join(lines[:-4]))
     np.testing.assert_allclose(np.loadtxt(lines[-4:]), TRUE.matrix, atol=1e-9)
 
 
@@ -133,11 +133,11 @@ def test_other_methods_have_no_residuals():
 )
 def test_unsuitable_points_are_refused(names, is_check, tmp_path):
     good = pairs()
-    with refused():
+    with check_error():
         ControlPoints(good.candidate, good.reference, names, is_check)
 
 
 def test_a_control_and_a_check_point_of_one_name_are_refused(tmp_path):
     (tmp_path / "p.txt").write_text("a 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\na* 1 1 0 1 1 0\n")
-    with refused():
+    with check_error():
         ControlPoints.read(tmp_path / "p.txt")

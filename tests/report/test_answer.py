@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, Settings, compare
 from pcbench.errors import Notice
@@ -53,45 +53,45 @@ def test_answer_on_one_candidate(measured):
     b = measured["b"]
     off = b.metrics.d2_rms.accuracy.value
     ends = b.metrics.d2_mse.accuracy.interval
-    assert f"b lies {off:.3g} m [{ends.low**0.5:.3g}, {ends.high**0.5:.3g}] RMS" in said(far)
+    assert f"b lies {off:.3g} m [{ends.low**0.5:.3g}, {ends.high**0.5:.3g}] RMS" in check_text(far)
     assert f"{b.metrics.d2_mse.accuracy.floor**0.5:.3g} m" in far
-    assert f"{b.metrics.mean_distance.completeness.value:.3g} m" in said(complete)
-    assert said(bend) == f"{b.deformation.sentence('b', 'm')}."
-    assert f"{b.registration.overlap:.1%}" in said(pose)
+    assert f"{b.metrics.mean_distance.completeness.value:.3g} m" in check_text(complete)
+    assert check_text(bend) == f"{b.deformation.sentence('b', 'm')}."
+    assert f"{b.registration.overlap:.1%}" in check_text(pose)
 
 
 def test_missing_surface_is_reported_with_its_place(measured):
     complete = answer(some(measured, "d"))[1]
     worst = measured["d"].metrics.hausdorff.completeness
-    assert f"({worst.worst_point[0]:.1f}, " in said(complete)
-    said(answer(some(measured, "a"))[1])
+    assert f"({worst.worst_point[0]:.1f}, " in check_text(complete)
+    check_text(answer(some(measured, "a"))[1])
 
 
 def test_outliers_are_distinguished_from_an_inaccurate_surface(measured):
-    assert "NMAD" in said(answer(some(measured, "c"))[0])
+    assert "NMAD" in check_text(answer(some(measured, "c"))[0])
     assert "NMAD" not in answer(some(measured, "b"))[0]
     # c's outliers make its RMS the largest; all its other points are better than b's.
-    assert "NMAD" in said(answer(some(measured, "b", "c"))[0])
+    assert "NMAD" in check_text(answer(some(measured, "b", "c"))[0])
 
 
 def test_candidates_are_distinguished_by_paired_differences(measured):
     two = some(measured, "a", "b")
-    said(answer(two)[0])
+    check_text(answer(two)[0])
     # The intervals of both are unchanged; only the interval of the difference now contains 0.
     alike = [d._replace(interval=Interval(-1.0, 1.0)) for d in two.differences]
-    said(answer(replace(two, differences=tuple(alike)))[0])
+    check_text(answer(replace(two, differences=tuple(alike)))[0])
     four = replace(measured, differences=tuple(d._replace(interval=Interval(-1.0, 1.0)) for d in measured.differences))
-    said(answer(four)[0])
+    check_text(answer(four)[0])
 
 
 def test_answer_on_many_candidates_names_the_best_and_the_last(measured):
     sentences = answer(measured)
     assert 2 <= len(sentences) <= 4
-    said("\n".join(sentences))
+    check_text("\n".join(sentences))
     pairs = [*details(measured)]
     assert len(pairs) >= 6 * 4  # four metrics of each pair of four candidates
     assert not {*pairs} & {*sentences}
-    said("\n".join(pairs))
+    check_text("\n".join(pairs))
 
 
 def test_the_last_are_named_with_indistinguishable_ones(measured):
@@ -104,9 +104,9 @@ def test_the_last_are_named_with_indistinguishable_ones(measured):
         ]
         return answer(replace(some(measured, "a", "b", "c"), differences=tuple(pairs)))[0]
 
-    said(first())
-    said(first({"b", "c"}))
-    by_chance = said(first({"a", "c"}))
+    check_text(first())
+    check_text(first({"b", "c"}))
+    by_chance = check_text(first({"a", "c"}))
     far = measured["c"].metrics.d2_rms.accuracy.value
     assert f" {far:.3g} m RMS" in by_chance
 
@@ -121,8 +121,8 @@ def test_outliers_are_not_mentioned_if_they_change_no_rank():
 def test_no_verdict_on_a_doubtful_registration(measured):
     one = with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE)
     first, then = answer(one)
-    said(first)
-    assert "--register global" in said(then)
+    check_text(first)
+    assert "--register global" in check_text(then)
     assert "points:FILE" in then
     given = answer(with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt"))[1]
     assert "global" in given and "matrix" not in given  # it was used already
@@ -134,7 +134,7 @@ def test_no_verdict_on_a_doubtful_registration(measured):
     assert "lower than a" not in pairs
     three = with_registration(some(measured, "a", "b", "c"), "a", result.DOUBTFUL_POSE)
     first, accuracy, complete, bend = answer(three)
-    said("\n".join((first, accuracy, complete, bend)))
+    check_text("\n".join((first, accuracy, complete, bend)))
     for sentence in (accuracy, complete, bend):
         assert "a " not in sentence.split("(")[0].split()
 
@@ -142,27 +142,27 @@ def test_no_verdict_on_a_doubtful_registration(measured):
 def test_no_bend_is_claimed_if_the_pose_is_undetermined(measured):
     bent = replace(measured["a"].deformation, verdict="non-affine", model="quadratic", p_value=0.001)
     comparison = replace(measured, candidates=(replace(measured["a"], deformation=bent), measured["b"]))
-    said("\n".join(answer(comparison)))
+    check_text("\n".join(answer(comparison)))
     left_open = with_registration(comparison, "a", result.UNOBSERVABLE)
     first, *_, bends = answer(left_open)
-    said(first)
-    said(bends)
+    check_text(first)
+    check_text(bends)
     alone = answer(some(left_open, "a"))
     assert len(alone) == 4
-    said("\n".join(alone))
+    check_text("\n".join(alone))
     for text in (*alone, *details(left_open), markdown(left_open)):
         assert "is bent" not in text
 
 
 def test_a_small_overlap_is_reported_with_the_crop_option(measured):
     little = with_registration(some(measured, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
-    said("\n".join(warnings(little)))
+    check_text("\n".join(warnings(little)))
     assert "--crop reference" in " ".join(warnings(little))
     assert "low-overlap said" not in warnings(little)  # not repeated
-    said("\n".join(answer(little)))
+    check_text("\n".join(answer(little)))
     assert " ".join([*answer(little), *warnings(little)]).count("42") == 1  # the share too
     by_icp = with_registration(little, "a", overlap=0.42, method="icp", weakest_sigma=0.1)
-    said(answer(by_icp)[-1])
+    check_text(answer(by_icp)[-1])
     cropped = replace(little, settings=replace(GIVEN, crop="reference"))  # the recommended crop was applied
     assert "a: low-overlap said" in warnings(cropped)
     assert "--crop reference" not in " ".join(warnings(cropped))
@@ -172,15 +172,15 @@ def test_a_cloud_against_itself_coincides():
     points = shapes.terrain(2000, seed=1)[0]
     sentences = answer(compare(points, {"same": points + 1e-13}, GIVEN))
     assert len(sentences) == 2
-    assert "e-1" not in said("\n".join(sentences))
+    assert "e-1" not in check_text("\n".join(sentences))
 
 
 def test_too_few_points_for_a_surface():
     comparison = compare([[0, 0, 0], [1, 0, 0]], [[[0, 0, 1], [1, 0, 1]]], GIVEN)
-    said(answer(comparison)[0])
+    check_text(answer(comparison)[0])
     (name,) = (c.name for c in comparison)
     far = answer(with_registration(comparison, name))[0]
-    assert "1 [1, 1]" in said(far)
+    assert "1 [1, 1]" in check_text(far)
 
 
 def test_repeated_warnings_are_merged(measured):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wording import refused, said
+from wording import check_error, check_text
 
 import pcbench
 from pcbench import Cloud, PcbenchError, Settings
@@ -47,7 +47,7 @@ def test_candidates_of_all_kinds_have_names(files):
     assert [c.name for c in pcbench.compare("ref.ply", "a.xyz", register="none")] == ["a"]
     assert [c.name for c in pcbench.compare("ref.ply", {"mine": "a.xyz"}, register="none")] == ["mine"]
     pcbench.write_cloud("candidate_2.ply", "a.xyz")
-    with refused():
+    with check_error():
         pcbench.compare("ref.ply", ["candidate_2.ply", files["b.npy"]])
 
 
@@ -63,15 +63,15 @@ def test_points_dropped_by_readers_give_a_warning(files):
     with pytest.warns(UserWarning) as warned:
         found = pcbench.compare("ref.ply", "a.xyz", register="none")
     (text,) = found.inputs.candidates["a"].warnings
-    said(text, masked=False)
-    said("\n".join(str(warning.message) for warning in warned))
+    check_text(text, masked=False)
+    check_text("\n".join(str(warning.message) for warning in warned))
 
 
 def test_a_report_of_paths_can_be_repeated(files, tmp_path):
     found = pcbench.compare("ref.ply", "a.xyz", register="none")
     found.save("report", figures=False)
     assert (tmp_path / "report" / "settings.json").is_file()
-    with refused(PcbenchError):
+    with check_error(PcbenchError):
         pcbench.compare("no-such.ply", "a.xyz")
 
 
@@ -80,7 +80,7 @@ def test_settings_by_name(files):
     assert (found.settings.register, found.settings.seed, found.settings.thresholds) == ("none", 5, (0.1,))
     both = pcbench.compare("ref.ply", "a.xyz", Settings(register="none", seed=5), seed=6)
     assert (both.settings.register, both.settings.seed) == ("none", 6)
-    with refused():
+    with check_error():
         pcbench.compare("ref.ply", "a.xyz", registr="none")
 
 
@@ -89,13 +89,13 @@ def test_arrays_and_paths_are_written_like_clouds(files, tmp_path):
     np.testing.assert_array_equal(pcbench.read_cloud("c.ply").points, files["b.npy"])
     pcbench.write_cloud("d.xyz", files["b.npy"][:2].tolist())
     assert len(pcbench.read_cloud("d.xyz")) == 2
-    with refused():
+    with check_error():
         pcbench.write_cloud("e.ply", np.zeros((3, 2)))
     assert not (tmp_path / "e.ply").exists()
 
 
 def test_a_comparison_has_a_short_repr(files):
     found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
-    _, *rest = said(repr(found)).splitlines()
+    _, *rest = check_text(repr(found)).splitlines()
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
     assert max(map(len, repr(found).splitlines())) < 120

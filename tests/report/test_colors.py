@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wording import said
+from wording import check_text
 
 from pcbench.report.colors import DIVERGING, SEQUENTIAL, Range, ranges, robust_maximum
 
@@ -56,14 +56,14 @@ def test_values_outside_a_range_have_the_colours_of_its_ends():
 def test_a_candidate_that_is_far_off_does_not_change_the_others():
     without = ranges({"a": 0.02, "b": 0.05, "c": 0.09})
     assert {scale.high for scale in without.values()} == {0.09}
-    said(without["a"].note, masked=False)
+    check_text(without["a"].note, masked=False)
     found = ranges({"a": 0.02, "far": 40.0, "b": 0.05, "c": 0.09})
     assert list(found) == ["a", "far", "b", "c"]
     for name in "abc":
         assert found[name].high == without[name].high
-        said(found[name].note, masked=False)
+        check_text(found[name].note, masked=False)
     assert found["far"].high == 40.0
-    said(found["far"].note, masked=False)
+    check_text(found["far"].note, masked=False)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -7,7 +7,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 import shapes
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, Mesh, Settings, compare
 from pcbench.deformation import size
@@ -192,7 +192,7 @@ def test_the_definition_of_detectable_matches_the_computation(clouds, monkeypatc
     def definition():
         return next(r.definition for r in rows(clouds) if r.metric == "minimum_detectable_rms")
 
-    said(definition(), masked=False)
+    check_text(definition(), masked=False)
     assert f"{100 * size.DETECTION_POWER:g} %" in definition() and f"p <= {size.MAX_P_SIGNIFICANT:g}" in definition()
     monkeypatch.setattr(quantities, "DETECTION_POWER", 0.625)
     monkeypatch.setattr(quantities, "MAX_P_SIGNIFICANT", 0.25)

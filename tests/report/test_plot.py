@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shapes
 from optional import break_library, import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, Settings, read_cloud, write_cloud
 from pcbench.deformation import Deformation
@@ -70,7 +70,7 @@ def test_one_picture_is_redrawn(figures, report):
     figures["a_distance"].unlink()
     assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
     assert figures["a_distance"].is_file()
-    with refused():
+    with check_error():
         draw(report, ("z",))
 
 
@@ -81,7 +81,7 @@ def test_the_reference_may_be_missing(figures, report, tmp_path):
     settings = json.loads((copy / "settings.json").read_text())
     settings["reference"]["path"] = "/nowhere/ref.ply"
     (copy / "settings.json").write_text(json.dumps(settings))
-    with refused():
+    with check_error():
         draw(copy, ("reference",))
     assert draw(copy, ("distribution",)) == [copy / "figures/distribution.png"]
 
@@ -94,18 +94,18 @@ def test_a_display_is_not_needed(monkeypatch, report):
 
 def test_without_matplotlib_it_names_the_extra(monkeypatch, report, tmp_path):
     break_library(monkeypatch, tmp_path, "matplotlib", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         draw(report)
 
 
 def test_a_crash_while_drawing_is_one_line(monkeypatch, report):
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
-    with refused(NoFiguresError):
+    with check_error(NoFiguresError):
         draw(report)
 
 
 def test_not_a_report():
-    with refused():
+    with check_error():
         draw(Path("/"))
 
 
@@ -126,7 +126,7 @@ def test_formats_by_name_and_by_setting(report):
     assert (svg.name, pdf.name) == ("distribution.svg", "a_completeness.pdf")
     root = ElementTree.parse(svg).getroot()
     assert root.tag.endswith("svg")
-    said(words(root))
+    check_text(words(root))
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF-")
     assert content.rstrip().endswith(b"%%EOF")
@@ -134,7 +134,7 @@ def test_formats_by_name_and_by_setting(report):
     before = svg.read_bytes()
     (again,) = drawn_here(report, "distribution", format="svg")
     assert again.read_bytes() == before  # independent of time and random numbers
-    with refused(PcbenchError):
+    with check_error(PcbenchError):
         drawn_here(report, "distribution.gif")
 
 
@@ -150,9 +150,9 @@ def test_a_map_states_its_unit_scale_and_colour_range(report):
     (path,) = drawn_here(report, "b_completeness", format="svg")
     root = ElementTree.parse(path).getroot()
     assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in root.itertext()) == 3  # one scale bar per view
-    assert "20,000 points" in said(words(root))
+    assert "20,000 points" in check_text(words(root))
     (path,) = drawn_here(report, "b_completeness", format="svg", range=0.123)
-    said(words(ElementTree.parse(path).getroot()))
+    check_text(words(ElementTree.parse(path).getroot()))
 
 
 def test_the_completeness_map_holds_the_reference_and_its_distances(report):
@@ -178,7 +178,7 @@ def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
     for path in copy.glob("*_completeness.ply"):
         path.unlink()
     assert drawn_here(copy, "a_distance") == [copy / "figures/a_distance.png"]
-    with refused(PcbenchError):
+    with check_error(PcbenchError):
         drawn_here(copy, "a_completeness")
 
 
@@ -192,7 +192,7 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
     compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
     drawn = {path.stem: path for path in drawn_here(tmp_path / "report")}
     assert "distribution" not in drawn  # all distances are zero
-    with refused(PcbenchError):
+    with check_error(PcbenchError):
         drawn_here(tmp_path / "report", "distribution")
     image = imread(drawn["same_distance"])[..., :3]
     assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from scene_folders import NAMES, K, orbit, ten_pictures
-from wording import refused, said
+from scene_folders import NAMES, K, orbit, ten_images_folder
+from wording import check_error, check_text
 
 from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, look_at
@@ -18,7 +18,7 @@ from pcbench.scenes import read_scene
 
 @pytest.mark.parametrize("count", [1, 2, 10])
 def test_the_camera_plot_is_drawn(tmp_path, count):
-    photographs = ten_pictures(tmp_path)
+    photographs = ten_images_folder(tmp_path)
     matplotlib_image = import_or_skip("matplotlib.image")
     from pcbench.report.plot.cameras import draw_cameras
 
@@ -28,13 +28,13 @@ def test_the_camera_plot_is_drawn(tmp_path, count):
     assert image.shape == (768, 1680, 4)
     blue = (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum()
     assert blue > 100  # both panels have cameras in their colour
-    with refused():
+    with check_error():
         draw_cameras(read_scene(photographs, cameras="none"), photographs / "none.png")
     assert not (photographs / "none.png").exists()
 
 
 def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
-    photographs = ten_pictures(tmp_path)
+    photographs = ten_images_folder(tmp_path)
     matplotlib_image = import_or_skip("matplotlib.image")
     from pcbench.report.plot.cameras import _gps_positions, draw_cameras
 
@@ -44,7 +44,7 @@ def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
     draw_cameras(scene, tmp_path / "gps.png")
     image = matplotlib_image.imread(tmp_path / "gps.png")
     assert (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum() > 100
-    said(_gps_positions(scene).title, masked=False)
+    check_text(_gps_positions(scene).title, masked=False)
     gps = {name: Gps(48 + 1e-4 * n, 11.0, 500.0) for n, name in enumerate(NAMES)}
     drawn = _gps_positions(replace(scene, positions={}, gps=gps))
     assert drawn.axes == ("east", "north", "up")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import shapes
-from wording import refused
+from wording import check_error
 
 from pcbench import Settings, compare
 from pcbench.report.read import read_deformation, read_report
@@ -39,10 +39,10 @@ def test_a_damaged_report_is_one_line(saved, key):
     document = json.loads((folder / "comparison.json").read_text())
     for value in (None, 7, [7]):
         (folder / "comparison.json").write_text(json.dumps({**document, key: value}))
-        with refused():
+        with check_error():
             read_report(folder)
     (folder / "comparison.json").write_text("{")
-    with refused():
+    with check_error():
         read_report(folder)
 
 
@@ -56,5 +56,5 @@ def test_pictures_need_no_settings(saved):
 def test_a_damaged_verdict_is_one_line(tmp_path):
     for text in ("{", "[]", '{"verdict": "none"}', "7"):
         (tmp_path / "deformation.json").write_text(text)
-        with refused():
+        with check_error():
             read_deformation(tmp_path)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import Cloud, compare
 from pcbench.report import report_folder
@@ -124,12 +124,12 @@ def test_only_files_that_the_report_wrote_are_replaced(tmp_path):
 def test_a_file_of_the_user_in_the_way_is_refused(tmp_path):
     save(tmp_path / "report", OLD)
     write(tmp_path / "report", {"c_T.txt": "mine"})
-    with refused():
+    with check_error():
         save(tmp_path / "report", NEW)
     assert held(tmp_path / "report") == {**OLD, "c_T.txt": "mine"}
     (tmp_path / "report/c_T.txt").unlink()
     (tmp_path / "report/c_T.txt").mkdir()
-    with refused():
+    with check_error():
         save(tmp_path / "report", NEW)
     assert held(tmp_path / "report") == OLD
 
@@ -142,9 +142,9 @@ def test_linked_figures_are_refused(tmp_path):
     (tmp_path / "report/figures").rmdir()
     (tmp_path / "report/figures").symlink_to(tmp_path / "pictures")
     before = held(tmp_path)
-    with refused():
+    with check_error():
         save(tmp_path / "report", NEW)
-    with refused():
+    with check_error():
         draw(tmp_path / "report")
     assert held(tmp_path) == before
 
@@ -168,7 +168,7 @@ def test_a_foreign_document_does_not_make_a_report(tmp_path, text):
         folder = tmp_path / name
         write(folder, {name: text})
         assert not is_report(folder)
-        with refused():
+        with check_error():
             save(folder, NEW)
         assert (folder / name).read_text() == text
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, Settings, compare, write_cloud
 from pcbench.report import print_comparison
@@ -83,7 +83,7 @@ def test_one_or_two_candidates_are_columns(shown, names, columns):
     assert "--full" in below
     assert len(above) <= 1 + 4 * (3 if columns == 80 else 2)
     assert "gao2025" not in out
-    said(below)
+    check_text(below)
 
 
 @pytest.mark.parametrize("columns", [60, 80, 132])
@@ -120,7 +120,7 @@ def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
 
 def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
     above, table, _, _ = shown("a", "b", "astray")
-    said(" ".join(" ".join(above).split()))
+    check_text(" ".join(" ".join(above).split()))
     assert table[1].removeprefix("lengths in m").split()[0] == "pose"
     (row,) = [line for line in table if line.startswith("astray")]
     assert "doubtful" in row
@@ -130,7 +130,7 @@ def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
 
 def test_a_small_overlap_is_printed_above_the_numbers(printed):
     above, _, _, _ = printed("beyond")
-    assert "--crop reference" in said(" ".join(" ".join(above).split()))
+    assert "--crop reference" in check_text(" ".join(" ".join(above).split()))
     cropped, *_ = printed("beyond", options=["--crop", "reference"])
     assert "--crop reference" not in " ".join(cropped)
 
@@ -152,18 +152,18 @@ def test_requested_metrics_are_among_the_rows(printed):
 
 
 def test_the_folder_with_all_results_is_named(printed):
-    out = said(printed("a", options=["--out", "kept"])[2])
+    out = check_text(printed("a", options=["--out", "kept"])[2])
     for name in ("table.md", "comparison.json", "metrics.csv", "*_deviation.ply", "*_T.txt"):
         assert name in out
     assert "figures" not in out  # none were drawn
     assert "NMAD" in Path("kept/table.md").read_text()
-    said(printed("a")[2])
+    check_text(printed("a")[2])
 
 
 def test_sentences_are_not_wrapped_without_a_known_width(clouds, run, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     _, out, _ = run("compare", clouds / "ref.ply", clouds / "a.ply", "--register", "none")
-    assert said(out.splitlines()[1]).endswith(".")
+    assert check_text(out.splitlines()[1]).endswith(".")
 
 
 def test_a_terminal_of_unknown_width_has_the_default(clouds, run, monkeypatch):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wording import said
+from wording import check_text
 
 from pcbench import compare
 from pcbench.measure.wording import pluralize, ratio_in_words
@@ -39,5 +39,5 @@ def test_a_scale_bar(length, unit, words):
 
 def test_a_comparison_of_single_points():
     found = compare(np.zeros((1, 3)), np.ones((1, 3)), register="none")
-    said(title(found))
+    check_text(title(found))
     assert [line.count("1 point,") for line in repr(found).splitlines()] == [1, 1]

@@ -9,7 +9,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, K, orbit
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud
 from pcbench.errors import InputError
@@ -99,7 +99,7 @@ def test_transforms_with_only_an_angle_and_no_extensions(photographs):
     assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == pytest.approx((64, 48, 32, 32, 32, 24))
     np.testing.assert_allclose(camera.position, [1, 2, 3])
     np.testing.assert_allclose(camera.direction, [0, 0, -1], atol=1e-15)  # OpenGL's identity looks along -z
-    said(warnings[0])
+    check_text(warnings[0])
 
 
 def test_transforms_apply_the_pose(tmp_path):
@@ -236,11 +236,11 @@ def test_earth_studio_in_wgs84_metres(tmp_path):
     (tmp_path / "export.json").write_text(json.dumps(document | {"width": 192, "height": 108}))
     told = []
     scene = read_scene(tmp_path, on_warning=told.append)
-    said(told[0])
+    check_text(told[0])
     assert "-0.26 %" in told[0]
     assert "+0.11 %" in told[0]
     converted = scene.in_wgs84()
-    said("\n".join(converted.describe()))
+    check_text("\n".join(converted.describe()))
     coordinates = [
         [f["coordinate"][k] for k in ("latitude", "longitude", "altitude")] for f in document["cameraFrames"]
     ]
@@ -255,7 +255,7 @@ def test_earth_studio_in_wgs84_metres(tmp_path):
     for name in names:  # directions are the same: east is east on either
         rotations = (cameras[name].cam_from_world.rotation for cameras in (converted.cameras, scene.cameras))
         np.testing.assert_array_equal(*rotations)
-    with refused():
+    with check_error():
         converted.in_wgs84()
 
 
@@ -272,7 +272,7 @@ def test_earth_studio_frames_match_images(photographs):
     cameras = read_earth_studio(photographs / "export.json").cameras
     told = []
     scene = read_scene(photographs, on_warning=told.append)  # eleven frames, ten images
-    said(told[0])
+    check_text(told[0])
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
     assert scene.origin.latitude_deg == pytest.approx(48)
     for name in ("0.png", "1.png", "4.png"):
@@ -285,7 +285,7 @@ def test_deeply_nested_json_is_a_one_line_error(photographs):
     deep = photographs / "deep.json"
     deep.write_text("[" * 100_000)
     for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
-        with refused():
+        with check_error():
             read(deep)
     assert not read_scene(photographs).cameras  # an unrelated file next to the images
 
@@ -301,7 +301,7 @@ def test_matrices_that_are_not_rotations_are_refused():
         rotation + np.eye(3)[::-1] * 0.01,
         np.full((3, 3), np.nan),
     ):
-        with refused():
+        with check_error():
             nearest_rotation(wrong)
 
 
@@ -318,7 +318,7 @@ def test_damaged_binary_models_are_a_one_line_error(tmp_path):
                 read_colmap_cameras(tmp_path / "model")
         (tmp_path / "model" / name).write_bytes(data)
     (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 5, 64, 48))
-    with refused():
+    with check_error():
         read_colmap_cameras(tmp_path / "model")
-    with refused():
+    with check_error():
         write_colmap_model(tmp_path / "model", orbit(NAMES))

@@ -5,7 +5,7 @@ import pytest
 from data_folder import data_folder
 from optional import import_or_skip
 from scene_folders import NAMES, orbit
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
@@ -28,7 +28,7 @@ def test_k_for_the_image_size(photographs, beside):
     assert list(scene.intrinsics) == NAMES
     k = scene.intrinsics["3.png"]
     assert (k.width, k.height, k.fx, k.fy, k.cx, k.cy) == (64, 48, 50, 51, 31, 25)
-    said(scene.describe()[2])
+    check_text(scene.describe()[2])
     assert list(scene.select(["1.png"]).intrinsics) == ["1.png"]
 
 
@@ -41,7 +41,7 @@ def test_k_for_larger_images_is_scaled(photographs, factor):
     assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((25, 25.5, 15.5, 12.5), rel=1e-12)
     assert len(notes) == 1
     assert f"{64 * factor} x {48 * factor}" in notes[0]
-    said(notes[0])
+    check_text(notes[0])
 
 
 def test_cameras_take_precedence(photographs):
@@ -74,7 +74,7 @@ def test_intrinsics_change_the_fingerprint(photographs):
     ],
 )
 def test_invalid_matrices(photographs, text):
-    with refused() as caught:
+    with check_error() as caught:
         scene_with(photographs, text)
     assert str(caught.value).startswith(f"{photographs / 'K.txt'}: ")
 

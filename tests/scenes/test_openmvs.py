@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mvs_bytes import COLORS, POINTS, scene_bytes
 from scene_folders import NAMES, orbit
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics, look_at
@@ -58,13 +58,13 @@ def test_images_without_a_pose_normals_and_transforms(tmp_path):
     (cameras, points), notes = read(tmp_path / "a.mvs", data)
     assert [camera.name for camera in cameras] == [f"undistorted\\{name}" for name in NAMES[1::2]]
     np.testing.assert_array_equal(points.normals, np.eye(3))
-    said(notes[0])
+    check_text(notes[0])
 
 
 def test_choice_among_several_scenes(photographs):
     for name in ("a.mvs", "b.mvs"):
         (photographs / name).write_bytes(scene_bytes(CAMERAS))
-    with refused():
+    with check_error():
         read_scene(photographs)
     assert len(read_scene(photographs, cameras=photographs / "b.mvs").cameras) == 10
     (photographs / "scene.mvs").write_bytes(scene_bytes(CAMERAS[:3]))
@@ -93,7 +93,7 @@ GOOD = scene_bytes(CAMERAS)
     ],
 )
 def test_invalid_scenes(tmp_path, data):
-    with refused() as caught:
+    with check_error() as caught:
         read(tmp_path / "a.mvs", data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.mvs'}: ")
 

@@ -81,8 +81,9 @@ def test_images_and_depths_agree_with_the_camera(distortion, renderer, tmp_path)
 
 
 def sampled(surface, camera, window, samples):
-    """What a camera sees of white plates on black ground in rows and columns of `window`, by so many rays along each
-    side of a pixel.
+    """Return a camera's image of white plates on black ground in the rows and columns of `window`.
+
+    Each pixel is the mean of `samples` x `samples` rays.
     """
     (top, bottom), (left, right) = window
     u, v = ((np.arange(samples * n) + 0.5) / samples for n in (right - left, bottom - top))

@@ -10,7 +10,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
 from scene_folders import NAMES, orbit, picture
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_model import write_colmap_model
@@ -36,7 +36,7 @@ def test_fountain_fox_and_brighton():
     fox = read_scene(data_folder("fox"), on_warning=told.append, image_scale=0.5)
     assert len(fox.cameras) == 50
     assert "17 of 67" in told[0]
-    said(told[0])
+    check_text(told[0])
     assert fox.cameras["0001.jpg"].intrinsics.fx == 1375.52 / 4
     assert fox.read_image("0001.jpg").shape == (480, 270, 3)
     brighton = read_scene(data_folder("brighton"))
@@ -59,7 +59,7 @@ def test_masks(photographs):
     np.testing.assert_array_equal(scene.read_mask("3.png"), mask[::2, ::2] > 0)
     assert scene.read_mask("4.png") is None
     Image.fromarray(mask[:, :60]).save(photographs / "masks/4.png")
-    with refused():
+    with check_error():
         read_scene(photographs)
 
 
@@ -94,9 +94,9 @@ def test_splits(photographs):
     assert test.images == ("4.png", "5.png")
     assert len(train) == 8
     for split in (lambda: scene.split_every(1), lambda: scene.split_every(8)[1].split_blocks(8)):
-        with refused():
+        with check_error():
             split()
-    with refused():
+    with check_error():
         scene.select(["x"])
 
 
@@ -135,7 +135,7 @@ def test_image_headers(tmp_path):
 
 def test_refusals(photographs, tmp_path):
     def check_refusal(**options):
-        with refused():
+        with check_error():
             read_scene(photographs, **options)
 
     def transforms(frames, **values):
@@ -201,7 +201,7 @@ def test_positions_from_a_file(photographs):
     (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
     told = []
     scene = read_scene(photographs, on_warning=told.append)
-    said(told[0])
+    check_text(told[0])
     found, frame = scene.measured_positions()
     assert list(found) == ["3.png"]
     np.testing.assert_array_equal(found["3.png"], [1, 2, 3.5])
@@ -210,7 +210,7 @@ def test_positions_from_a_file(photographs):
     assert not scene.select(["4.png"]).positions
     for line in ("3.png 1 2", "3.png 1 2 x", "3.png 1 2 nan"):
         (photographs / "gps.txt").write_text(line)
-        with refused():
+        with check_error():
             read_scene(photographs)
 
 
@@ -315,7 +315,7 @@ def test_image_paths_from_another_machine(tmp_path, way):
 def test_implausible_intrinsics_are_refused(photographs, values):
     frames = [{"file_path": "3.png", "transform_matrix": np.eye(4).tolist()}]
     (photographs / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **values, "frames": frames}))
-    with refused() as raised:
+    with check_error() as raised:
         read_scene(photographs)
     assert "3.png" in str(raised.value)
 
@@ -337,7 +337,7 @@ def test_ignored_keys_are_reported(photographs):
         assert len(told) == len(names)
         for text, name in zip(told, names, strict=True):
             assert f"ignored {name}:" in text
-            said(text)
+            check_text(text)
     frames[4]["applied_scale"] = 0.3  # in one frame only
     (photographs / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": frames}))
     told = []
@@ -349,8 +349,8 @@ def test_earth_studio_project_is_not_an_export(photographs):
     (photographs / "rome.esp").write_text('{"scenes": []}')
     told = []
     assert not read_scene(photographs, on_warning=told.append).cameras
-    said(told[0])
-    with refused():
+    check_text(told[0])
+    with check_error():
         read_scene(photographs, cameras=photographs / "rome.esp")
 
 
@@ -360,7 +360,7 @@ def test_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypatc
     document = {"fl_x": 50, "w": 64, "h": 48, "frames": [frame] * 1000}
     (photographs / "transforms.json").write_text(json.dumps(document))
     monkeypatch.setattr("pcbench.io.transforms_json._pose", lambda _: pytest.fail("a pose was read"))
-    with refused():
+    with check_error():
         read_scene(photographs)
 
 
@@ -371,7 +371,7 @@ def test_unread_calibration_is_reported(photographs, name):
     told = []
     read_scene(photographs, on_warning=told.append)
     assert len(told) == (name != "K.txt")  # K.txt is read if images have no camera
-    said("\n".join(told))
+    check_text("\n".join(told))
     write_colmap_model(photographs / "sparse", orbit(NAMES))
     told.clear()
     read_scene(photographs, on_warning=told.append)

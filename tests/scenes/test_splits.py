@@ -5,7 +5,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.scenes.splits import capture_order, hold_out, split_blocks, split_every
 
@@ -47,7 +47,7 @@ def test_blocks_are_contiguous_separate_and_evenly_spaced(count, blocks, share):
     ends = places[0][0], count - 1 - places[-1][-1]
     assert abs(ends[0] - ends[1]) <= 1
     assert [int(number) for number in re.findall(r"\d+", split.words)] == [blocks, length]
-    said(split.words)
+    check_text(split.words)
 
 
 def test_every_eighth_starts_with_the_first():
@@ -58,9 +58,9 @@ def test_every_eighth_starts_with_the_first():
 
 def test_required_number_of_images_is_reported():
     assert len(split_every(named(9)).train) == 7
-    with refused():
+    with check_error():
         split_every(named(8))
-    with refused():
+    with check_error():
         split_every(named(8), 1)
 
 
@@ -102,9 +102,9 @@ def test_equal_positions_keep_the_name_order():
 
 def test_too_few_images_are_refused():
     for count, n in ((8, 8), (1, 8), (0, 8), (10, 1)):
-        with refused():
+        with check_error():
             split_every(named(count), n)
-    with refused():
+    with check_error():
         split_blocks(named(31))
-    with refused():
+    with check_error():
         split_blocks(named(40), 0)

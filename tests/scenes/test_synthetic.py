@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles import first_hits
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cameras import Intrinsics, look_at
 from pcbench.geometry.mesh import MeshIndex
@@ -97,7 +97,7 @@ def test_a_symmetric_city_looks_the_same_after_half_a_turn():
     "wrong", [{"extent": 10}, {"density": 1.5}, {"texture": -1}, {"height": 0}, {"relief": 100}, {"seed": -1}]
 )
 def test_settings_out_of_range(wrong):
-    with refused():
+    with check_error():
         CitySettings(**wrong)
 
 
@@ -220,7 +220,7 @@ def test_surveys():
     assert (np.abs(northward) > 0.97).all()
     assert 5 < (northward < 0).sum() < 30  # every second strip
     assert len(rig("orbit", 5, site, k)) == 5
-    with refused():
+    with check_error():
         rig("spiral", 5, site, k)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench import read_cloud
 from pcbench.geometry.cameras import Intrinsics
@@ -115,14 +115,14 @@ def test_depth_files_match_the_images(scene):
 
 
 def test_a_scene_needs_a_new_folder(scene, tmp_path):
-    with refused():
+    with check_error():
         write_scene(scene, SCENE)
     (tmp_path / "file").write_text("x")
-    with refused():
+    with check_error():
         write_scene(tmp_path / "file", SCENE)
-    with refused():
+    with check_error():
         write_scene(tmp_path / "no/where", SCENE)
-    with refused():
+    with check_error():
         write_scene(tmp_path / "new", replace(SCENE, intrinsics=replace(SCENE.intrinsics, distortion=(-3.0, 0, 0, 0))))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import InputError
 from pcbench.scenes.splits import split_every
@@ -54,7 +54,7 @@ def test_views_are_found_in_a_workspace(folder, tmp_path):
     work = tmp_path / "work"
     work.mkdir()
     assert find_views(work) is None
-    with refused():
+    with check_error():
         read_views(work)
     (work / "plugin").mkdir()
     folder.rename(work / "plugin" / "rendered")
@@ -82,14 +82,14 @@ def test_invalid_views_are_refused_on_writing(tmp_path):
     split = split_every(NAMES, 3)
 
     def check_refusal(**change):
-        with refused():
+        with check_error():
             write_views(tmp_path, "city", "splat", split, lambda name: pictures(name)._replace(**change))
 
     check_refusal(rendering=np.zeros((2, 2, 3)))
     check_refusal(mask=np.ones((2, 2), dtype=bool))
     check_refusal(rendering=np.zeros((7, 9)), mask=None)
     check_refusal(rendering=np.full((7, 9, 3), np.nan), mask=None)
-    with refused():
+    with check_error():
         away = split_every(("b", "../../../a", "c"), 2)
         write_views(tmp_path / "far" / "off" / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
     assert not list(tmp_path.rglob("a*"))
@@ -100,7 +100,7 @@ def test_damaged_folders_are_a_one_line_error(folder):
 
     def check_refusal(**change):
         (folder / "views.json").write_text(json.dumps({**whole, **change}))
-        with refused() as raised:
+        with check_error() as raised:
             for view in read_views(folder).views:
                 view.read()
         assert str(folder) in str(raised.value)

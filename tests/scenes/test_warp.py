@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.transform import Affine, Similarity
@@ -103,7 +103,7 @@ def test_far_from_the_origin():
 def test_a_flat_cloud_cannot_be_sheared_by_height():
     flat = hills().points * [1, 1, 0]
     for kind in ("shear", "twist"):
-        with refused():
+        with check_error():
             make_warp(kind, flat, RMS)
     rest = beyond_affine(flat[:, :2], make_warp("dome", flat, RMS).apply(flat))
     assert np.sqrt(np.square(rest).sum(axis=1).mean()) == pytest.approx(RMS, rel=1e-9)
@@ -124,7 +124,7 @@ def test_the_command_and_its_record(run):
     code, out, err = run("in.ply", "out.ply", *options)
     assert (code, err) == (0, "")
     assert "0.1 RMS" in out
-    said(out)
+    check_text(out)
     record = json.loads(Path("out.ply.json").read_text())
     before, after = read_cloud("in.ply"), read_cloud("out.ply")
     np.testing.assert_array_equal(after.points, again(record).apply(before.points))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from view_folders import write_view_folder
-from wording import refused
+from wording import check_error
 
 from pcbench.report.markup import csv_text, markdown_table
 from pcbench.studies.bench.runs import KIND as BENCH
@@ -45,7 +45,7 @@ def files_of(folder):
 def test_foreign_folder_is_rejected(tmp_path, kind, name, text):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text(text)
-    with refused(), study_folder(tmp_path, kind, Job()):
+    with check_error(), study_folder(tmp_path, kind, Job()):
         pass
     assert files_of(tmp_path) == {Path(name).name: text}
 
@@ -56,7 +56,7 @@ def test_views_leave_foreign_folder_unchanged(tmp_path):
     (tmp_path / "out/runs").mkdir(parents=True)
     for name, text in mine.items():
         (tmp_path / "out" / name).write_text(text)
-    with refused():
+    with check_error():
         run_views(ViewsJob((tmp_path / "a",)), tmp_path / "out")
     assert files_of(tmp_path / "out") == mine
 
@@ -65,7 +65,7 @@ def test_views_leave_foreign_folder_unchanged(tmp_path):
 def test_study_recognises_its_folder(tmp_path, kind):
     out = tmp_path / "new/out"
     with study_folder(out, kind, Job()):
-        with refused(), study_folder(out, kind, Job()):
+        with check_error(), study_folder(out, kind, Job()):
             pass
     assert json.loads((out / MARK).read_text()) == {
         "schema": "pcbench.study/1",
@@ -76,10 +76,10 @@ def test_study_recognises_its_folder(tmp_path, kind):
         pass
     for other in KINDS:
         if other is not kind:
-            with refused():
+            with check_error():
                 check_folder(out, other)
     (tmp_path / "file").write_text("mine")
-    with refused():
+    with check_error():
         check_folder(tmp_path / "file", kind)
 
 

@@ -195,7 +195,7 @@ NB_MODULE(_rasterizer, m) {
              nb::arg("normal").noconvert().none(), nb::arg("median_depth").noconvert().none(),
              "Renders the images. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.")
         .def("backward", &PyRasterizer::backward, nb::arg("grad_color").noconvert(),
-             nb::arg("grad_transmittance").noconvert().none(), nb::arg("by_depth").noconvert().none(),
+             nb::arg("grad_transmittance").noconvert().none(), nb::arg("grad_depth").noconvert().none(),
              nb::arg("grad_normal").noconvert().none(), nb::arg("error").noconvert().none(), nb::arg("ids").noconvert(),
              nb::arg("means").noconvert(), nb::arg("quaternions").noconvert(), nb::arg("scales").noconvert(),
              nb::arg("opacities").noconvert(), nb::arg("harmonics").noconvert(), nb::arg("screen").noconvert(),

@@ -10,7 +10,7 @@ import textured_corner as corner
 from exact_maps import corner_map
 from optional import import_or_skip
 from PIL import Image
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import read_colmap_cameras, write_colmap_model
@@ -29,22 +29,22 @@ def fake_run(code, words=""):
 
 @pytest.mark.skipif(pycolmap.has_cuda, reason="this pycolmap has CUDA")
 def test_bundled_matcher_runs_without_cuda():
-    said(colmap_problem())
+    check_text(colmap_problem())
     assert choose_backend("auto") == ("bundled", colmap_problem())
-    with refused():
+    with check_error():
         choose_backend("colmap")
 
 
 def test_crashing_probe_means_no_gpu(monkeypatch):
     monkeypatch.setattr(backend, "run_module", fake_run(-6))
     assert "-6" in colmap_problem()
-    said(colmap_problem())
+    check_text(colmap_problem())
     assert choose_backend("auto")[0] == "bundled"
     assert choose_backend("bundled") == ("bundled", "as requested")
     monkeypatch.setattr(backend, "run_module", fake_run(0))
     name, reason = choose_backend("auto")
     assert name == "colmap"
-    said(reason)
+    check_text(reason)
     assert choose_backend("colmap")[0] == "colmap"
 
 
@@ -100,7 +100,7 @@ def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
     monkeypatch.setattr(backend, "run_module", fake)
     made = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
     assert np.median(corner.distances(made.cloud.points)) < 1e-5
-    said(next(note for note in made.notes if note.startswith("backend colmap")))
+    check_text(next(note for note in made.notes if note.startswith("backend colmap")))
     assert len(fake.matched) == 4
     assert all(short not in sources and len(sources) >= 2 for short, sources in fake.sources.items())
     assert fake.points > 100
@@ -126,8 +126,8 @@ def test_missing_colmap_maps_are_explained(photographs, tmp_path, monkeypatch):
         return SimpleNamespace(code=0 if command == "probe" else -6, last_error_line="out of memory")
 
     monkeypatch.setattr(backend, "run_module", run)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         DenseMvs(backend="colmap").reconstruct(read_scene(photographs), tmp_path)
     monkeypatch.setattr(backend, "run_module", fake_run(0))
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         DenseMvs(backend="colmap").reconstruct(read_scene(photographs), tmp_path)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dense_cases import FLAT, WINDOW, City, deviations, missed, read_city, score_cloud, score_maps
+from dense_cases import MAX_FLAT_STD, WINDOW, City, deviations, read_city, recall_by_view, score_cloud, score_maps
 from exact_maps import mesh_map
 from optional import import_or_skip
 from PIL import Image
@@ -30,8 +30,8 @@ def test_noise_is_untextured_and_squares_are_textured():
     found = deviations(squares)
     window = squares[20 - half : 20 + half + 1, 30 - half : 30 + half + 1]
     assert found[20, 30] == pytest.approx(window.std())
-    assert (found > FLAT).all()
-    assert (deviations(plain) < FLAT).all()
+    assert (found > MAX_FLAT_STD).all()
+    assert (deviations(plain) < MAX_FLAT_STD).all()
 
 
 def test_score_cloud():
@@ -53,7 +53,7 @@ def test_score_cloud():
 
 
 def test_missed_surface_is_classified():
-    found = missed(CITY, SEEN[SEEN[:, 1] < 8])
+    found = recall_by_view(CITY, SEEN[SEEN[:, 1] < 8])
     # At two footprints 82 of 100 rows are found: 82 of the 90 that nine images observe, none of the 10 of three.
     np.testing.assert_allclose(found["3 images"], [0.1, 0, 10 / 18])
     np.testing.assert_allclose(found["6 or more"], [0.9, 82 / 90, 8 / 18])

@@ -7,7 +7,7 @@ import pytest
 from exact_maps import mesh_map, plane_map
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -140,7 +140,7 @@ def test_empty_fusion_is_reported(tmp_path):
     cameras = over_a_plane(3)
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras]
     path = fused(tmp_path, cameras, [depth_map.where(np.zeros(depth_map.depth.shape, bool)) for depth_map in maps])
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         read_fused(*path)
 
 
@@ -167,7 +167,7 @@ def test_truncated_colmap_files_are_refused(tmp_path, monkeypatch, cut):
     else:
         monkeypatch.setattr(pycolmap, "stereo_fusion", fuse_partly)
     cameras = over_a_plane()
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         fused(tmp_path, cameras, [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras])
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from reconstructors.mvs.maps import DepthMap, read_depth, read_map, read_raster, write_map, write_raster
 
@@ -82,20 +82,20 @@ def test_where_removes_depths_outside_a_mask():
 )
 def test_damaged_files_are_refused(tmp_path, content):
     (tmp_path / "depth.bin").write_bytes(content)
-    with refused():
+    with check_error():
         read_raster(tmp_path / "depth.bin")
 
 
 def test_mismatched_shapes_are_refused(tmp_path):
     depth_map = random_map()
-    with refused():
+    with check_error():
         DepthMap(depth_map.depth, depth_map.normal[1:], depth_map.confidence)
     write_map(tmp_path, depth_map)
     write_raster(tmp_path / "normal.bin", depth_map.normal[1:])
-    with refused():
+    with check_error():
         read_map(tmp_path)
     write_raster(tmp_path / "depth.bin", depth_map.normal)
-    with refused():
+    with check_error():
         read_depth(tmp_path)
-    with refused():
+    with check_error():
         read_map(tmp_path / "nothing")

@@ -10,7 +10,7 @@ import textured_corner as corner
 from exact_maps import ExactMatcher, corner_map, rays
 from optional import import_or_skip
 from PIL import Image
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.io import read_cloud
@@ -78,7 +78,7 @@ def test_exact_maps_yield_an_exact_cloud(solved, photographs):
 
 
 def test_choices_are_reported(solved):
-    notes = said("\n".join(solved[1].notes))
+    notes = check_text("\n".join(solved[1].notes))
     for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
         assert value in notes
 
@@ -107,7 +107,7 @@ def test_mesh_on_request(workspace, solved, photographs, monkeypatch):
     made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
     ((fused, out, origin, unit),) = calls
     assert out == workspace / "mesh.ply"
-    said(next(note for note in made.notes if f"1234 faces: {out}" in note))
+    check_text(next(note for note in made.notes if f"1234 faces: {out}" in note))
     assert unit is None
     raw = read_cloud(fused).points + origin
     np.testing.assert_array_equal(raw, solved[1].cloud.points)
@@ -156,19 +156,19 @@ def test_failures_are_explained(solved, workspace, photographs, tmp_path, monkey
     scene = read_scene(photographs)
     for views, min_images in ((2, 3), (3, 3), (4, 4)):  # sparse points need three images
         few = scene.select(["000.png", "001.png", "002.png"][: min_images - 1])
-        with refused():
+        with check_error():
             DenseMvs(views=views).reconstruct(few, tmp_path)
 
     empty = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
     empty.install(monkeypatch)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=2).reconstruct(scene, workspace)
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("reconstructors.mvs.patchmatch.match", full)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
 
 
@@ -190,7 +190,7 @@ def test_full_disk_is_reported_before_matching(solved, workspace, photographs, m
         shutil.rmtree(part)
     written = present + 40 * len(solved[1].cloud)
     set_free_space(written)
-    with refused(ReconstructionError, masked=True) as error:
+    with check_error(ReconstructionError, masked=True) as error:
         DenseMvs(backend="bundled").reconstruct(scene, workspace)
     estimate = 2**20 * int(re.search(r"need (\d+) MiB more", str(error.value))[1])
     assert written < estimate < 1.5 * written
@@ -206,7 +206,7 @@ def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
     ExactMatcher(scene.cameras, without_last).install(monkeypatch)
     made = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
     (note,) = [note for note in made.notes if "004.png" in note]
-    assert "1 of 5 images" in said(note)
+    assert "1 of 5 images" in check_text(note)
     assert "4 depth maps" in " ".join(made.notes)
 
 
@@ -216,5 +216,5 @@ def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
     ids=str,
 )
 def test_settings_out_of_range_are_refused(settings):
-    with refused(ValueError):
+    with check_error(ValueError):
         DenseMvs(**settings)

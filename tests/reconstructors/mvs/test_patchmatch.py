@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from repository import TESTS
 from textured_planes import PlaneScene, plane_scene
-from wording import refused
+from wording import check_error
 
 from reconstructors.mvs.patchmatch import MAX_SIDE_PX, MAX_SOURCES, _SearchState, match, noise_variance, refine
 
@@ -127,14 +127,14 @@ def test_masks_hide_pixels(slanted):
 
 def test_unusable_input_is_refused(slanted):
     scene, _ = slanted
-    with refused():
+    with check_error():
         match(scene.views[0], [], (5.0, 20.0))
-    with refused():
+    with check_error():
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
-    with refused():
+    with check_error():
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
     wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE_PX + 1), np.uint8))
-    with refused():
+    with check_error():
         match(scene.views[0], [wide], (5.0, 20.0))
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wording import said
+from wording import check_text
 
 from reconstructors.mvs.plan import ImageSurvey, make_plan, measure_textured_share
 
@@ -14,10 +14,10 @@ SURVEY = ImageSurvey(side_px=1600, footprint=0.1, angle_deg=20.0, overlap=8, tex
 def test_default_matches_images_of_up_to_2000_pixels():
     plan = make_plan(SURVEY, None, None)
     assert (plan.scale, plan.spacing) == (1.0, 0.1)
-    said(plan.reasons[0])
+    check_text(plan.reasons[0])
     large = make_plan(replace(SURVEY, side_px=6000, footprint=0.02), None, None)
     assert (large.scale, large.spacing) == (0.25, 0.08)
-    assert "1500 pixels" in said(large.reasons[0])
+    assert "1500 pixels" in check_text(large.reasons[0])
 
 
 def test_spacing_sets_the_image_size():
@@ -26,31 +26,31 @@ def test_spacing_sets_the_image_size():
     assert plan.spacing == pytest.approx(0.25)
     for value in ("640 pixels", "0.40 of", "0.25"):
         assert value in plan.reasons[0]
-    said(plan.reasons[0])
+    check_text(plan.reasons[0])
     # The scale is clamped between the smallest size that can be matched and the full size.
     finer = make_plan(SURVEY, 0.01, None)
     assert (finer.scale, finer.spacing) == (1.0, 0.1)
-    assert "0.01" in said(finer.reasons[0])
+    assert "0.01" in check_text(finer.reasons[0])
     coarser = make_plan(SURVEY, 10.0, None)
     assert coarser.scale == pytest.approx(240 / 1600)
-    assert "of 10 " in said(coarser.reasons[0])
+    assert "of 10 " in check_text(coarser.reasons[0])
     assert coarser.levels < plan.levels == 3
 
 
 def test_sources_are_those_that_overlap_up_to_eight():
     counts = [make_plan(replace(SURVEY, overlap=overlap), None, None).sources for overlap in (0.5, 3, 7.5, 8, 12)]
     assert counts == [1, 3, 7, 8, 8]
-    assert "20 degrees" in said(make_plan(replace(SURVEY, overlap=3), None, None).reasons[1])
-    said(make_plan(SURVEY, None, None).reasons[1])
+    assert "20 degrees" in check_text(make_plan(replace(SURVEY, overlap=3), None, None).reasons[1])
+    check_text(make_plan(SURVEY, None, None).reasons[1])
     assert make_plan(SURVEY, None, 5).sources == 5
-    said(make_plan(SURVEY, None, 5).reasons[1])
+    check_text(make_plan(SURVEY, None, 5).reasons[1])
 
 
 def test_low_texture_adds_an_iteration():
     assert make_plan(SURVEY, None, None).photometric_iterations == 3
     poor = make_plan(replace(SURVEY, textured_share=0.3), None, None)
     assert poor.photometric_iterations == 4
-    assert "30%" in said(poor.reasons[2])
+    assert "30%" in check_text(poor.reasons[2])
 
 
 def test_texture_is_variation_within_a_patch():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -94,12 +94,12 @@ def test_outliers_do_not_widen_the_depth_range():
 
 
 def test_missing_sources_are_explained():
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         choose_references(over_a_plane([looking_down("a", 0), looking_down("b", 0.02)]), 4)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         choose_references(over_a_plane([looking_down("a", -15), looking_down("b", 15)]), 4)
     empty = over_a_plane([looking_down("a", 0), looking_down("b", 2)], count=0)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         choose_references(empty, 4)
 
 

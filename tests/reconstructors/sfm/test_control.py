@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.sfm.alignment import camera_errors
@@ -32,7 +32,7 @@ def test_a_mark_outside_its_image_is_refused():
     centres = np.eye(3) * 5
     cameras = {f"{k}.jpg": Camera(f"{k}.jpg", K, look_at(centre, np.zeros(3))) for k, centre in enumerate(centres)}
     point = ControlPoint("A", np.zeros(3), (Observation("0.jpg", 5000.0, 20.0), Observation("1.jpg", 200.0, 150.0)))
-    with refused():
+    with check_error():
         measure(cameras, [point], 1.0)
 
 
@@ -61,9 +61,9 @@ def test_control_files(tmp_path):
         "A 1 2 3 a.jpg 1 2\nA 1 2 3 b.jpg 1 2\nA* 1 2 3 a.jpg 1 2\nA* 1 2 3 b.jpg 1 2",
     ):
         path.write_text(text)
-        with refused():
+        with check_error():
             read_control(path)
-    with refused():
+    with check_error():
         read_control(tmp_path / "none.txt")
 
 

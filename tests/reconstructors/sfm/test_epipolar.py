@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -70,13 +70,13 @@ def test_pairs_that_contradict_the_cameras_are_counted(known, tmp_path):
     assert found.share_of_pairs == pytest.approx(11 / 15)
     # Of 2,200 true and 420 false matches; some of the false ones lie on their epipolar lines by chance.
     assert 0.84 < found.share < 0.87
-    assert "73% of the 15 pairs" in said(found.describe("given"))
+    assert "73% of the 15 pairs" in check_text(found.describe("given"))
     assert [pair.matches for pair in found.contradicting_pairs] == [150, 110, 120]  # that of 40 matches is weak
     assert not found.is_sound
     (note,) = ambiguity_warning(found, "solved")
     for value in ("3 of 14 pairs", "000.png with 003.png (150), 005.png (110); 001.png with 004.png (120)"):
         assert value in note
-    assert "6 (000.png to 005.png)" in said(note)
+    assert "6 (000.png to 005.png)" in check_text(note)
     write_pairs(tmp_path / "pairs.csv", found)
     lines = (tmp_path / "pairs.csv").read_text().splitlines()
     assert lines[0] == "image_a,image_b,matches,share_that_agrees"
@@ -94,7 +94,7 @@ def test_images_without_a_camera_are_left_out_and_few_wrong_pairs_tolerated(know
     assert found.is_sound
     assert not ambiguity_warning(found, "solved")
     others = dict(zip(cameras, reversed(cameras.values()), strict=True))
-    with refused(ReconstructionError, masked=True):
+    with check_error(ReconstructionError, masked=True):
         check_cameras(folder / DATABASE, others)
 
 
@@ -115,7 +115,7 @@ def test_groups_of_the_graph():
         VerifiedPair("d", "e", 200, 1.0),
         VerifiedPair("a", "c", 200, 0.1),
     ]
-    assert "3 (c to e), 2 (a to b)" in said(Agreement(tuple(pairs)).describe_graph())
+    assert "3 (c to e), 2 (a to b)" in check_text(Agreement(tuple(pairs)).describe_graph())
 
 
 def solution(images, contradicting_pairs):
@@ -177,8 +177,8 @@ def test_significantly_different_cameras_are_named():
     pose = noisy["c"].cam_from_world
     noisy["c"] = replace(noisy["c"], cam_from_world=Similarity(pose.rotation, pose.translation + [0.1, 0, 0]))
     (note,) = describe_differences(here, other(noisy))
-    apart = re.search(r" c ([0-9.]+) .* 0\.00", said(note))
+    apart = re.search(r" c ([0-9.]+) .* 0\.00", check_text(note))
     assert float(apart[1]) == pytest.approx(0.1, abs=0.01)
     (note,) = describe_differences(here, other(ring(2, 0.3)))
-    said(note)
+    check_text(note)
     assert describe_differences(here, other({"a": kept["a"], "b": kept["b"]})) == []

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -32,5 +32,5 @@ def test_too_few_features_are_a_note_or_an_error():
     assert check_features(enough, scene()) == []
     assert check_features({**enough, "b.jpg": 49}, scene()) == ["1 images have fewer than 50 features: b.jpg"]
     one = {"a.jpg": 50}  # the database does not list images without a feature
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         check_features(one, scene())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wording import said
+from wording import check_text
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
@@ -113,7 +113,7 @@ def test_strips_flown_there_and_back():
 def test_an_undetermined_up_direction_is_reported(cameras):
     tilt, note = tilt_after_levelling(cameras)
     assert tilt is None
-    said(note)
+    check_text(note)
 
 
 def test_a_level_model_stays_as_it_is():

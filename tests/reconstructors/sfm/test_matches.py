@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from PIL import Image
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
@@ -92,6 +92,6 @@ def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, c
     monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
     monkeypatch.setattr(matches, "cpu_count", lambda: 2)
     monkeypatch.setattr(matches, "_write_list", lambda file, pairs: file)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         _matched(features, scene, tmp_path)
     assert "Check failed" in capfd.readouterr().err  # COLMAP's own words

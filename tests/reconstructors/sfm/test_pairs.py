@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from wording import refused
+from wording import check_error
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.geodesy import Gps
@@ -63,5 +63,5 @@ def test_gps_gives_neighbours_too():
 
 
 def test_spatial_needs_positions():
-    with refused():
+    with check_error():
         choose_pairs(scene(40), "spatial")

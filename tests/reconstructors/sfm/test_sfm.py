@@ -10,7 +10,7 @@ import textured_corner as corner
 from data_folder import data_folder
 from optional import import_or_skip
 from PIL import Image
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
@@ -44,7 +44,7 @@ def workspace(tmp_path_factory):
 def note_of(made, part):
     """Return the only note that contains a text."""
     (note,) = [note for note in made.notes if part in note]
-    return said(note)
+    return check_text(note)
 
 
 def test_given_poses_triangulate_onto_the_truth(photographs, workspace):
@@ -99,9 +99,9 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
     up = fit.rotation[:, 2]
     assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) < 1.0  # solved rolls are good to some tenths
     note_of(made, "levelled")
-    with refused():
+    with check_error():
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
-    with refused():
+    with check_error():
         ColmapSfm(align="gps", **QUICK).reconstruct(scene, workspace)
 
 
@@ -164,7 +164,7 @@ def test_points_of_two_images_are_left_out(photographs, workspace):
     assert more.cloud.attributes["track_length"].min() == 2
     left_out = len(more.cloud) - len(some.cloud)
     assert note_of(some, "points observed by fewer").startswith(f"{left_out} ")
-    with refused(ReconstructionError, masked=True):
+    with check_error(ReconstructionError, masked=True):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
@@ -189,7 +189,7 @@ def test_control_points_define_the_frame(photographs, workspace, tmp_path):
     assert residuals.rmse(residuals.check).total < 0.1
     assert residuals.rmse(residuals.check).vertical is None
     assert np.median(corner.distances(made.cloud.points)) < 0.1  # the frame is scaled by ten
-    with refused(ValueError):
+    with check_error(ValueError):
         ColmapSfm(align="control")
 
 
@@ -213,7 +213,7 @@ def test_check_points_alone_score_given_cameras(photographs, workspace, tmp_path
     assert made.residuals.control == ()
     lines = [*marks_in(cameras, {"p": [0, 0, 0.5]})]
     (tmp_path / "control.txt").write_text("\n".join(lines))
-    with refused():
+    with check_error():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
 
 
@@ -228,7 +228,7 @@ def _moved_by(dx, dy, dz):
 def test_marks_in_images_that_are_not_there(photographs, workspace, tmp_path):
     scene = read_scene(photographs)
     (tmp_path / "control.txt").write_text("p* 0 0 0 elsewhere.jpg 1 2\np* 0 0 0 nowhere.jpg 1 2\n")
-    with refused():
+    with check_error():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
     lines = [*marks_in(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
     (tmp_path / "control.txt").write_text("\n".join(lines))
@@ -275,7 +275,7 @@ def write_scene(folder, images):
 
 def fails(scene, workspace, error=ReconstructionError, **settings):
     workspace.mkdir(exist_ok=True)
-    with refused(error, masked=True):
+    with check_error(error, masked=True):
         ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
 
 
@@ -360,7 +360,7 @@ def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp
     assert note.startswith("warning: 4 of ")
     note_of(made, "not aligned")
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
-    with refused(ReconstructionError, masked=True):
+    with check_error(ReconstructionError, masked=True):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
     # Given cameras stay in their own world: theirs is said to be contradicted.
     given = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
@@ -376,7 +376,7 @@ def test_a_solution_contradicted_by_known_cameras_is_not_aligned_to_them(photogr
     made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
     assert made.gauge == "arbitrary"
     note_of(made, "not aligned to cameras")
-    with refused(ReconstructionError, masked=True):
+    with check_error(ReconstructionError, masked=True):
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
 
@@ -416,7 +416,7 @@ def test_it_is_an_installed_plugin():
     plugin = find_plugin("sfm")
     assert plugin.origin.startswith("pcbench ")
     assert plugin.missing is None
-    with refused():
+    with check_error():
         plugin.configure({"features": "3"})
 
 
@@ -480,5 +480,5 @@ def test_images_from_one_place_give_no_point(tmp_path):
         cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
         Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
-    with refused(ReconstructionError, masked=True):
+    with check_error(ReconstructionError, masked=True):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import textured_corner as corner
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
@@ -44,10 +44,10 @@ def test_a_truncated_model_is_refused(workspace, tmp_path, name):
     size = (model / name).stat().st_size
     for left in (size // 2, 8, 0):
         os.truncate(model / name, left)
-        with refused(ReconstructionError):
+        with check_error(ReconstructionError):
             check_written(model)
     (model / name).unlink()
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         check_written(model)
 
 

@@ -16,8 +16,8 @@ from splat_contestants import (  # noqa: E402
     PlainTorch,
     RasterizerByAutograd,
     contributors,
-    draw_plainly,
     make_picture,
+    render_plainly,
 )
 
 from reconstructors.splat.density import Density  # noqa: E402
@@ -46,7 +46,7 @@ def test_training_runs_with_another_rasterizer():
     picture = make_picture(150, 40, 30)
     photograph = Photograph("view", picture.view, (picture.target * 255).to(torch.uint8), None)
     scores = []
-    for drawn_by in (None, draw_plainly):
+    for drawn_by in (None, render_plainly):
         model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
         training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, downscale_shares=(0, 0)), Density())
         before = evaluate(training.model, [photograph])[0]

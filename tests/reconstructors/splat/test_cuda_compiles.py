@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_passes import Engine, random_image_gradients, run_pass
-from splat_scenes import make, whole_tiles
-from wording import refused
+from splat_scenes import make_scene, whole_tile_image
+from wording import check_error
 
 from reconstructors.splat import cuda
 from reconstructors.splat.cuda import kernels
@@ -134,7 +134,7 @@ def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
         ids = torch.arange(0, 24, 2)
         cuda.adam(*models[-1], image[1][ids], ids, 0.01, 7, launcher=launcher)
         orders.append([cuda.morton_order(image[0], launcher)])
-        rasterizer, scene = cuda.Rasterizer(launcher), make(whole_tiles)
+        rasterizer, scene = cuda.Rasterizer(launcher), make_scene(whole_tile_image)
         image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
         passes.append(
             run_pass(Engine(cuda, "cpu"), scene, image_gradients, rasterizer, geometry=False).arrays().values()
@@ -187,7 +187,7 @@ def test_cpu_tensors_are_refused():
         lambda: cuda.adam(rows, rows, rows, rows, ids, 0.1, 1),
         lambda: cuda.morton_order(rows),
     ):
-        with refused():
+        with check_error():
             call()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_passes import Engine, random_image_gradients, run_pass
-from splat_scenes import SCENES, crowd, huge, make, opaque, scattered
+from splat_scenes import SCENES, crowd, huge_gaussians, make_scene, opaque_gaussians, scattered_cloud
 
 torch = import_or_skip("torch")
 
@@ -52,11 +52,11 @@ def assert_same_bits(ours, theirs, context):
 
 # Several batches of splats per tile, rays that end, splats across the image, and an image of several tiles.
 ORDERED = [
-    pytest.param(make(huge), id="huge"),
-    pytest.param(make(opaque), id="opaque"),
-    pytest.param(make(crowd), id="crowd", marks=pytest.mark.slow),
+    pytest.param(make_scene(huge_gaussians), id="huge"),
+    pytest.param(make_scene(opaque_gaussians), id="opaque"),
+    pytest.param(make_scene(crowd), id="crowd", marks=pytest.mark.slow),
     pytest.param(
-        scattered(np.random.default_rng(5), count=600, width=64, height=64, degree=2),
+        scattered_cloud(np.random.default_rng(5), count=600, width=64, height=64, degree=2),
         id="large",
         marks=pytest.mark.slow,
     ),
@@ -75,7 +75,7 @@ def test_every_order_gives_the_same_bits(scene):
 
 def test_all_kernels_are_run():
     engine = emulated("forward", 0)
-    training_step(engine, make(huge))
+    training_step(engine, make_scene(huge_gaussians))
     engine.kernels.morton_order(torch.zeros(3, 3))
     assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.all_kernels()}
 
@@ -117,7 +117,7 @@ def test_a_missing_barrier_is_detected(kernel, barrier):
         with nan_filled_memory():
             engine = emulated(*order, mutant)
             if kernel == "blend":
-                results.append(run_pass(engine, make(scattered)).images["color"])
+                results.append(run_pass(engine, make_scene(scattered_cloud)).images["color"])
             else:
                 l1, ssim, gradient = engine.kernels.image_loss(image, image.flip(0).contiguous(), 0.2)
                 results.append(np.r_[float(l1), float(ssim), gradient.numpy().ravel()])
@@ -127,7 +127,7 @@ def test_a_missing_barrier_is_detected(kernel, barrier):
 @pytest.mark.parametrize("kind", SCENES)
 def test_images_equal_the_cpus_bit_for_bit(kind):
     """Both use the same header of mathematics with the same rounding; gradients are summed in another order."""
-    scene = make(kind)
+    scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     ours, theirs = (
         run_pass(emulated("forward", 0), scene, image_gradients),
@@ -152,7 +152,7 @@ def test_adam_steps_equal_the_cpus_bit_for_bit(rates):
 
 
 def test_without_gradient_nothing_is_stored_for_the_backward_pass():
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     engine = emulated("forward", 0)
     rasterizer = engine.kernels.Rasterizer()
     rasterizer.forward = lambda *given, forward=rasterizer.forward, **options: forward(

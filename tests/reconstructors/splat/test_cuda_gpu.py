@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_passes import Engine, random_image_gradients, run_pass
-from splat_scenes import SCENES, huge, make, scattered
+from splat_scenes import SCENES, huge_gaussians, make_scene, scattered_cloud
 
 from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.rasterize import rasterize
@@ -43,13 +43,13 @@ def cpu():
 
 def city(count=100_000, width=480, height=270):
     """A scene of the size of a training step: about 20 Gaussians at each pixel."""
-    return scattered(np.random.default_rng(11), count, width, height, size=0.012)
+    return scattered_cloud(np.random.default_rng(11), count, width, height, size=0.012)
 
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_a_pass_equals_the_emulators_bit_for_bit(gpu, emulated, kind):
     """Each operation is rounded by IEEE 754, nothing is contracted, and the order of each sum is fixed."""
-    scene = make(kind)
+    scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     for geometry in (True, False):
         given = image_gradients if geometry else image_gradients._replace(depth=None, normal=None)
@@ -117,7 +117,7 @@ def test_the_morton_order_equals_the_emulators(gpu, emulated):
 
 def test_kernels_run_on_the_current_stream(gpu):
     """On another stream the kernels would read the scales before they are set."""
-    scene = make(huge)
+    scene = make_scene(huge_gaussians)
     view = View.of(scene.camera)
     gaussians, background = GaussianTensors(*map(gpu.tensor, scene.arrays)), gpu.tensor(scene.background)
     expected = gpu.kernels.Rasterizer().forward(gaussians, view, background, geometry=True)
@@ -133,8 +133,8 @@ def test_kernels_run_on_the_current_stream(gpu):
 
 
 def test_gradients_reach_the_leaves_through_autograd(gpu):
-    """Torch runs the backward pass on a thread of its own."""
-    scene = make(scattered)
+    """Torch runs the backward pass on a separate thread."""
+    scene = make_scene(scattered_cloud)
     results = []
     for device in ("cuda", "cpu"):
         given = [torch.from_numpy(array).to(device).requires_grad_() for array in scene.arrays]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -117,7 +117,7 @@ def test_a_gaussian_in_front_of_one_camera_only_is_no_surface():
 def test_the_voxel_sets_the_spacing():
     few, many = (surface(plane(), WORLD, around(), voxel=side) for side in (0.4, 0.1))
     assert 8 < len(many) / len(few) < 22
-    with refused():
+    with check_error():
         surface(plane(), WORLD, around(), voxel=0.0)
 
 
@@ -128,12 +128,12 @@ def test_surface_that_all_of_few_cameras_see_is_certain():
 
 def test_no_surface_is_an_error():
     cameras = around()
-    with refused():
+    with check_error():
         surface(plane(), WORLD, dict(list(cameras.items())[:2]))
     faint = replace(plane(), logits=torch.full_like(plane().logits, -9.0))
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         surface(faint, WORLD, cameras)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         surface(plane(), WORLD, cameras, criteria=replace(SURFACE_CRITERIA, views=6, depth=1e-12))
 
 
@@ -182,5 +182,5 @@ def test_means_are_filtered_by_opacity_and_size():
     assert len(means(model, WORLD, min_opacity=0.5)) == len(model) - 10
     assert len(means(model, WORLD, max_axis=1.5)) == len(model) - 15
     assert len(means(model, WORLD, min_opacity=0.5, max_axis=1.5)) == len(model) - 20
-    with refused():
+    with check_error():
         means(model, WORLD, max_axis=1e-6)

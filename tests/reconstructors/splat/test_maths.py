@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from repository import ROOT
-from splat_scenes import SCENES, crowd, make, needles, nothing, opaque, scattered
+from splat_scenes import SCENES, crowd, make_scene, needles, no_gaussians, opaque_gaussians, scattered_cloud
 
 from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
@@ -154,21 +154,21 @@ def some_gradients(scene, seed=3):
 @pytest.mark.parametrize("kind", SCENES)
 def test_formulas_agree_with_the_reference(exact, kind):
     """In float64: images, gradients and sums."""
-    scene = make(kind)
+    scene = make_scene(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
     ours, theirs = exact.rasterize(scene, view, *by), plain(scene, view, *by)
     assert worst(ours, theirs) < rounding_bound(scene, view)
     seen = np.abs(theirs.gradients).sum(axis=1) > 0
     assert (ours.boxes[seen, 4] > 0).all()
-    assert kind is nothing or (theirs.median.any() and seen.any())
+    assert kind is no_gaussians or (theirs.median.any() and seen.any())
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SCENES if kind not in (crowd, needles, opaque)])
+@pytest.mark.parametrize("kind", [kind for kind in SCENES if kind not in (crowd, needles, opaque_gaussians)])
 def test_formulas_agree_in_float(single, kind):
     """The polynomials have errors of 2e-7, the rest some roundings; sums over hundreds of Gaussians and pixels leave a
     few
     1e-5 of the maximum. Scenes with many values at thresholds, which rounding can flip, have their own tests."""
-    scene = make(kind)
+    scene = make_scene(kind)
     view, by = View.of(scene.camera), some_gradients(scene)
     assert worst(single.rasterize(scene, view, *by), plain(scene, view, *by)) < 1e-4
 
@@ -194,7 +194,7 @@ def worst(ours, theirs):
 
 def test_boxes_hold_the_ellipses(exact):
     """Half of one is sqrt(2 ln(255 opacity) covariance): where the Gaussian times its opacity is 1/255."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     view = View.of(scene.camera)
     boxes = exact.rasterize(scene, view, *some_gradients(scene)).boxes
     splats = reference.project(GaussianTensors(*(torch.from_numpy(a).double() for a in scene.arrays)), view)

@@ -7,7 +7,7 @@ from optional import import_or_skip
 torch = import_or_skip("torch")
 
 from splat_training import grey, numbers, truth  # noqa: E402
-from wording import refused, said  # noqa: E402
+from wording import check_error, check_text  # noqa: E402
 
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.parsimony import Budget, Curve, Parsimonious, PsnrLoss, select_budget  # noqa: E402
@@ -34,9 +34,11 @@ def test_the_smallest_within_one_standard_error_is_selected():
     assert select_budget([best, less]) == 0
     # The same number with spherical harmonics of a lower degree is smaller.
     assert select_budget([best, within, less, within._replace(degree=0)]) == 3
-    assert "800 Gaussians" in said(Curve((best, less)).sentence)
-    said(Curve((best,)).sentence)
-    assert said(Curve((best, within, less)).sentence).startswith("200 Gaussians with spherical harmonics of degree 2 ")
+    assert "800 Gaussians" in check_text(Curve((best, less)).sentence)
+    check_text(Curve((best,)).sentence)
+    assert check_text(Curve((best, within, less)).sentence).startswith(
+        "200 Gaussians with spherical harmonics of degree 2 "
+    )
     assert "24.93 dB" in Curve((best, within, less)).sentence
 
 
@@ -117,5 +119,5 @@ def test_a_run_of_one_step_ends_with_a_selection():
 
 def test_one_held_out_block_is_refused():
     _, pictures = truth()
-    with refused(ValueError):
+    with check_error(ValueError):
         Parsimonious([pictures[:2]])

@@ -5,7 +5,7 @@ import pytest
 import textured_corner as corner
 from optional import import_or_skip
 from PIL import Image
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.plugins import Reconstruction
@@ -54,7 +54,7 @@ def train(tmp_path, monkeypatch):
 def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
     assert "nan" not in " ".join(train(hidden=[0, 3]).notes)
     assert "nan" not in (tmp_path / "work/model/curve.csv").read_text()
-    with refused():
+    with check_error():
         train(hidden=range(8))
 
 
@@ -73,25 +73,25 @@ def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
 
 
 def test_too_little_memory_is_refused_with_figures(train):
-    with refused(masked=True):
+    with check_error(masked=True):
         train(memory=1e-6)
 
 
 def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
-    with refused(ValueError):
+    with check_error(ValueError):
         train(cloud="surface", min_opacity=0.5)
     monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was started"))
-    with refused():
+    with check_error():
         train(hold_out="every")
 
 
 def test_the_note_gives_the_last_step(train, monkeypatch):
-    said(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
+    check_text(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
     monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, downscale_shares=(0, 0)))
-    said(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
+    check_text(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 
 def test_a_note_reports_that_training_is_too_short_to_densify(train):
     (note,) = [note for note in train(density="classic").notes if "density=classic" in note]
-    assert "at step 500" in said(note)
+    assert "at step 500" in check_text(note)
     assert not any("density=" in note for note in train(density="fixed").notes)

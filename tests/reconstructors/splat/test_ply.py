@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import splat_models
 from optional import import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench import Cloud
 from pcbench.io import read_cloud, write_cloud
@@ -85,7 +85,7 @@ def test_projected_coordinates_keep_their_digits(tmp_path):
 
 
 def test_discs_become_flat_gaussians(tmp_path):
-    write_cloud(tmp_path / "discs.ply", splat_models.some(5, dimensions=2))
+    write_cloud(tmp_path / "discs.ply", splat_models.make_gaussians(5, dimensions=2))
     found, _ = read_model(tmp_path / "discs.ply")
     assert found.scales.shape == (5, 3)
     assert torch.equal(found.scales.argmin(dim=1), torch.full((5,), 2))
@@ -93,7 +93,7 @@ def test_discs_become_flat_gaussians(tmp_path):
 
 
 def test_models_of_other_programs_are_read(tmp_path):
-    cloud = splat_models.some(6)
+    cloud = splat_models.make_gaussians(6)
     write_cloud(tmp_path / "model.ply", cloud)
     found, frame = read_model(tmp_path / "model.ply")
     assert np.allclose(frame.to_world(found.means.numpy()), cloud.points)
@@ -103,30 +103,30 @@ def test_models_of_other_programs_are_read(tmp_path):
 
 
 def test_splats_with_nan_are_dropped(tmp_path):
-    cloud = splat_models.some(4)
+    cloud = splat_models.make_gaussians(4)
     scales = cloud.attributes["scale_1"].copy()
     scales[2] = np.nan
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=cloud.attributes | {"scale_1": scales}))
     notes = []
     found, _ = read_model(tmp_path / "model.ply", notes.append)
-    assert len(found) == 3 and len(notes) == 1 and "1 of 4 splats" in said(notes[0])
+    assert len(found) == 3 and len(notes) == 1 and "1 of 4 splats" in check_text(notes[0])
 
 
 @pytest.mark.parametrize("missing", ["opacity", "rot_3", "f_dc_1", "scale_1"])
 def test_files_without_a_model_are_refused(tmp_path, missing):
-    cloud = splat_models.some(4)
+    cloud = splat_models.make_gaussians(4)
     attributes = {name: values for name, values in cloud.attributes.items() if name != missing}
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
-    with refused():
+    with check_error():
         read_model(tmp_path / "model.ply")
 
 
 @pytest.mark.parametrize("degree", [0.5, 4])
 def test_harmonics_of_an_unknown_degree_are_refused(tmp_path, degree):
-    cloud = splat_models.some(4, degree=3)
+    cloud = splat_models.make_gaussians(4, degree=3)
     attributes = {name: values for name, values in cloud.attributes.items() if not name.startswith("f_rest_")}
     count = {0.5: 5, 4: 72}[degree]
     attributes |= {f"f_rest_{k}": np.zeros(4, np.float32) for k in range(count)}
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=attributes))
-    with refused():
+    with check_error():
         read_model(tmp_path / "model.ply")

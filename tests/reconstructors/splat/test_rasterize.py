@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from repository import TESTS
-from splat_scenes import make, nothing, scattered
-from wording import refused
+from splat_scenes import make_scene, no_gaussians, scattered_cloud
+from wording import check_error
 
 from pcbench.errors import MissingExtra
 from pcbench.geometry.transform import Similarity
@@ -44,7 +44,7 @@ def random_loss(rendering, seed=5):
 
 def test_images_and_gradients_equal_those_of_the_reference(device):
     """Depth is the mean, whose gradient also passes through alpha; the background has a gradient, too."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     background = device.tensor(scene.background).requires_grad_()
     tensors = given(device, scene)
     ours = rasterize(*tensors, scene.camera, background=background)
@@ -75,7 +75,7 @@ def test_images_and_gradients_equal_those_of_the_reference(device):
 
 def test_a_scene_far_from_the_origin_has_the_same_images(device):
     """In float64 UTM coordinates; float32 would be wrong by half a metre."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     far = np.array([654_321.0, 5_432_109.0, 512.0])
     motion = scene.camera.cam_from_world
     moved = replace(
@@ -96,7 +96,7 @@ def test_a_scene_far_from_the_origin_has_the_same_images(device):
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
 def test_other_types_are_drawn_in_float32(device, dtype):
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     tensors = given(device, scene, dtype)
     rendering = rasterize(*tensors, scene.camera)
     random_loss(rendering).backward()
@@ -110,7 +110,7 @@ def test_other_types_are_drawn_in_float32(device, dtype):
 
 
 def test_rows_that_are_not_contiguous(device):
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     tensors = given(device, scene)
     spread = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
     assert not any(tensor.is_contiguous() for tensor in spread)
@@ -122,7 +122,7 @@ def test_rows_that_are_not_contiguous(device):
 
 def test_two_renderings_at_once(device):
     """Each keeps the data for its own gradient, which can be computed in any order and twice."""
-    scenes = make(scattered), make(scattered, seed=1)
+    scenes = make_scene(scattered_cloud), make_scene(scattered_cloud, seed=1)
     apart = []
     for scene in scenes:
         tensors = given(device, scene)
@@ -140,7 +140,7 @@ def test_two_renderings_at_once(device):
 
 def test_overwritten_tensors_have_no_gradient(device):
     """Torch raises an error if a parameter or an image was changed in place."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     tensors = given(device, scene)
     loss = random_loss(rasterize(*tensors, scene.camera))
     with torch.no_grad():
@@ -159,7 +159,7 @@ def test_overwritten_tensors_have_no_gradient(device):
 
 
 def test_gradients_with_respect_to_one_tensor_only(device):
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     everything = given(device, scene)
     random_loss(rasterize(*everything, scene.camera)).backward()
     for only in range(5):
@@ -182,7 +182,7 @@ def test_a_gradient_is_prepared_only_if_one_may_follow(device, monkeypatch):
             return self.own.forward(*given, gradient=gradient, **options)
 
     monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: SimpleNamespace(Rasterizer=Spy))
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     tensors = [tensor.requires_grad_(False) for tensor in given(device, scene)]
     rasterize(*tensors, scene.camera)
     rasterize(*tensors[:4], tensors[4].requires_grad_(), scene.camera)
@@ -191,7 +191,7 @@ def test_a_gradient_is_prepared_only_if_one_may_follow(device, monkeypatch):
 
 def test_a_deleted_rendering_is_freed(device):
     """With all its memory, immediately: there is no reference cycle."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     rendering = rasterize(*given(device, scene), scene.camera)
     node = rendering.color.grad_fn
     held = weakref.ref(node.rasterizer)
@@ -201,11 +201,11 @@ def test_a_deleted_rendering_is_freed(device):
 
 
 def test_without_gradients_and_without_gaussians(device):
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     with torch.no_grad():
         rendering = rasterize(*given(device, scene), scene.camera)
     assert not rendering.color.requires_grad
-    empty, background = make(nothing), [0.1, 0.2, 0.3]
+    empty, background = make_scene(no_gaussians), [0.1, 0.2, 0.3]
     tensors = given(device, empty)
     rendering = rasterize(*tensors, empty.camera, background=background)
     assert torch.equal(rendering.color.cpu(), torch.tensor(background).expand(22, 37, 3))
@@ -216,11 +216,11 @@ def test_without_gradients_and_without_gaussians(device):
 
 def check_refusal(change, **options):
     """Expect a refusal of a scene of five Gaussians after `change` of its tensors by name."""
-    scene = scattered(np.random.default_rng(0), 5)
+    scene = scattered_cloud(np.random.default_rng(0), 5)
     names = ("means", "quats", "scales", "opacities", "sh")
     tensors = {name: torch.from_numpy(array) for name, array in zip(names, scene.arrays, strict=True)}
     changed = tensors | {name: tensor(tensors[name]) for name, tensor in change.items()}
-    with refused():
+    with check_error():
         rasterize(*changed.values(), **{"camera": scene.camera, **options})
 
 
@@ -262,7 +262,7 @@ def test_wrong_tensors_are_refused(change):
 
 
 def test_other_wrong_input_is_refused():
-    camera = make(scattered).camera
+    camera = make_scene(scattered_cloud).camera
     distorted = replace(camera, intrinsics=replace(camera.intrinsics, distortion=(0.1, 0.0, 0.0, 0.0)))
     check_refusal({}, camera=distorted)
     check_refusal({}, camera=View.of(camera))
@@ -283,9 +283,9 @@ def test_torch_is_imported_on_first_use(monkeypatch):
     script = "import sys; import reconstructors.splat; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "False\n", done.stderr
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     monkeypatch.setitem(sys.modules, "torch", None)
-    with refused(MissingExtra):
+    with check_error(MissingExtra):
         rasterize(*scene.arrays, scene.camera)
 
 
@@ -295,9 +295,9 @@ def test_a_graph_alive_at_exit_prints_nothing():
 import sys
 sys.path[:0] = [{path!r}]
 import torch
-from splat_scenes import make, scattered
+from splat_scenes import make_scene, scattered_cloud
 from reconstructors.splat import rasterize
-scene = make(scattered)
+scene = make_scene(scattered_cloud)
 rendering = rasterize(*(torch.from_numpy(array).requires_grad_() for array in scene.arrays), scene.camera)
 """
     done = subprocess.run([sys.executable, "-c", script.format(path=str(TESTS))], capture_output=True, text=True)

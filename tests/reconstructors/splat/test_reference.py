@@ -6,7 +6,7 @@ from optional import import_or_skip
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
-from splat_scenes import make, odd_quaternions, on_the_border, scattered
+from splat_scenes import make_scene, means_at_border, odd_quaternions, scattered_cloud
 
 from reconstructors.splat.interface import GaussianTensors
 from reconstructors.splat.view import View
@@ -19,13 +19,13 @@ def in_double(scene):
     return GaussianTensors(*(torch.from_numpy(array).double() for array in scene.arrays))
 
 
-@pytest.mark.parametrize("kind", [scattered, on_the_border])
+@pytest.mark.parametrize("kind", [scattered_cloud, means_at_border])
 def test_gradients_equal_finite_differences(kind):
     """For a random sum of the images of 30 Gaussians, along random directions; no alpha is at a threshold here.
 
     Differences of sums of about 1e3 over 2e-6 are exact to 1e-7.
     """
-    scene, rng = make(kind), np.random.default_rng(1)
+    scene, rng = make_scene(kind), np.random.default_rng(1)
     view, background = View.of(scene.camera), torch.from_numpy(scene.background).double()
     weights = [torch.from_numpy(rng.normal(size=(view.height, view.width, *rest))) for rest in [(3,), (), (), (3,)]]
 
@@ -48,7 +48,7 @@ def test_gradients_equal_finite_differences(kind):
 
 def test_the_backward_pass_equals_autograd():
     """For a sum over all images; the screen gradient is that of moving one Gaussian's image over the pixels."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
     background = torch.from_numpy(scene.background).double()
     drawn = reference.render(GaussianTensors(*leaves), view, background)
@@ -82,7 +82,7 @@ def test_the_backward_pass_equals_autograd():
 
 def test_weights_and_errors_are_sums_over_pixels():
     """The weights of all Gaussians sum to alpha at each pixel, and likewise for the error."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
     drawn = rasterizer.forward(in_double(scene), view, torch.zeros(3), geometry=True)
     error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
@@ -92,7 +92,7 @@ def test_weights_and_errors_are_sums_over_pixels():
 
 
 def test_rotations_equal_scipys():
-    quats = make(odd_quaternions).quats[10:].astype(np.float64)
+    quats = make_scene(odd_quaternions).quats[10:].astype(np.float64)
     ours = reference.rotations(torch.from_numpy(quats)).numpy()
     np.testing.assert_allclose(ours, Rotation.from_quat(quats, scalar_first=True).as_matrix(), atol=1e-12)
 
@@ -117,7 +117,7 @@ def test_harmonics_equal_scipys():
 
 def test_a_small_gaussian_is_projected_like_its_points():
     """For offsets of a thousandth of each axis: the spread of the ends in the image, and of their depths."""
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     view, gaussians = View.of(scene.camera), in_double(scene)
     splats = reference.project(gaussians, view)
     center, _ = scene.camera.project(gaussians.means.numpy()[splats.ids])

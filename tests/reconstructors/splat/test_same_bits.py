@@ -16,7 +16,7 @@ import hashlib, json, sys
 import numpy as np, torch
 sys.path[:0] = {path!r}
 from splat_passes import Engine, random_image_gradients, run_pass
-from splat_scenes import SCENES, make, scattered
+from splat_scenes import SCENES, make_scene, scattered_cloud
 from reconstructors.splat import cpu
 from reconstructors.splat.cpu import _rasterizer
 
@@ -26,12 +26,12 @@ def note(name, *arrays):
 
 engine, rng = Engine(cpu, "cpu"), np.random.default_rng(1)
 for kind in SCENES:
-    scene = make(kind)
+    scene = make_scene(kind)
     note(kind.__name__, *run_pass(engine, scene, random_image_gradients(scene)).arrays().values())
     image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
     note(kind.__name__ + " plain", *run_pass(engine, scene, image_gradients, geometry=False).arrays().values())
 # Enough Gaussians and tiles for several threads.
-many = scattered(rng, 3000, 210, 130, size=0.06)
+many = scattered_cloud(rng, 3000, 210, 130, size=0.06)
 note("many", *run_pass(engine, many, random_image_gradients(many)).arrays().values())
 image, target = (torch.from_numpy(rng.random((131, 207, 3), np.float32)) for _ in range(2))
 loss = cpu.image_loss(image, target, 0.2)

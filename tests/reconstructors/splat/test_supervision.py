@@ -7,7 +7,7 @@ import pytest
 import textured_corner as corner
 from exact_maps import corner_map, plane_map
 from optional import import_or_skip
-from splat_scenes import scattered
+from splat_scenes import scattered_cloud
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
@@ -61,8 +61,8 @@ def test_depths_are_not_mixed_across_an_edge_and_unknown_ones_stay_unknown():
 
 
 def test_the_gradient_equals_that_of_the_loss():
-    """Of the mean relative difference, with respect to all parameters, against torch autograd through `rasterize`."""
-    scene = scattered(np.random.default_rng(3), 60)
+    """Gradients of the mean relative difference with respect to all parameters agree with torch autograd."""
+    scene = scattered_cloud(np.random.default_rng(3), 60)
     leaves = [torch.from_numpy(a).clone().requires_grad_() for a in scene.arrays]
     view = View.of(scene.camera)
     rng = np.random.default_rng(1)

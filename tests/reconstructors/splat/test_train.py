@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_scenes import scattered
-from wording import refused
+from splat_scenes import scattered_cloud
+from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -110,7 +110,7 @@ def test_masked_pixels_do_not_influence_training():
 def test_parameters_that_are_not_finite_are_an_error():
     training = new_training()
     training.model.sh[3] = float("nan")
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         training.run(5)
 
 
@@ -121,13 +121,13 @@ def test_parameters_that_are_not_finite_are_no_convergence():
         if now.step == 29:
             now.model.means[3] = np.nan  # the rasterizer skips it
 
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         training.run(100, set_nan)
 
 
 def test_a_model_without_gaussians_is_an_error():
     training = new_training(Classic(refine_start=5, refine_interval=5, prune_opacity=1.0))
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         training.run(5)
 
 
@@ -167,7 +167,7 @@ def test_classic_density_respects_the_maximum_and_prunes_low_opacities():
 
 
 def test_a_local_frame_scales_projected_coordinates_to_unit_size():
-    scene = scattered(np.random.default_rng(0))
+    scene = scattered_cloud(np.random.default_rng(0))
     origin = np.array([500_000.0, 5_400_000.0, 200.0])
     cameras = []
     for angle in np.linspace(0, 2 * np.pi, 6, endpoint=False):

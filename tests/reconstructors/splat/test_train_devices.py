@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from optional import import_or_skip
-from splat_scenes import scattered
-from wording import refused, said
+from splat_scenes import scattered_cloud
+from wording import check_error, check_text
 
 from pcbench.errors import InputError, MissingExtra, ReconstructionError
 from pcbench.geometry.cameras import look_at
@@ -32,7 +32,7 @@ GAUSSIANS, STEPS = 60, 200
 
 def truth():
     """Return a model and six images of it from around; the second has a mask."""
-    scene = scattered(np.random.default_rng(8), GAUSSIANS, width=32, height=24, degree=1, size=0.25)
+    scene = scattered_cloud(np.random.default_rng(8), GAUSSIANS, width=32, height=24, degree=1, size=0.25)
     means, quats, scales, opacities, sh = (torch.from_numpy(array) for array in scene.arrays)
     model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
     valid = torch.ones(24, 32, dtype=torch.bool)
@@ -179,7 +179,7 @@ def test_choice_of_the_device(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for wanted in ("auto", "cpu"):
         assert choose_device(wanted) == (torch.device("cpu"), None)
-    with refused():
+    with check_error():
         choose_device("cuda")
 
     def fails(error):
@@ -194,11 +194,11 @@ def test_choice_of_the_device(monkeypatch):
     missing, broken = MissingExtra("NVRTC", "cuda", "it is not installed"), RuntimeError("the driver is old\nat line 5")
     for error, raised in [(missing, MissingExtra), (broken, InputError)]:
         monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
-        with refused(raised):
+        with check_error(raised):
             choose_device("cuda")
         device, note = choose_device("auto")
         assert device.type == "cpu"
-        assert str(error).splitlines()[0] in said(note)
+        assert str(error).splitlines()[0] in check_text(note)
     monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
     for wanted in ("auto", "cuda"):
         assert choose_device(wanted) == (torch.device("cuda:1"), "trained on GPU 1; set device=cpu to train on the CPU")
@@ -207,7 +207,7 @@ def test_choice_of_the_device(monkeypatch):
 
 def test_without_a_gpu_no_work_is_started_on_one(monkeypatch, tmp_path):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with refused():
+    with check_error():
         GaussianSplatting(device="cuda").reconstruct([None] * 3, tmp_path)
     assert not [*tmp_path.iterdir()]
 
@@ -217,7 +217,7 @@ def test_running_out_of_gpu_memory_is_an_error_with_advice(monkeypatch, tmp_path
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
 
     monkeypatch.setattr(GaussianSplatting, "_reconstruct", full)
-    with refused(ReconstructionError):
+    with check_error(ReconstructionError):
         GaussianSplatting().reconstruct([None] * 3, tmp_path)
 
 

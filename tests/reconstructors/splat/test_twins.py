@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 from optional import import_or_skip
 from splat_passes import Engine, random_image_gradients, run_pass
-from splat_scenes import SCENES, crowd, huge, make, needles, nothing, one_pixel, scattered, tall, whole_tiles
+from splat_scenes import (
+    SCENES,
+    crowd,
+    huge_gaussians,
+    make_scene,
+    needles,
+    no_gaussians,
+    one_pixel_image,
+    scattered_cloud,
+    tall_image,
+    whole_tile_image,
+)
 
 torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
@@ -26,7 +37,7 @@ def test_images_and_gradients_equal_those_of_the_reference(engine, kind):
     shows in one of a hundred gradients. Elsewhere at most one value in a thousand may differ, by a pixel on the other
     side of a threshold.
     """
-    scene = make(kind)
+    scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     ours, theirs = run_pass(engine, scene, image_gradients), run_pass(REFERENCE, scene, image_gradients)
     whole, flips = (1e-4, 1e-2) if kind is crowd else (1e-5, 1e-3)
@@ -35,22 +46,22 @@ def test_images_and_gradients_equal_those_of_the_reference(engine, kind):
     # All visible Gaussians are drawn; of the others only those that pass the bounds of tiles, which are wider.
     assert ours.drawn[theirs.drawn].all()
     assert all(np.isfinite(array).all() for array in ours.arrays().values())
-    if kind is not nothing:
+    if kind is not no_gaussians:
         assert all(array.any() for array in theirs.arrays().values())
 
 
 def test_planes_of_long_needles(engine):
     """A hundred times as long as their distance and a thousandth as wide: depth grows along them, not across."""
-    scene = make(needles)
+    scene = make_scene(needles)
     scene.scales[np.arange(60), scene.scales.argmax(axis=1)] = 300
     ours, theirs = run_pass(engine, scene).images, run_pass(REFERENCE, scene).images
     for name, image in theirs.items():
         assert disagreeing(ours[name], image, 0, 1e-5) <= 1e-3, name
 
 
-@pytest.mark.parametrize("kind", [scattered, tall])
+@pytest.mark.parametrize("kind", [scattered_cloud, tall_image])
 def test_without_geometry_colour_is_the_same(engine, kind):
-    scene = make(kind)
+    scene = make_scene(kind)
     zero = random_image_gradients(scene)._replace(depth=None, normal=None)
     full, plain = run_pass(engine, scene, zero), run_pass(engine, scene, zero, geometry=False)
     assert plain.images.keys() == {"color", "transmittance"}
@@ -59,7 +70,7 @@ def test_without_geometry_colour_is_the_same(engine, kind):
 
 
 def test_a_missing_gradient_equals_zero(engine):
-    scene = make(scattered)
+    scene = make_scene(scattered_cloud)
     none = random_image_gradients(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
     zeros = none._replace(**{name: np.zeros((22, 37), np.float32) for name in ("transmittance", "depth", "error")})
     zeros = zeros._replace(normal=np.zeros((22, 37, 3), np.float32))
@@ -72,8 +83,8 @@ def test_a_missing_gradient_equals_zero(engine):
 def test_one_rasterizer_renders_one_view_after_another(engine):
     """With other sizes and numbers of Gaussians and harmonics: the buffers keep nothing of the view before."""
     used = engine.kernels.Rasterizer()
-    for kind in (huge, one_pixel, crowd, nothing, tall, whole_tiles, scattered):
-        scene = make(kind)
+    for kind in (huge_gaussians, one_pixel_image, crowd, no_gaussians, tall_image, whole_tile_image, scattered_cloud):
+        scene = make_scene(kind)
         image_gradients = random_image_gradients(scene)
         again, fresh = run_pass(engine, scene, image_gradients, used), run_pass(engine, scene, image_gradients)
         for name, array in fresh.arrays().items():
@@ -82,7 +93,7 @@ def test_one_rasterizer_renders_one_view_after_another(engine):
 
 def test_the_gradient_can_be_computed_twice(engine):
     """Another gradient of the same image: the first one does not consume the stored data."""
-    scene, used = make(scattered), engine.kernels.Rasterizer()
+    scene, used = make_scene(scattered_cloud), engine.kernels.Rasterizer()
     run_pass(engine, scene, random_image_gradients(scene, seed=8), used)
     first = run_pass(engine, scene, random_image_gradients(scene), used)
     by = [engine.tensor(image) for image in random_image_gradients(scene)]

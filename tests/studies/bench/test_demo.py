@@ -4,7 +4,7 @@ import json
 
 import pytest
 from optional import break_library, import_or_skip
-from wording import refused
+from wording import check_error
 
 from pcbench.extras import import_problem
 from pcbench.plugins.run import Description
@@ -27,7 +27,7 @@ def test_demo_removes_only_its_own_folder(tmp_path, monkeypatch):
     (tmp_path / "city").mkdir()
     mine = tmp_path / "city" / "mine.txt"
     mine.write_text("mine")
-    with refused():
+    with check_error():
         demo_job(tmp_path / "city", 0, lambda _: None)
     assert mine.read_text() == "mine"
 

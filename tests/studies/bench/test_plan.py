@@ -1,8 +1,8 @@
 """The runs of a bench: methods, sweeps and seeds, and wrong options."""
 
 import pytest
-from benches import methods_run
-from wording import said
+from benches import executed_methods
+from wording import check_text
 
 from pcbench.plugins.run import Description
 from pcbench.studies.bench.plan import Axis, Method, labels, trials
@@ -39,8 +39,8 @@ def test_wrong_options_are_rejected_before_any_run(bench_folder, run, in_process
     code, out, err = run(*command, *arguments)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
-    said(err.partition(" (see ")[0])  # the rest depends on how pytest was started
-    assert methods_run() == []
+    check_text(err.partition(" (see ")[0])  # the rest depends on how pytest was started
+    assert executed_methods() == []
 
 
 def test_zero_seeds_are_rejected(bench_folder, run):
@@ -50,7 +50,7 @@ def test_zero_seeds_are_rejected(bench_folder, run):
 
 
 def test_missing_method_is_rejected(bench_folder, run):
-    assert "--method" in said(run("bench", "photos", "--reference", "truth.ply", "--out", "out")[2])
+    assert "--method" in check_text(run("bench", "photos", "--reference", "truth.ply", "--out", "out")[2])
 
 
 def method(label, *settings, problem=None):
@@ -68,6 +68,6 @@ def test_trials_are_the_product_of_sweeps():
     assert found[1].settings == {"n": "7,8", "seed": "1"}
     assert found[1].image_scale == 0.5
     assert found[4].settings == {"n": "1", "m": "x"}
-    said("\n".join(notes))
+    check_text("\n".join(notes))
     assert labels(["sfm", "a/one.py:M", "two.py:M"]) == ["sfm", "a/one.py:M", "two.py:M"]
     assert labels(["sfm", "a/one.py:M"]) == ["sfm", "M"]

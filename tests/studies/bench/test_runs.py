@@ -14,10 +14,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from benches import METHODS, OWN, job, methods_run
+from benches import METHODS, OWN, executed_methods, job
 from optional import import_or_skip
-from processes import ends
-from wording import refused, said
+from processes import has_ended
+from wording import check_error, check_text
 
 from pcbench import Cloud, write_cloud
 from pcbench.errors import MissingExtra
@@ -109,31 +109,31 @@ def test_finished_runs_are_reused(bench_folder, run, in_process):
     command = ("bench", "photos", "--reference", "truth.ply", "--no-figures", "--out", "out")
     command += ("--method", "methods.py:Good", "--method", "methods.py:Cannot", "--sweep")
     assert run(*command, "noise=0.02,1")[0] == 0
-    assert methods_run() == ["Good", "Good", "Cannot"]
+    assert executed_methods() == ["Good", "Good", "Cannot"]
     before = Path("out/bench.csv").read_text()
     code, out, _ = run(*command, "noise=0.02,1")
     assert code == 0
     assert out.count("(from an earlier bench)") == 3
-    assert len(methods_run()) == 3
+    assert len(executed_methods()) == 3
     assert Path("out/bench.csv").read_text() == before
     # Runs of other settings are not in the tables, and a note says so.
     _, out, _ = run(*command, "noise=1")
-    assert len(methods_run()) == 3
-    said(next(line for line in out.splitlines() if "out/runs" in line))
+    assert len(executed_methods()) == 3
+    check_text(next(line for line in out.splitlines() if "out/runs" in line))
     assert len(Path("out/bench.csv").read_text().splitlines()) == 3
     # A new threshold measures again without new runs.
     run(*command, "noise=1", "--threshold", "0.5")
-    assert len(methods_run()) == 3
+    assert len(executed_methods()) == 3
     with Path("out/bench.csv").open() as file:
         assert [row["threshold"] for row in csv.DictReader(file)] == ["0.5", ""]
     # A changed reconstructor and a changed image need new runs.
     Path("methods.py").write_text(METHODS + "\n# changed\n")
     run(*command, "noise=1")
-    assert len(methods_run()) == 5
+    assert len(executed_methods()) == 5
     with Path("photos/images/0.png").open("ab") as file:
         file.write(b"\0")
     run(*command, "noise=1")
-    assert len(methods_run()) == 7
+    assert len(executed_methods()) == 7
 
 
 @pytest.mark.parametrize("name", ["outcome.json", "cloud.ply", "run.json", "score.json"])
@@ -183,15 +183,15 @@ def test_interrupted_bench_is_resumed(bench_folder, in_process):
     reused = []
     doc = bench(bench_job, Path("out"), on_row=lambda done: reused.append(done.kept))
     assert reused == [True, True, False]
-    assert methods_run() == ["Good"] * 3
+    assert executed_methods() == ["Good"] * 3
     assert len(doc["rows"]) == 3
     shutil.rmtree(Path("out") / doc["rows"][1]["folder"])
     bench(bench_job, Path("out"))
-    assert methods_run() == ["Good"] * 4
+    assert executed_methods() == ["Good"] * 4
     # A truncated record is ignored.
     (Path("out") / doc["rows"][0]["folder"] / "run.json").write_text('{"key"')
     bench(bench_job, Path("out"))
-    assert methods_run() == ["Good"] * 5
+    assert executed_methods() == ["Good"] * 5
 
 
 def test_timeout_is_reused_for_shorter_limits(bench_folder, monkeypatch):
@@ -215,7 +215,7 @@ def test_temporary_measurement_failure_is_retried(bench_folder, in_process, monk
     assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "unmeasured"
     monkeypatch.setattr(runs, "score", original)
     assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "ok"
-    assert methods_run() == ["Good"]
+    assert executed_methods() == ["Good"]
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_stopped_bench_keeps_finished_rows_and_no_process(bench_folder, stop_sig
     if stop_signal == signal.SIGINT:
         assert (process.returncode, err.strip()) == (130, "interrupted")
     assert len(Path("out/bench.csv").read_text().splitlines()) == 2
-    assert ends(child)
+    assert has_ended(child)
 
 
 def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process):
@@ -268,7 +268,7 @@ def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process)
     for method in ("Cannot", "Elsewhere"):  # a failed run, and a cloud that cannot be measured
         code, out, err = run(*command, f"methods.py:{method}")
         assert code == 2
-        said(err)
+        check_text(err)
         assert out.splitlines()[-1] == "bench: out"
     assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
 
@@ -277,15 +277,15 @@ def test_folder_is_locked_by_one_bench(bench_folder, in_process):
     calls = []
 
     def again(_):
-        with refused():
+        with check_error():
             bench(job("Good"), Path("out"))
         calls.append(True)
 
     bench(job("Good"), Path("out"), on_row=again)
     assert calls
-    with refused():
+    with check_error():
         bench(job("Good"), Path("photos"))
-    with refused():
+    with check_error():
         bench(job("Good"), Path("truth.ply"))
 
 

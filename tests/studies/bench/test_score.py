@@ -8,7 +8,7 @@ import pytest
 import shapes
 from benches import OWN, POINTS, RIG, TRUTH, K, reconstruction_in
 from optional import break_library
-from wording import said
+from wording import check_text
 
 from pcbench import Cloud, write_cloud
 from pcbench.geometry.cameras import Camera
@@ -82,7 +82,7 @@ def test_cloud_without_cameras_is_registered_by_surface(truth, tmp_path, monkeyp
     # Two cameras, or cameras on one line, do not fix a similarity: a note, and registration by surface.
     two = choose_alignment(reconstruction_in(POINTS, "arbitrary", OWN, cameras=RIG[:2]), truth.cameras)
     assert two.method == "similarity"
-    said(two.notes[0])
+    check_text(two.notes[0])
 
 
 def test_recall_of_visible_part(truth, tmp_path):
@@ -135,11 +135,11 @@ def test_source_of_visibility(bench_folder, monkeypatch):
     Path("wall.off").write_text(f"OFF\n{len(mesh.vertices)} {len(mesh)} 0\n" + "\n".join(lines) + "\n")
     by_rays = read_truth(Path("bare.ply"), Path("wall.off"), cameras, print)
     np.testing.assert_array_equal(by_rays.visible, visible_mask(Cloud(sample.points), mesh, cameras))
-    assert "wall.off" in said(by_rays.visibility)
+    assert "wall.off" in check_text(by_rays.visibility)
     of_mesh = read_truth(Path("wall.off"), None, cameras, print)
     assert of_mesh.visible.mean() == pytest.approx(by_rays.visible.mean(), abs=0.06)
     assert read_truth(Path("wall.off"), None, {}, print).visible is None
     write_cloud("dark.ply", Cloud(sample.points, attributes={"visible": np.zeros(800, np.uint8)}))
     dark = read_truth(Path("dark.ply"), None, cameras, print)
     assert dark.visible is None
-    said(dark.visibility)
+    check_text(dark.visibility)

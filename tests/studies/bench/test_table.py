@@ -2,7 +2,7 @@
 
 import pytest
 from benches import row
-from wording import said
+from wording import check_text
 
 from pcbench.studies.bench.pareto import mark_front
 from pcbench.studies.bench.table import bench_markdown, print_bench
@@ -26,7 +26,7 @@ def test_best_and_second_best_are_marked():
     assert "_0.7_" in lines["c"]
     assert "*" not in lines["c"].replace("_0.7_", "")
     assert "0 of 1 ok, failed" in lines["d"]
-    said(bench_markdown(doc))
+    check_text(bench_markdown(doc))
     assert "of seen |" not in bench_markdown(doc).split("Best in bold")[1]  # as a single threshold has no table
 
 
@@ -50,7 +50,7 @@ def test_floors_are_in_brackets_and_each_threshold_has_a_row():
     assert "| a |  | 0.1 | 1 | 0.3 | 0.4 | 0.45 | 0.6 |" in text
     assert "| a |  | 0.3 | – | 0.9 | 0.4 | – | 0.6 |" in text
     assert "| b |  |" not in text.split("of seen | F of seen")[1]
-    assert "at 0.5 m, 5 pixels" in said(text)
+    assert "at 0.5 m, 5 pixels" in check_text(text)
 
 
 @pytest.mark.parametrize("columns", [None, "40", "80"])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from wording import refused
+from wording import check_error
 
 from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -153,11 +153,11 @@ def test_thresholds_are_lengths_or_pixels():
         [1, 2, 5]
     )
     for text in ("0", "-1px", "a", "1,,2", "nan", "inf", ""):
-        with refused():
+        with check_error():
             EvaluationProtocol.from_rules(truth, Rules(threshold=text))
-    with refused():
+    with check_error():
         EvaluationProtocol.from_rules(bare, Rules(threshold="2px"))
-    with refused():
+    with check_error():
         EvaluationProtocol.from_rules(Truth(Cloud(np.zeros((5, 3))), {}, None, ""), Rules())
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
@@ -108,13 +108,13 @@ def test_experiment_json_round_trip(study, tmp_path):
     assert {*row["lens"]} == {"fx", "fy", "distortion", "size"}
     for damaged in ("{}", "[]", '{"schema": "pcbench.experiment.gao/1"}', '{"schema": "pcbench.experiment.bend/1"}'):
         (tmp_path / "experiment.json").write_text(damaged)
-        with refused():
+        with check_error():
             read_study(tmp_path)
 
 
 def test_cause_is_the_setting_that_changes_the_deformation(study):
     sentences = study.sentences
-    said("\n".join(sentences))
+    check_text("\n".join(sentences))
     assert re.search(r"lens distortion.* 0\.3", sentences[0])
     assert "('no distortion' against 'true lens')" in sentences[0]
     assert any(re.search(r"control points .* 0\.0", sentence) for sentence in sentences)
@@ -126,18 +126,18 @@ def test_cause_follows_from_results(study):
     straight, dome, control = study.rows[:3]
     elsewhere = {**straight.factors, "images": "half"}
     rows = [straight, replace(dome, factors=elsewhere), replace(control, factors=straight.factors)]
-    said(next(explain(rows[:2], "m")))
+    check_text(next(explain(rows[:2], "m")))
 
     def all_with(**changes):
         return [replace(row, truth=replace(row.truth, **changes)) for row in rows]
 
-    said(*explain(all_with(verdict="none"), "m"))
+    check_text(*explain(all_with(verdict="none"), "m"))
     undecided = all_with(verdict="none")
     undecided[1] = replace(rows[1], truth=replace(rows[1].truth, verdict="undecided"))
-    assert "'no distortion'" in said(*explain(undecided, "m"))
-    said(*explain(study.rows[3:], "m"))
+    assert "'no distortion'" in check_text(*explain(undecided, "m"))
+    check_text(*explain(study.rows[3:], "m"))
     wide = all_with(verdict="non-affine", ci=(0.0, 1.0))
-    said(next(explain(wide[:2], "m")))
+    check_text(next(explain(wide[:2], "m")))
 
 
 def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
@@ -145,9 +145,9 @@ def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
     monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed, None))
     code, out, err = run("experiment", "bend", "--out", tmp_path)
     assert code == 2
-    said(out)
-    assert one_line(err)
-    assert "none of 1 " in said(err)
+    check_text(out)
+    assert is_one_line(err)
+    assert "none of 1 " in check_text(err)
     monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (study, None))
     assert run("experiment", "bend", "--out", tmp_path)[0] == 0
 
@@ -167,7 +167,7 @@ def test_rank_correlation_of_lens_error_and_deformation(errors):
         assert words == []
     else:
         rho = import_or_skip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
-        assert f" {rho:.2f} over 4 " in said(*words)
+        assert f" {rho:.2f} over 4 " in check_text(*words)
 
 
 def test_table_and_csv(study):
@@ -234,7 +234,7 @@ def test_scene_without_truth_is_rejected(run, tmp_path):
     for arguments in ((tmp_path,), (tmp_path, "--images", "20"), ("--size", "20")):
         code, _, err = run("experiment", "bend", *arguments, "--out", tmp_path / "out")
         assert code == 2
-        said(err.partition(" (see ")[0])  # the rest depends on how pytest was started
+        check_text(err.partition(" (see ")[0])  # the rest depends on how pytest was started
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gao_studies import deformation, scene, study, write_study
 from optional import import_or_skip
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import Notice
 from pcbench.report import Figures
@@ -22,12 +22,12 @@ from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, 
 def other_sentences(*scenes, **more):
     """Sentences of a study; those that differ from the default scene's are compared with the golden file."""
     plain, found = study(scene()).sentences, study(*scenes, **more).sentences
-    said("\n".join(sentence for sentence in found if sentence not in plain))
+    check_text("\n".join(sentence for sentence in found if sentence not in plain))
     return "\n".join(found)
 
 
 def test_sentences_report_gains_and_costs():
-    words = said("\n".join(study(scene()).sentences))
+    words = check_text("\n".join(study(scene()).sentences))
     for value in (
         "1,000 points out of 1,000",
         "2 m RMS becomes 0.5 m (4 times less)",
@@ -126,7 +126,7 @@ def test_failure_is_a_row_and_a_sentence():
         views=None,
     )
     found = study(broken, scene("city_2"))
-    said("\n".join(found.sentences[:2]))
+    check_text("\n".join(found.sentences[:2]))
     assert [MEANS in found.sentences[0], SURFACE in found.sentences[1]] == [True, True]
     assert list(failures(found)) == list(found.sentences[:2])
     rows = list(measures_table(found))
@@ -172,10 +172,10 @@ def test_study_round_trip(tmp_path):
     assert tuple(sentences(again)) == found.sentences
     assert again == found
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": "pcbench.experiment.bend/1"}))
-    with refused():
+    with check_error():
         read_study(tmp_path / "a")
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": SCHEMA, "scenes": [{}]}))
-    with refused():
+    with check_error():
         read_study(tmp_path / "a")
 
 

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from scene_folders import orbit, ten_pictures
-from wording import refused, said
+from scene_folders import orbit, ten_images_folder
+from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
@@ -156,7 +156,7 @@ def test_clouds_are_evaluated_once(tmp_path):
     outside = evaluate_against(
         tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0
     )
-    assert "6,000 points" in said(outside.clouds["bent"].failure)
+    assert "6,000 points" in check_text(outside.clouds["bent"].failure)
 
 
 def test_truth_is_limited_to_visible_points(tmp_path):
@@ -180,8 +180,8 @@ def test_settings_of_the_clouds():
 def test_unusable_input_is_rejected(run, tmp_path):
     import_or_skip("pycolmap")
     import_or_skip("torch")
-    bare = ten_pictures(tmp_path / "bare")
-    few = ten_pictures(tmp_path / "few")
+    bare = ten_images_folder(tmp_path / "bare")
+    few = ten_images_folder(tmp_path / "few")
     for k in range(8, 10):
         (few / f"images/{k}.png").unlink()
     write_colmap_model(few / "sparse/0", orbit([f"{k}.png" for k in range(8)]))
@@ -200,40 +200,40 @@ def test_unusable_input_is_rejected(run, tmp_path):
     ):
         code, _, err = run("experiment", "gao", *arguments, "--out", tmp_path / "out")
         assert code == 2
-        said(err.partition(" (see ")[0])  # the rest depends on how pytest was started
-        assert one_line(err)
+        check_text(err.partition(" (see ")[0])  # the rest depends on how pytest was started
+        assert is_one_line(err)
         assert not (tmp_path / "out").exists()
     code, _, err = run("experiment", "gao", "--out", tmp_path / "mine")
     assert code == 2
-    said(err)
+    check_text(err)
 
 
 def test_photographs_need_no_cameras_if_poses_are_solved(tmp_path, monkeypatch):
-    scene = ten_pictures(tmp_path / "bare")
+    scene = ten_images_folder(tmp_path / "bare")
     calls = []
     monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
     monkeypatch.setattr(gao, "_run", lambda job, given, *_: calls.append(given))
     run_gao(GaoJob((scene,)), tmp_path / "out")
     assert [len(found.cameras) for found in calls[0].values()] == [0]
-    with refused():
+    with check_error():
         run_gao(GaoJob((scene,), poses="given"), tmp_path / "other")
     assert not (tmp_path / "other").exists()
 
 
 def test_empty_crop_is_rejected_before_any_work(tmp_path, monkeypatch):
-    scene = ten_pictures(tmp_path / "scene")
+    scene = ten_images_folder(tmp_path / "scene")
     (scene / "truth").mkdir()
     write_cloud(scene / "truth/cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
     monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
-    with refused():
+    with check_error():
         run_gao(GaoJob((scene,), crop="sphere:900,0,0,1"), tmp_path / "out")
-    with refused():
+    with check_error():
         run_gao(GaoJob((scene,), crop=""), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
-    scene = read_scene(ten_pictures(tmp_path / "scene"))
+    scene = read_scene(ten_images_folder(tmp_path / "scene"))
     methods_made = []
 
     def make(maker, method, before):
@@ -245,7 +245,7 @@ def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
 
     monkeypatch.setattr(clouds._CloudMaker, "make", make)
     job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
-    with refused():
+    with check_error():
         clouds.make_clouds(job, scene, scene.folder, tmp_path, None, lambda _: None)
     assert methods_made == [SPARSE]
 

@@ -7,11 +7,11 @@ import textwrap
 
 import numpy as np
 import pytest
-from command_line import one_line
+from command_line import is_one_line
 from optional import import_or_skip
-from scene_folders import orbit, ten_pictures
+from scene_folders import orbit, ten_images_folder
 from view_folders import photograph, psnr_of, write_view_folder
-from wording import refused, said
+from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import write_colmap_model
@@ -111,7 +111,7 @@ def test_scores_round_trip(tmp_path):
     assert document["scenes"][0]["test"]["psnr"] == pytest.approx(study.scenes[0].mean(test=True).psnr)
     assert document["scenes"][2]["test"]["psnr"] == "inf"
     write_view_folder(tmp_path / "a", count=20)
-    with refused():
+    with check_error():
         read_scores(tmp_path)
 
 
@@ -129,7 +129,7 @@ def test_table_has_one_row_per_scene_and_a_mean(tmp_path):
     assert mean[0] == "mean of 2"
     assert mean[5] == f"{np.mean(of):.2f}"
     assert markdown(study).count("\n| ") == 4
-    said("\n".join(sentences(study)))
+    check_text("\n".join(sentences(study)))
     several = score_views(
         [tmp_path / "a", write_view_folder(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN
     )
@@ -183,7 +183,7 @@ def test_picture_shows_photograph_rendering_and_error(tmp_path):
 def test_missing_views_are_rendered(tmp_path):
     plugin = tmp_path / "painter.py"
     plugin.write_text(PAINTER)
-    scenes = [ten_pictures(tmp_path / name) for name in ("one", "two")]
+    scenes = [ten_images_folder(tmp_path / name) for name in ("one", "two")]
     for scene in scenes:
         write_colmap_model(scene / "sparse/0", orbit([f"{k}.png" for k in range(10)]))
     workspace = write_view_folder(tmp_path / "three" / "plugin" / "rendered", "three", 9).parent.parent
@@ -198,7 +198,7 @@ def test_missing_views_are_rendered(tmp_path):
     first = study.scenes[0].select(test=True)[0]
     assert (first.view.read().rendering == 64).all()
     assert (out / "views.md").read_text().count("\n| ") == 5
-    with refused():
+    with check_error():
         run_views(job, tmp_path / "one")
 
 
@@ -226,24 +226,24 @@ def test_views_command(tmp_path, run, monkeypatch):
     for words in (("nowhere", "--out", "other"), ("a", "--out", "b")):
         code, _, err = run("views", *words)
         assert code == 2
-        assert one_line(err)
+        assert is_one_line(err)
 
 
 @pytest.mark.parametrize("name", ["Silent", "Nobody"])
 def test_method_without_views_is_an_error(tmp_path, name):
     (tmp_path / "painter.py").write_text(PAINTER)
-    scene = ten_pictures(tmp_path / "one")
-    with refused(ReconstructionError):
+    scene = ten_images_folder(tmp_path / "one")
+    with check_error(ReconstructionError):
         run_views(ViewsJob((scene,), f"{tmp_path}/painter.py:{name}"), tmp_path / "out")
 
 
 def test_views_without_held_out_images_are_rejected_early(tmp_path, run):
     code, _, err = run(
-        "views", str(ten_pictures(tmp_path / "one")), "--out", str(tmp_path / "o"), "--set", "hold_out=none"
+        "views", str(ten_images_folder(tmp_path / "one")), "--out", str(tmp_path / "o"), "--set", "hold_out=none"
     )
     assert code == 2
-    assert one_line(err)
-    said(err)
+    assert is_one_line(err)
+    check_text(err)
     assert not (tmp_path / "o").exists()
 
 
@@ -252,6 +252,6 @@ def test_workspace_without_renderings_is_rejected_early(tmp_path, run):
     (tmp_path / "cloud.work/job.json").write_text("{}")
     code, _, err = run("views", tmp_path / "cloud.work", "--out", tmp_path / "o")
     assert code == 2
-    assert one_line(err)
-    assert "--set hold_out=every" in said(err)
+    assert is_one_line(err)
+    assert "--set hold_out=every" in check_text(err)
     assert not (tmp_path / "o").exists()
