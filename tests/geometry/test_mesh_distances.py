@@ -177,7 +177,8 @@ def test_results_are_bit_identical_across_batches_threads_and_runs():
         "import hashlib, numpy as np\nfrom mesh_shapes import spiky_sphere\n"
         "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
         "points = np.random.default_rng(6).normal(size=(3000, 3))\n"
-        "print(hashlib.sha256(b''.join(m.tobytes() for m in MeshIndex(Mesh(*spiky_sphere(4))).query(points))).hexdigest())"
+        "closest = MeshIndex(Mesh(*spiky_sphere(4))).query(points)\n"
+        "print(hashlib.sha256(b''.join(m.tobytes() for m in closest)).hexdigest())"
     )
     prints = {
         subprocess.run([sys.executable, "-c", code], env={**os.environ, "OMP_NUM_THREADS": threads}, check=True,
