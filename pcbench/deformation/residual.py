@@ -119,7 +119,7 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
                 " the registration's warnings; a pose from another source settles it (--register matrix:FILE)"
             )
             return finding.undecided(Notice(POSE_NOT_FIXED, text))
-        notice = Notice(POSE_NOT_FIXED, "as far as the geometry fixes the pose")
+        notice = Notice(POSE_NOT_FIXED, "as far as the geometry determines the pose")
         return finding._replace(warnings=(notice, *finding.warnings))
     return finding
 

@@ -109,7 +109,7 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
             text = f"the pairs indicate a scale of about {factor:.5g}: use --register similarity to solve for it"
             warnings.append(Notice(SCALE_MISSING, text))
     if weakest > max(_MIN_WEAK_SIGMA_SHARE * target.spacing, _MIN_WEAK_SIGMA_SHARE * residual):
-        text = f"the geometry hardly fixes {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
+        text = f"the geometry weakly constrains {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     return Observability(eigenvalues, weakest, unobservable, tuple(warnings))
 

@@ -212,7 +212,7 @@ def _quality_from_distances(matched: _SampleMatches, *, with_scale: bool) -> Qua
         eigenvalues=(),
         weakest_sigma=None,
         unobservable=np.zeros((7 if with_scale else 6, 0)),
-        warnings=(Notice(FEW_POINTS, "too few points to determine what the geometry fixes"),),
+        warnings=(Notice(FEW_POINTS, "too few points to determine which motions the geometry constrains"),),
     )
 
 
@@ -257,7 +257,7 @@ def _warnings(
     # overlap.
     is_insensitive = pose_contrast is not None and pose_contrast.min_sensitivity < _MIN_SENSITIVITY
     if is_insensitive and overlap < _FULL_OVERLAP and not observation.warnings:
-        text = "the overlap hardly fixes some motion, and the parts that would fix it do not overlap"
+        text = "the overlap weakly constrains some motion, and the parts that would constrain it do not overlap"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
     if overlap < _MIN_OVERLAP:
         warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))

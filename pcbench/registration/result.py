@@ -13,9 +13,9 @@ from pcbench.geometry.transform import Similarity
 from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
 # Warning codes of a registration: programs use these, not the texts.
-FEW_POINTS = "few-points"  # too few points to determine what the geometry fixes
+FEW_POINTS = "few-points"  # too few points to determine which motions the geometry constrains
 UNOBSERVABLE = "unobservable"  # the geometry does not fix some motion
-WEAKLY_OBSERVABLE = "weakly-observable"  # the geometry hardly fixes some motion
+WEAKLY_OBSERVABLE = "weakly-observable"  # the geometry weakly constrains some motion
 SCALE_MISSING = "scale-missing"  # the residuals indicate a scale that was not solved for
 LOW_OVERLAP = "low-overlap"  # only a small part of the candidate lies on the reference
 OFF_SURFACE = "off-surface"  # many points near the reference float beside its surface
@@ -47,7 +47,7 @@ class Registration:
         information_eigenvalues: Eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
             ascending. Points are centred and divided by their RMS radius, so that rotation and translation share a
             unit.
-        weakest_sigma: Predicted standard deviation of the motion that the geometry fixes worst, in the clouds' unit, as
+        weakest_sigma: Predicted standard deviation of the motion that the geometry constrains least, in the clouds' unit, as
             a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene; too small
             by up to two thirds if errors are correlated over more than half a tile. None if the geometry does not fix
             it.

@@ -118,7 +118,7 @@ class _Writer:
         interval = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._partly(candidate):
-            text = f"{partly[0].upper()}{partly[1:]}; all of it {text.removeprefix(f'{name} ')}"
+            text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
         if off.floor is not None and off.is_sampling:
             return f"{text}, no more than error-free points with this density ({self.length(off.floor)})."
         if off.floor is not None:

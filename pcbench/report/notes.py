@@ -13,7 +13,7 @@ from pcbench.report.words import joined, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # with a smaller overlap, points beyond the reference dominate the distances
-_REPORTED_DIFFERENCES = (
+_REPORTED_DIFFERENCES = (  # all are squared lengths
     f"d1_mse/{CANDIDATE_TO_REFERENCE}",
     f"d1_mse/{REFERENCE_TO_CANDIDATE}",
     f"d2_mse/{CANDIDATE_TO_REFERENCE}",
@@ -51,7 +51,7 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
     labels = {q.difference: _label(q) for q in quantities(comparison.candidates[0])}
     for difference in comparison.differences:
         if difference.metric in _REPORTED_DIFFERENCES and not {difference.a, difference.b} & doubtful:
-            yield _difference_words(difference, labels[difference.metric])
+            yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
 def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
@@ -96,11 +96,12 @@ def _label(quantity: Quantity) -> str:
     return f"{quantity.label} {arrow}" if arrow else quantity.label
 
 
-def _difference_words(found: Difference, label: str) -> str:
+def _difference_words(found: Difference, label: str, unit: str | None) -> str:
     low, high = found.interval
+    squared = f" {unit}²" if unit else ""
     if low <= 0 <= high:
-        return f"{label}: no significant difference between {found.a} and {found.b} ([{low:.3g}, {high:.3g}])"
+        return f"{label}: no significant difference between {found.a} and {found.b} ([{low:.3g}, {high:.3g}]{squared})"
     better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
     bounds = sorted((abs(low), abs(high)))
-    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]"
+    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]{squared}"
     return f"{label}: {better} is lower than {worse} by {by}"
