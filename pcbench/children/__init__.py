@@ -22,8 +22,8 @@ from pcbench.systems import end_tree, reap, wait_until_ended
 _START_SCRIPT = str(Path(__file__).with_name("start.py"))
 # The folder from which this package is imported. It is not imported: `pcbench` exports names of higher layers.
 _IMPORT_ROOT = str(Path(sys.modules["pcbench"].__path__[0]).parent)
-MAX_LOG_BYTES = 16 << 20  # of a log, before its tail
-_MAX_TAIL_BYTES = 1 << 20  # of the end of a child's output
+MAX_LOG_BYTES = 16 << 20  # kept at the start of a log; its tail is kept too
+_MAX_TAIL_BYTES = 1 << 20  # kept at the end of a child's output
 _GRACE_S = 10.0  # time for a child's own processes to be ended with it
 
 

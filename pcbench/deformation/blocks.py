@@ -8,10 +8,8 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.voxels import Cells, cells
 
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
-_NEAR_WIDTH_BLOCKS, _FAR_WIDTH_BLOCKS = (
-    1.0,
-    3.0,
-)  # wide enough that a part that moved does not set the scale
+# The far width is so large that a part that moved does not set the scale.
+_NEAR_WIDTH_BLOCKS, _FAR_WIDTH_BLOCKS = 1.0, 3.0
 
 
 def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:

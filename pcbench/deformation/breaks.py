@@ -14,9 +14,8 @@ from pcbench.deformation.verdict import PairEvidence
 from pcbench.geometry.arrays import FloatArray
 
 _AZIMUTH_COUNT = 18
-_MIN_ENERGY_SHARE = (
-    0.25  # of the energy that an affine field leaves; noise correlated over a tenth of a scene gives less
-)
+# Share of the energy that an affine field leaves; noise correlated over a tenth of a scene gives less.
+_MIN_ENERGY_SHARE = 0.25
 _MIN_WEIGHT_SHARE = 0.1  # share of the weight on either side
 
 

@@ -16,10 +16,8 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_NODE_SPACING, _NODE_RANGE = (
-    0.2,
-    6.0,
-)  # of the nodes u; sinh(u) covers weights of all sizes
+# Spacing of the nodes u, and their range; sinh(u) covers weights of all sizes.
+_NODE_SPACING, _NODE_RANGE = 0.2, 6.0
 _MAX_NEWTON_STEPS = 100  # each step at least halves the bracket
 _SADDLE_TOLERANCE = 1e-3  # relative tolerance: the path need not pass exactly through the saddle point
 _TAIL_TOLERANCE = 1e-9  # relative tolerance of the tail probability

@@ -26,12 +26,15 @@ def deform(
     crop: Region | str = "none",
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
-    """Register a candidate and test whether it is deformed beyond that, by how much and where.
+    """Register a candidate and test whether a deformation remains, how large it is and where.
 
-    Args: reference: a cloud, an (N, 3) array, or the path of a file. candidate: the same. Without a unit or a
-        coordinate system the scale is unknown, and a difference in scale is not a deformation. method: registration
-        method, or the pose itself, as for `pcbench.register`. crop: region to assess, in the reference's coordinates,
-        or its text, see
+    Without a unit or a coordinate system the scale is unknown, and a difference in scale is not a deformation.
+
+    Args:
+        reference: a cloud, an (N, 3) array, or the path of a file.
+        candidate: the same.
+        method: registration method, or the pose itself, as for `pcbench.register`.
+        crop: region to assess, in the reference's coordinates, or its text, see
             `pcbench.geometry.region_text.parse_region`. Closest points are still searched outside.
         seed: random seed for the folds of the cross-validation, an integer >= 0.
 

@@ -102,9 +102,9 @@ class Geometry:
         self.white = self.basis @ normal_matrix(sums.white.sum(axis=0)) @ self.basis.T
         self.white_translations = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.white), optimize=True)
         self.information = translation_columns(sums.moments)[:, :3]  # (C, 3, 3) sums of w n n'
-        self.white_information = translation_columns(sums.white)[:, :3]  # of (w s)^2 n n'
-        self.load = translation_columns(sums.loads)[:, :3]  # of w s n n'
-        self.weights: FloatArray = np.trace(self.information, axis1=1, axis2=2)  # (C,) of the pairs in each
+        self.white_information = translation_columns(sums.white)[:, :3]  # sums of (w s)^2 n n'
+        self.load = translation_columns(sums.loads)[:, :3]  # sums of w s n n'
+        self.weights: FloatArray = np.trace(self.information, axis1=1, axis2=2)  # (C,) weight of the pairs in each cell
         self.side, self.radius, self.center = sums.side, sums.radius, sums.center
         self.dyadic = sums.dyadic
         self.surface = self.basis @ normal_matrix(sums.surface / gram_matrix(sums.surface)[0, 0]) @ self.basis.T
@@ -252,7 +252,7 @@ class Scores:
         self.total: FloatArray = self.cells.sum(axis=0)
         self.translations: FloatArray = scores[:, 0]  # (C, 3) sums of w n r
         self.energy = energy  # (C,)
-        self.powers = powers  # of sub-cells
+        self.powers = powers  # (levels,) as in `TileSums`
 
 
 def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:

@@ -26,11 +26,8 @@ _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 MIN_PAIRS = 300
-_MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = (
-    12,
-    1e-4,
-)  # usually far fewer fits
-_CONVERGENCE_TOLERANCE = 0.01  # convergence tolerance, in standard deviations of the noise
+_MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
+_CONVERGENCE_TOLERANCE = 0.01  # in standard deviations of the noise
 _TUKEY_CONSTANT = 4.685  # standard deviations: 95 % efficiency for normal residuals
 _MIN_INFLUENCE_SLOPE = 0.2  # minimum mean slope of the influence function: below it, nearly all pairs are outliers
 CELLS_ALONG = 16  # initial number of cells along the scene's extent

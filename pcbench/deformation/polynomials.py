@@ -34,10 +34,8 @@ _RECURRENCE = [
     for powers in _PRODUCTS[1:].tolist()
     for axis in [next(k for k in range(3) if powers[k])]
 ]
-# (20, 20) -> 84
-_PRODUCT_INDEX = np.array(
-    [[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS]
-)  # (20, 20) -> 84
+# (20, 20) -> 84: the product of two monomials
+_PRODUCT_INDEX = np.array([[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 

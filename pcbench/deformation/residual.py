@@ -25,10 +25,8 @@ _MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which th
 _MAX_MOVED_SHARE = 0.1  # maximum share of the cells to exclude as moved
 _MOVED_SIGMAS, _MAX_EXCLUSION_PASSES = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
 _MAX_ROUGH_SHARE = 0.9  # share of rough pairs: at a spacing of metres, most of a city is corners and edges
-_MIN_INLIER_SHARE, _MAX_DISTANCE_SPACINGS = (
-    0.85,
-    1.25,
-)  # of the pairs of registered clouds
+# Pairs of registered clouds have more inliers or a smaller median distance.
+_MIN_INLIER_SHARE, _MAX_DISTANCE_SPACINGS = 0.85, 1.25
 _MIN_MAP_COORDINATE = 1e5  # larger coordinates are probably those of a map projection
 _EARTH_RADIUS = 6.37e6  # metres
 _DOUBTFUL = "doubtful-registration"

@@ -108,9 +108,9 @@ class TileSums:
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
             areas: (N,) surface area that each pair represents, in any unit.
             lower: (3,) the corner that cells are counted from.
-            side: of the cells.
+            side: edge of the cells.
             center: (3,) centre of the scene.
-            radius: of the scene; (3,) and about half its extent.
+            radius: slightly more than half the extent of the scene.
         """
         cells = np.floor((places - lower) / side).astype(np.int64)
         order, starts = group_rows(cells)

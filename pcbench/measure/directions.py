@@ -24,7 +24,7 @@ class MeanMetric(NamedTuple):
         label: label of its row in tables.
         definition: definition in words.
         power: power of the unit of length.
-        of_each: function that returns the averaged values (M,), or None if they do not exist.
+        values_of: function that returns the averaged values (M,), or None if they do not exist.
         root_name: key of its square root, if that is reported too.
         root_label: label of the square root in tables.
         has_symmetric_max: whether the larger of both directions is reported.

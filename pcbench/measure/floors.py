@@ -23,9 +23,8 @@ from pcbench.measure.reference import Reference
 _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean squared distance is then 2 %
 _PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
 _MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise changes the order
-_THINNED_DENSITY_RATIO = (
-    3  # reference points per point of a sparse candidate: some neighbour is then at a similar distance
-)
+# Reference points kept per point of a sparse candidate: some neighbour is then at a similar distance.
+_THINNED_DENSITY_RATIO = 3
 
 
 def to_reference(reference: Reference, queries: FloatArray) -> Distances | None:

@@ -23,7 +23,7 @@ _CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
 _CORRELATION_RADII = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
 _CORRELATION_Z = 1.3  # standard errors by which the products of cells must exceed zero to count as correlated
 _MIN_VARIANCE_SHARE = 0.2  # minimum share of the variance left after subtracting the mean
-_MIN_DEGREES_OF_FREEDOM = 2.0  # minimum degrees of freedom
+_MIN_DEGREES_OF_FREEDOM = 2.0  # lower bound of the estimate
 
 
 class Interval(NamedTuple):
@@ -59,8 +59,8 @@ class ScoreUncertainty(NamedTuple):
 
     Attributes:
         sigma: standard error of the score.
-        degrees: degrees of freedom of the standard error.
-        pieces: effective number of independent regions of the scene.
+        degrees_of_freedom: degrees of freedom of the standard error.
+        independent_regions: effective number of independent regions of the scene.
         reach: distance over which the distances are correlated, in the clouds' unit; 0 if neighbouring cells are
             uncorrelated.
     """
@@ -101,7 +101,7 @@ def spreads(
     w = shares.reshape(1, *cells.shape)
     p = np.square(u)
     around = [_box_sums(u, reach) for reach in _CORRELATION_RADII]
-    # Per radius: the sum of products, its variance if the cells were independent, and the share of pairs within.
+    # Per radius: the sum of products, its variance if the cells were independent, and the share of pairs within it.
     within = np.stack([_grid_totals(u * found) for found in around])
     chance = np.stack([2 * _grid_totals(p * _box_sums(p, reach)) for reach in _CORRELATION_RADII])
     pairs = np.stack([_grid_totals(w * _box_sums(w, reach)) for reach in _CORRELATION_RADII])

@@ -143,10 +143,13 @@ def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:
 
 
 def distances_between(candidate: Points, reference: Points) -> tuple[FloatArray, FloatArray]:
-    """Distances a (N,) from each point of a candidate to the nearest of the reference, and b (M,) in reverse.
+    """Distances a (N,) from each candidate point to the nearest reference point, and b (M,) in the other direction.
 
-    Args: candidate: a cloud, an (N, 3) array, or a file that `pcbench.read_cloud` reads. Large coordinates lose no
-        precision. reference: the same.
+    Large coordinates lose no precision.
+
+    Args:
+        candidate: a cloud, an (N, 3) array, or the path of a file that `pcbench.read_cloud` reads.
+        reference: the same.
 
     Raises:
         InputError: an argument is not a cloud.

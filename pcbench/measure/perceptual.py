@@ -1,6 +1,6 @@
 """Perceptual image metrics, if their packages are installed: LPIPS and FLIP.
 
-They are learned or fitted to people's answers, so nothing but their authors' own code is the definition.
+They are trained on or fitted to human judgements, so only the authors' own code defines them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pcbench.errors import MissingExtra, Notice
 from pcbench.extras import import_problem, require
 from pcbench.measure.images import ViewScores, psnr, ssim, unit_range
 
-_WEIGHTS = "vgg16-397923af.pth"  # torchvision's, of VGG-16 on ImageNet
+_WEIGHTS = "vgg16-397923af.pth"  # torchvision's file of VGG-16's weights, trained on ImageNet
 
 Metric = Callable[[NDArray[Any], NDArray[Any], "NDArray[np.bool_] | None"], float]
 
@@ -83,10 +83,10 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
         return missing(f"{weights} is missing and is not downloaded automatically; get it from https://download.pytorch.org/models/")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # lpips asks torchvision for weights in a way that it deprecates
+            warnings.simplefilter("ignore")  # lpips calls torchvision with deprecated arguments
             lpips = require("lpips")
             network = lpips.LPIPS(net="vgg", verbose=False)
-    except (MissingExtra, RuntimeError, OSError) as error:  # versions of torch and torchvision that do not fit
+    except (MissingExtra, RuntimeError, OSError) as error:  # incompatible versions of torch and torchvision
         return missing(f"it does not load ({' '.join(str(error).split())})")
 
     def measure(image: NDArray[Any], reference: NDArray[Any], mask: NDArray[np.bool_] | None) -> float:

@@ -30,7 +30,7 @@ _DISTANCE_DEFINITIONS = {
     "distance": "distance to the nearest point",
     "plane_distance": "signed distance to the tangent plane",
 }
-_SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # whose distances a mean is of
+_SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # distances that each mean is taken over
 
 
 def quantities(candidate: Candidate) -> Iterator[Quantity]:
@@ -58,7 +58,7 @@ def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
         rank, floor_rank = metric.ranks[way != CANDIDATE_TO_REFERENCE]
         headline = Headline(metric.headline, column=metric.column, rank=rank)
         floor_headline = Headline("  sampling floor", column="floor", rank=floor_rank)
-    root = metric.root_name  # which stands in the summary in place of the mean square
+    root = metric.root_name  # shown in the summary instead of the mean square
     value = _estimate_quantity(name, way, text, found, unit, label=metric.label)
     yield value if root else replace(value, headline=headline)
     yield Quantity(
@@ -256,7 +256,7 @@ def _presets(candidate: Candidate) -> Iterator[Quantity]:
 
 
 def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
-    """Yield the values of a preset, without units: these are up to the quoted tool."""
+    """Yield the values of a preset, without units, which the quoted tool leaves open."""
     blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, section=f"preset {name}")
     for key, value in vars(preset).items():
         path, label = ("metrics", "presets", name, key), f"{name}: {key}"

@@ -57,7 +57,7 @@ class Settings:
     m3c2: M3C2Settings | str | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.register, str):  # what a text means is found out when it is used
+        if not isinstance(self.register, str):  # a text is parsed when it is used
             object.__setattr__(self, "register", as_method(self.register))
         if self.initial is not None:
             object.__setattr__(self, "initial", as_similarity(self.initial))

@@ -26,7 +26,7 @@ from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
 ENTRY_POINT_GROUP = "pcbench.reconstructors"
-_INT32_RANGE = range(-(2**31), 2**31)  # of integer settings, because C++ libraries use 32 bits
+_INT32_RANGE = range(-(2**31), 2**31)  # range of integer settings, because C++ libraries use 32 bits
 
 Gauge = Literal["arbitrary", "metric", "georeferenced"]
 

@@ -34,7 +34,7 @@ _REPRODUCIBLE_BLAS = {"OPENBLAS_NUM_THREADS": "1"} | (
     {} if _core.isa() == "baseline" else {"OPENBLAS_CORETYPE": "Haswell"}
 )
 
-_MAX_TAIL_BYTES = 4000  # of a log in which its last line is searched
+_MAX_TAIL_BYTES = 4000  # end of a log that is searched for its last line
 
 
 @dataclass(frozen=True)

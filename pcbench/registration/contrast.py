@@ -25,7 +25,9 @@ from pcbench.geometry.normals import Surface
 DOUBTFUL_CONTRAST = 0.75  # below this contrast a pose is doubtful
 CONFIDENT_CONTRAST = 0.85  # above it a pose is right, however small the overlap
 
-_MAX_POSITIONS = 600  # reference points evaluated: the contrast is then accurate to a few per cent
+_MAX_POSITIONS = (
+    600  # reference points evaluated, at most twice as many: the contrast is then accurate to a few per cent
+)
 _MIN_POSITIONS = 50  # with fewer, the contrast is mostly noise
 # The displacement, in point spacings and as a share of the extent.
 _MIN_SPACINGS, _MAX_SPACINGS, _MAX_EXTENT_SHARE = 3.0, 12.0, 0.1
@@ -57,7 +59,7 @@ def contrast(
     extent: float,
     with_scale: bool,
 ) -> Contrast | None:
-    """Return the growth of the candidate's distances by displacement over that of the reference: about 1 if right.
+    """Return the contrast of a pose: the candidate's growth of distances over the reference's, about 1 if right.
 
     Args:
         surface: Reference surface.
@@ -70,7 +72,8 @@ def contrast(
         with_scale: Whether the scale is one of the motions.
 
     Returns:
-        None if the clouds overlap in too few points.
+        The contrast; None if the clouds overlap in too few points, or if no motion changes the reference's distances
+        significantly.
     """
     near = np.random.default_rng(0).permutation(near)
     # One candidate point per reference point: all points beyond the end of the reference have its last points as their
@@ -127,8 +130,8 @@ def contrast(
 
 def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:
     """Return the standard deviation of the candidate's (N, 3) noise beyond the reference's at the same N positions."""
-    reference_rows, other = _roughness(candidate), _roughness(reference)
-    return float(np.sqrt(max(0.0, reference_rows**2 - other**2)))
+    candidate_noise, reference_noise = _roughness(candidate), _roughness(reference)
+    return float(np.sqrt(max(0.0, candidate_noise**2 - reference_noise**2)))
 
 
 def _roughness(points: FloatArray) -> float:
@@ -136,8 +139,8 @@ def _roughness(points: FloatArray) -> float:
     surface = Surface(Index(points))
     subset = points[:: max(1, len(points) // _MAX_POSITIONS)]
     nearest = surface.index.query(subset, 2).indices[:, 1]
-    steps = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
-    return 1.4826 * float(np.median(np.abs(steps)))
+    plane_offsets = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
+    return 1.4826 * float(np.median(np.abs(plane_offsets)))
 
 
 def _line_gaps(index: Index, positions: FloatArray) -> FloatArray:

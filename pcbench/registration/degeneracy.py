@@ -31,7 +31,7 @@ from pcbench.registration.weighted_pairs import WeightedPairs
 _NORMAL_NEIGHBORS = 20
 _MAX_INFORMING_PAIRS = 10_000  # pairs used for the information matrix
 _TILES_PER_SIDE = 8  # tiles of the bootstrap along the scene's longest side
-# Tiles for the scatter of the information. A scan has most of its points in a few tiles of an eighth, too few to
+# Fine tiles for the scatter of the information. Most points of a scan lie in a few of the bootstrap's tiles, too few to
 # estimate the scatter. Errors of normals are correlated over less than a fine tile.
 _FINE_TILES_PER_SIDE = 24
 _REPLICATES = 400

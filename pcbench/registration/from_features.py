@@ -160,10 +160,10 @@ class _CellCloud:
         points: Points used.
         side: Side of the cells for feature matching; about 15,000 cells are occupied.
         surface: Means over cells of a third of that side.
-        target: The same as a registration target.
+        target: `surface` as a registration target.
         sample: (S, 3) even sample of the surface.
-        normals: (S, 3) its normals.
-        weights: (S,) its weights, such that all directions of normals have about the same weight.
+        normals: (S, 3) normals of the sample.
+        weights: (S,) weights of the sample, such that all directions of normals have about the same total weight.
         overlap_distance: Distance up to which another cloud overlaps this one: 24 times the roughness, clamped to 1 to
             2.5 cell sides.
     """
@@ -176,8 +176,8 @@ class _CellCloud:
         which = voxel_downsample_to(self.surface.points, _MAX_SAMPLE_POINTS, start=self.side)
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
         nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
-        steps = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
-        roughness = 1.4826 * float(np.median(np.abs(steps)))
+        plane_offsets = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
+        roughness = 1.4826 * float(np.median(np.abs(plane_offsets)))
         # At larger distances any two clouds would overlap.
         self.overlap_distance = float(np.clip(24 * roughness, self.side, 2.5 * self.side))
         # Flat ground dominates many scenes and fits itself anywhere: it must not outweigh the walls.

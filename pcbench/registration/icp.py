@@ -173,8 +173,8 @@ class _Problem(NamedTuple):
     """Inputs that all attempts share."""
 
     target: Target
-    coarse_sample: Index  # of the candidate
-    sample: Index
+    coarse_sample: Index  # candidate points of the coarse stage
+    sample: Index  # candidate points of the fine stage
     settings: IcpSettings
 
     @classmethod

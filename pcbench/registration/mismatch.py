@@ -28,7 +28,7 @@ class _UnitRatio(NamedTuple):
     smaller: str  # the smaller unit, which gives larger coordinates
     larger: str
     question: str
-    tolerance: float  # of the log-ratio: two clouds of the same scene may differ in size by this much
+    tolerance: float  # tolerance of the log-ratio: two clouds of the same scene may differ in size by this much
 
 
 _UNIT_RATIOS = (

@@ -41,7 +41,7 @@ class Quality(NamedTuple):
     rmse: float
     overlap: float
     off_surface: float  # share of the points near the reference that do not lie on it
-    contrast: float | None  # see `contrast`; None if the clouds overlap in too few points
+    contrast: float | None  # None if `contrast` cannot measure it
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix

@@ -55,7 +55,8 @@ class Registration:
         warnings: Warnings to read before any score, as codes (those of this module) with texts.
         solved_scale: Whether the scale was estimated from the data. A given scale is not.
         contrast: How much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
-            at a right pose, whatever the scene. None if the clouds overlap in too few points.
+            at a right pose, whatever the scene. None if the clouds overlap in too few points, or if no motion changes
+            the reference's distances significantly.
     """
 
     method: str

@@ -17,12 +17,12 @@ class WeightedPairs(NamedTuple):
     """Weighted correspondences at one pose; ICP minimises their residuals."""
 
     moved: FloatArray  # (M, 3) candidate points in the reference frame
-    indices: IntArray  # (M,) of the matched reference points
+    indices: IntArray  # (M,) rows of the matched reference points
     distances: FloatArray  # (M,) point to point
     residuals: FloatArray  # (M,) signed, along the reference's normals
     weights: FloatArray  # (M,) in [0, 1]
     near_count: int  # pairs within the maximum correspondence distance; the others have weight zero
-    sigma: float  # robust standard deviation of the residuals of those
+    sigma: float  # robust standard deviation of the residuals of these near pairs
 
     def take(self, which: NDArray[np.bool_] | slice) -> WeightedPairs:
         """Return the pairs of some rows, with `near_count` and `sigma` unchanged."""

@@ -28,7 +28,7 @@ class Chart:
     Ground charts lie at z = 0 and follow the terrain.
     """
 
-    kind: str  # of the solid, or "town", "country" or "leaves"
+    kind: str  # kind of the solid, or "town", "country" or "leaves"
     side: str
     seed: int
     corner: FloatArray

@@ -24,7 +24,7 @@ from pcbench.io.files import atomic_write
 
 SCHEMA = "pcbench.warp/1"
 _BASIN = (0.35, -0.25, 0.30)  # of the subsidence: centre x, y and standard deviation, in lengths
-_DIFFERENCE_STEP = 1e-5  # lengths, of finite differences for normals: truncation and rounding are both about 1e-10
+_DIFFERENCE_STEP = 1e-5  # in lengths, for normals by finite differences: truncation and rounding are both about 1e-10
 
 
 def _dome(x: FloatArray, y: FloatArray, z: FloatArray) -> list[FloatArray]:

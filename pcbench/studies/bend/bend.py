@@ -37,7 +37,7 @@ from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_
 PLUGIN = "sfm"
 KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, (".experiment", "lenses"))
 _INTRINSICS_FOLDER = "lenses"
-DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # of the lens for synthetic scenes
+DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # lens distortion of synthetic scenes
 _FOV_DEG = 60.0  # vertical field of view, typical of a drone
 _TRUTH_POINTS = 400_000  # number of points of the synthetic truth
 _MAX_NADIR_DEG = 10.0  # largest angle between a nadir image and the vertical
