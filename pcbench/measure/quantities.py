@@ -277,7 +277,7 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
-    bend, label = candidate.deformation, "  bend RMS, detectable"
+    bend, label = candidate.deformation, "  RMS, detectable RMS"
     verdict = f"verdict: {bend.verdict}"
     size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
     cell = Quantity("", "", text, None, section="deformation", label=label, shares_row=label)
