@@ -15,7 +15,7 @@ def photographs(tmp_path_factory):
 
 
 @pytest.mark.parametrize("mapping", ["incremental", "global"])
-def test_solved_cameras_give_the_same_points(photographs, tmp_path, mapping):
+def test_sparse_points_are_the_same_under_all_conditions(photographs, tmp_path, mapping):
     runs = [
         repeat("sfm", photographs, tmp_path / str(k), conditions, mapping=mapping)
         for k, conditions in enumerate(CONDITIONS)
@@ -26,7 +26,7 @@ def test_solved_cameras_give_the_same_points(photographs, tmp_path, mapping):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["mvs", "splat"])
-def test_dense_clouds_and_splats_are_the_same(photographs, tmp_path, method):
+def test_dense_points_are_the_same_under_all_conditions(photographs, tmp_path, method):
     if method == "splat":
         import_or_skip("torch")
     runs = [repeat(method, photographs, tmp_path / str(k), conditions) for k, conditions in enumerate(CONDITIONS)]

@@ -23,8 +23,8 @@ from reconstructors.mvs.mvs import DenseMvs
 pycolmap = import_or_skip("pycolmap")
 
 
-def fake_run(code, words=""):
-    return lambda *_, **__: SimpleNamespace(code=code, last_error_line=words)
+def fake_run(code, last_error_line=""):
+    return lambda *_, **__: SimpleNamespace(code=code, last_error_line=last_error_line)
 
 
 @pytest.mark.skipif(pycolmap.has_cuda, reason="this pycolmap has CUDA")
@@ -66,7 +66,7 @@ class FakeColmap:
     """
 
     def __init__(self, true_cameras):
-        self.true_cameras, self.matched, self.sources, self.cameras, self.points = true_cameras, [], {}, {}, 0
+        self.true_cameras, self.matched_images, self.sources, self.cameras, self.points = true_cameras, [], {}, {}, 0
 
     def __call__(self, module, command, *arguments, **_):
         if command == "match":
@@ -81,28 +81,28 @@ class FakeColmap:
         self.points = model.num_points3D()
         self.cameras = {image.name: model.cameras[image.camera_id].params for image in model.images.values()}
         lines = (folder / "stereo/patch-match.cfg").read_text().splitlines()
-        for short, sources in zip(lines[::2], lines[1::2], strict=True):
-            self.sources[short] = sources.split(", ")
-            assert (folder / "images" / short).resolve().is_file()
-            out = folder / f"stereo/depth_maps/{short}.geometric.bin"
-            if not out.is_file():
-                depth_map = corner_map(self.true_cameras[int(short[:6]) - 1])
+        for name, sources in zip(lines[::2], lines[1::2], strict=True):
+            self.sources[name] = sources.split(", ")
+            assert (folder / "images" / name).resolve().is_file()
+            path = folder / f"stereo/depth_maps/{name}.geometric.bin"
+            if not path.is_file():
+                depth_map = corner_map(self.true_cameras[int(name[:6]) - 1])
                 depth = depth_map.depth.copy()
                 depth[:5] = -1  # COLMAP writes this for filtered depths
-                write_raster(out, depth)
-                write_raster(folder / f"stereo/normal_maps/{short}.geometric.bin", depth_map.normal)
-                self.matched.append(short)
+                write_raster(path, depth)
+                write_raster(folder / f"stereo/normal_maps/{name}.geometric.bin", depth_map.normal)
+                self.matched_images.append(name)
 
 
 def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
     fake = FakeColmap(list(scene.cameras.values()))
     monkeypatch.setattr(backend, "run_module", fake)
-    made = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
-    assert np.median(corner.distances(made.cloud.points)) < 1e-5
-    check_text(next(note for note in made.notes if note.startswith("backend colmap")))
-    assert len(fake.matched) == 4
-    assert all(short not in sources and len(sources) >= 2 for short, sources in fake.sources.items())
+    reconstruction = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
+    assert np.median(corner.distances(reconstruction.cloud.points)) < 1e-5
+    check_text(next(note for note in reconstruction.notes if note.startswith("backend colmap")))
+    assert len(fake.matched_images) == 4
+    assert all(name not in sources and len(sources) >= 2 for name, sources in fake.sources.items())
     assert fake.points > 100
     k = corner.standard_intrinsics(320, 240)
     for parameters in fake.cameras.values():
@@ -115,13 +115,13 @@ def test_colmap_maps_are_used(photographs, tmp_path, monkeypatch):
     path = tmp_path / "colmap/stereo/depth_maps/000002.png.geometric.bin"
     path.write_bytes(path.read_bytes()[:1000])
     shutil.rmtree(tmp_path / "geometric")
-    again = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
-    assert fake.matched[4:] == ["000002.png"]
-    np.testing.assert_array_equal(again.cloud.points, made.cloud.points)
+    rerun = DenseMvs(backend="colmap").reconstruct(scene, tmp_path)
+    assert fake.matched_images[4:] == ["000002.png"]
+    np.testing.assert_array_equal(rerun.cloud.points, reconstruction.cloud.points)
     assert json.loads((tmp_path / "colmap/inputs.json").read_text())["seed"] == 0
 
 
-def test_missing_colmap_maps_are_explained(photographs, tmp_path, monkeypatch):
+def test_missing_colmap_maps_are_an_error(photographs, tmp_path, monkeypatch):
     def run(module, command, *_, **__):
         return SimpleNamespace(code=0 if command == "probe" else -6, last_error_line="out of memory")
 

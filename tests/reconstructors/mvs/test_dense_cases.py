@@ -17,49 +17,49 @@ from reconstructors.mvs.maps import DepthMap, write_map
 
 # A square of ground of 10 m; half of its visible part has texture.
 GROUND = MeshIndex(Mesh([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], [[0, 1, 2], [0, 2, 3]]))
-SEEN = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
-VIEWS = np.where(SEEN[:, 1] < 9, 9, 3)
-CITY = City(None, None, GROUND, SEEN, SEEN[:, 0] < 5, VIEWS, 8 * SEEN[:, 1], 0.101)
+SURFACE_POINTS = np.array([[x, y, 0.0] for x in np.arange(0.05, 10, 0.1) for y in np.arange(0.05, 10, 0.1)])
+VIEW_COUNTS = np.where(SURFACE_POINTS[:, 1] < 9, 9, 3)
+CITY = City(None, None, GROUND, SURFACE_POINTS, SURFACE_POINTS[:, 0] < 5, VIEW_COUNTS, 8 * SURFACE_POINTS[:, 1], 0.101)
 
 
 def test_noise_is_untextured_and_squares_are_textured():
     rng = np.random.default_rng(0)
-    plain = np.clip(rng.normal(120, 1.5, (60, 80)), 0, 255).astype(np.uint8)
-    squares = plain + np.uint8(20) * ((np.indices(plain.shape) // 4).sum(axis=0) % 2).astype(np.uint8)
-    half = WINDOW // 2
-    found = deviations(squares)
-    window = squares[20 - half : 20 + half + 1, 30 - half : 30 + half + 1]
-    assert found[20, 30] == pytest.approx(window.std())
-    assert (found > MAX_FLAT_STD).all()
-    assert (deviations(plain) < MAX_FLAT_STD).all()
+    noise = np.clip(rng.normal(120, 1.5, (60, 80)), 0, 255).astype(np.uint8)
+    squares = noise + np.uint8(20) * ((np.indices(noise.shape) // 4).sum(axis=0) % 2).astype(np.uint8)
+    radius = WINDOW // 2
+    window_std = deviations(squares)
+    window = squares[20 - radius : 20 + radius + 1, 30 - radius : 30 + radius + 1]
+    assert window_std[20, 30] == pytest.approx(window.std())
+    assert (window_std > MAX_FLAT_STD).all()
+    assert (deviations(noise) < MAX_FLAT_STD).all()
 
 
 def test_score_cloud():
-    right = SEEN[SEEN[:, 1] < 8]
-    near = right + [0, 0, 0.15]  # between one and two footprints
-    stray = right[: len(right) // 4] + [0, 0, 3.0]
-    found = score_cloud(CITY, np.concatenate([right, near, stray]))
-    assert found.points == 2 * len(right) + len(right) // 4
-    np.testing.assert_allclose(found.precision, [1 / 2.25, 2 / 2.25, 2 / 2.25])
-    assert found.wrong == pytest.approx(0.25 / 2.25)
+    true_points = SURFACE_POINTS[SURFACE_POINTS[:, 1] < 8]
+    near_points = true_points + [0, 0, 0.15]  # between one and two footprints
+    outliers = true_points[: len(true_points) // 4] + [0, 0, 3.0]
+    scores = score_cloud(CITY, np.concatenate([true_points, near_points, outliers]))
+    assert scores.points == 2 * len(true_points) + len(true_points) // 4
+    np.testing.assert_allclose(scores.precision, [1 / 2.25, 2 / 2.25, 2 / 2.25])
+    assert scores.wrong == pytest.approx(0.25 / 2.25)
     # Four fifths of the ground, and beyond it up to the threshold.
-    np.testing.assert_allclose(found.recall, [0.81, 0.82, 0.85], atol=1e-9)
-    np.testing.assert_allclose(found.textured, found.recall)
-    assert found.empty == pytest.approx(0.15)
-    assert found.plain_share == 0.5
-    blind = score_cloud(CITY, right[right[:, 0] < 5])
-    assert blind.textured[0] == pytest.approx(0.81)
-    assert blind.plain[0] < 0.02
+    np.testing.assert_allclose(scores.recall, [0.81, 0.82, 0.85], atol=1e-9)
+    np.testing.assert_allclose(scores.textured, scores.recall)
+    assert scores.empty == pytest.approx(0.15)
+    assert scores.plain_share == 0.5
+    textured_scores = score_cloud(CITY, true_points[true_points[:, 0] < 5])
+    assert textured_scores.textured[0] == pytest.approx(0.81)
+    assert textured_scores.plain[0] < 0.02
 
 
 def test_missed_surface_is_classified():
-    found = recall_by_view(CITY, SEEN[SEEN[:, 1] < 8])
+    recall = recall_by_view(CITY, SURFACE_POINTS[SURFACE_POINTS[:, 1] < 8])
     # At two footprints 82 of 100 rows are found: 82 of the 90 that nine images observe, none of the 10 of three.
-    np.testing.assert_allclose(found["3 images"], [0.1, 0, 10 / 18])
-    np.testing.assert_allclose(found["6 or more"], [0.9, 82 / 90, 8 / 18])
-    np.testing.assert_allclose(found["below 60 deg"], [0.75, 1, 0])
-    np.testing.assert_allclose(found["60 to 75"], [0.19, 7 / 19, 12 / 18])
-    assert found["4 or 5"].share == 0
+    np.testing.assert_allclose(recall["3 images"], [0.1, 0, 10 / 18])
+    np.testing.assert_allclose(recall["6 or more"], [0.9, 82 / 90, 8 / 18])
+    np.testing.assert_allclose(recall["below 60 deg"], [0.75, 1, 0])
+    np.testing.assert_allclose(recall["60 to 75"], [0.19, 7 / 19, 12 / 18])
+    assert recall["4 or 5"].share == 0
 
 
 def test_score_maps(tmp_path):
@@ -67,35 +67,35 @@ def test_score_maps(tmp_path):
     k = Intrinsics(60, 40, 50.0, 50.0, 30.0, 20.0)
     cameras = [Camera(f"{n}.png", k, look_at([5 + n / 2, 5, 15], [5 + n / 2, 5, 0], up=[0, 1, 0])) for n in range(2)]
     rows, columns = np.indices((40, 60))
-    turn = np.radians(5)
-    turned = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    angle = np.radians(5)
+    rotation = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     for camera in cameras:
-        true = mesh_map(camera, GROUND)
-        shown = true.depth > 0
+        true_map = mesh_map(camera, GROUND)
+        visible = true_map.depth > 0
         # The ground starts in row 3: seven rows are off by two pixels, four by ten. Beside it one row has depths.
-        depth = true.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
-        depth = np.where(shown, depth, 15.0)
+        depth = true_map.depth * np.where(rows < 10, 1 + 2 / k.fx, np.where(rows < 14, 1 + 10 / k.fx, 1))
+        depth = np.where(visible, depth, 15.0)
         depth_map = DepthMap(
-            depth.astype(np.float32), (true.normal @ turned).astype(np.float32), np.ones((40, 60), "f4")
+            depth.astype(np.float32), (true_map.normal @ rotation).astype(np.float32), np.ones((40, 60), "f4")
         )
         for folder in (tmp_path / "maps" / camera.name, tmp_path / "views" / camera.name):
             folder.mkdir(parents=True)
-        write_map(tmp_path / "maps" / camera.name, depth_map.where((rows < 30) & (shown | (rows == 20))))
+        write_map(tmp_path / "maps" / camera.name, depth_map.where((rows < 30) & (visible | (rows == 20))))
         gray = np.where(columns < 30, 120, 120 + 40 * ((rows // 4 + columns // 4) % 2)).astype(np.uint8)
         Image.fromarray(gray).save(tmp_path / "views" / camera.name / "image.png")
     write_colmap_model(tmp_path / "maps", cameras)
     city = CITY._replace(index=GROUND)
-    found = score_maps(city, tmp_path)
-    assert found.known == pytest.approx(27 / 34, abs=0.02)
-    np.testing.assert_allclose(found.depth[:2], [0, 10], atol=1e-3)
-    assert found.depth[3] == np.inf
-    assert found.normal == pytest.approx(5, abs=0.01)
-    assert found.plain_known == pytest.approx(27 / 34, abs=0.02)
-    assert found.plain_wrong == pytest.approx(4 / 27, abs=0.03)
-    assert found.sky_known == pytest.approx(1 / 40, abs=0.01)
+    scores = score_maps(city, tmp_path)
+    assert scores.known == pytest.approx(27 / 34, abs=0.02)
+    np.testing.assert_allclose(scores.depth[:2], [0, 10], atol=1e-3)
+    assert scores.depth[3] == np.inf
+    assert scores.normal == pytest.approx(5, abs=0.01)
+    assert scores.plain_known == pytest.approx(27 / 34, abs=0.02)
+    assert scores.plain_wrong == pytest.approx(4 / 27, abs=0.03)
+    assert scores.sky_known == pytest.approx(1 / 40, abs=0.01)
 
 
-def test_side_by_side_tables(monkeypatch):
+def test_tables_are_merged_side_by_side(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     from mvs_reference import side_by_side
 
@@ -104,8 +104,8 @@ def test_side_by_side_tables(monkeypatch):
         head + "points measured       10      20\n  sampling floor     0.5       1\ndeformation         none\n\nreport"
     )
     right = head + "points measured       10      90\ndeformation         none\n  bend RMS           0.1\n"
-    found = [line.split("  ") for line in side_by_side(left, right).splitlines()]
-    cells = [[word.strip() for word in line if word.strip()] for line in found]
+    rows = [line.split("  ") for line in side_by_side(left, right).splitlines()]
+    cells = [[word.strip() for word in line if word.strip()] for line in rows]
     assert cells == [
         ["points measured", "10", "20", "10", "90"],
         ["sampling floor", "0.5", "1"],

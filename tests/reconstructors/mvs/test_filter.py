@@ -11,10 +11,10 @@ from reconstructors.mvs.filter import Criteria, filter_map, world_points
 from reconstructors.mvs.maps import DepthMap
 
 K = Intrinsics(160, 120, 150.0, 155.0, 81.0, 58.5)
-TILTED = np.array([0.3, -0.2, 0.932]) / np.linalg.norm([0.3, -0.2, 0.932])
+TILTED_NORMAL = np.array([0.3, -0.2, 0.932]) / np.linalg.norm([0.3, -0.2, 0.932])
 
 
-def cameras(count=4, step=0.6):
+def make_cameras(count=4, step=0.6):
     return [Camera(f"{k}", K, look_at([step * k, 0.3 * (k % 2), 5], [step * k, 0, 0])) for k in range(count)]
 
 
@@ -23,40 +23,40 @@ def filter_first(views, maps, criteria=None, valid=None):
     return filter_map(views[0], maps[0], sources, criteria or Criteria(), valid)
 
 
-def in_source_frames(views, made):
+def in_source_frames(views, depth_map):
     """Return (sources, H, W): whether a pixel's point lies in the frame of a source."""
-    points = (views[0].position + made.depth[..., None] * rays(views[0])).reshape(-1, 3)
-    return np.stack([in_frame(camera, points).reshape(made.depth.shape) for camera in views[1:]])
+    points = (views[0].position + depth_map.depth[..., None] * rays(views[0])).reshape(-1, 3)
+    return np.stack([in_frame(camera, points).reshape(depth_map.depth.shape) for camera in views[1:]])
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), TILTED])
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), TILTED_NORMAL])
 def test_depths_in_other_frames_are_confirmed(normal):
-    views = cameras()
+    views = make_cameras()
     maps = [plane_map(camera, normal, 0.2) for camera in views]
-    kept, agree = filter_first(views, maps)
-    shown = in_source_frames(views, maps[0])
+    filtered_map, agreement = filter_first(views, maps)
+    in_frames = in_source_frames(views, maps[0])
     # Rounding decides whether points on the border of a frame lie in it.
-    assert (agree == (shown & (shown.sum(axis=0) >= 2))).mean() > 0.999
-    assert (kept.known == (shown.sum(axis=0) >= 2)).mean() > 0.999
-    np.testing.assert_array_equal(kept.depth[kept.known], maps[0].depth[kept.known])
-    assert not kept.normal[~kept.known].any()
-    assert not kept.confidence[~kept.known].any()
+    assert (agreement == (in_frames & (in_frames.sum(axis=0) >= 2))).mean() > 0.999
+    assert (filtered_map.known == (in_frames.sum(axis=0) >= 2)).mean() > 0.999
+    np.testing.assert_array_equal(filtered_map.depth[filtered_map.known], maps[0].depth[filtered_map.known])
+    assert not filtered_map.normal[~filtered_map.known].any()
+    assert not filtered_map.confidence[~filtered_map.known].any()
 
 
-def distort_left_half(made, depth=1.0, turn_deg=0.0):
+def distort_left_half(depth_map, depth=1.0, turn_deg=0.0):
     """Scale the depths, or turn the normals about y, in the left half of a map."""
-    left = np.arange(made.depth.shape[1]) < made.depth.shape[1] // 2
+    left = np.arange(depth_map.depth.shape[1]) < depth_map.depth.shape[1] // 2
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    turned = made.normal @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32).T
+    normals = depth_map.normal @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32).T
     return DepthMap(
-        np.where(left, np.float32(depth) * made.depth, made.depth),
-        np.where(left[:, None], turned, made.normal).astype(np.float32),
-        made.confidence,
+        np.where(left, np.float32(depth) * depth_map.depth, depth_map.depth),
+        np.where(left[:, None], normals, depth_map.normal).astype(np.float32),
+        depth_map.confidence,
     )
 
 
 @pytest.mark.parametrize(
-    ("change", "criteria", "stays"),
+    ("change", "criteria", "is_kept"),
     [
         ({"depth": 1.01}, {}, True),
         ({"depth": 1.03}, {}, False),
@@ -68,61 +68,63 @@ def distort_left_half(made, depth=1.0, turn_deg=0.0):
         ({"turn_deg": 50.0}, {"normal_deg": 30.0}, False),
     ],
 )
-def test_contradicted_depths_are_removed(change, criteria, stays):
-    views = cameras()
+def test_contradicted_depths_are_removed(change, criteria, is_kept):
+    views = make_cameras()
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
-    true, _ = filter_first(views, maps)
-    kept, _ = filter_first(views, [distort_left_half(maps[0], **change), *maps[1:]], Criteria(**criteria))
+    true_map, _ = filter_first(views, maps)
+    filtered_map, _ = filter_first(views, [distort_left_half(maps[0], **change), *maps[1:]], Criteria(**criteria))
     left = np.arange(160) < 80
     # Points that move along their rays also move in the other frames.
-    assert (kept.known & left).sum() == (pytest.approx((true.known & left).sum(), rel=0.04) if stays else 0)
-    assert (kept.known & ~left).sum() == (true.known & ~left).sum()
+    assert (filtered_map.known & left).sum() == (
+        pytest.approx((true_map.known & left).sum(), rel=0.04) if is_kept else 0
+    )
+    assert (filtered_map.known & ~left).sum() == (true_map.known & ~left).sum()
 
 
 def test_minimum_number_of_views():
-    views = cameras(5, step=0.9)
+    views = make_cameras(5, step=0.9)
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
-    shown = 1 + in_source_frames(views, maps[0]).sum(axis=0)
+    view_counts = 1 + in_source_frames(views, maps[0]).sum(axis=0)
     for min_views in (2, 3, 4, 5):
-        kept, _ = filter_first(views, maps, Criteria(views=min_views))
-        assert kept.known.sum() == pytest.approx((shown >= min_views).sum(), abs=10)
-    assert (shown == 5).any()
-    assert (shown == 2).any()
+        filtered_map, _ = filter_first(views, maps, Criteria(views=min_views))
+        assert filtered_map.known.sum() == pytest.approx((view_counts >= min_views).sum(), abs=10)
+    assert (view_counts == 5).any()
+    assert (view_counts == 2).any()
 
 
 def test_low_confidence_and_masked_pixels_are_removed_and_confirm_nothing():
-    views = cameras(3)
+    views = make_cameras(3)
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
-    all_kept = filter_first(views, maps)[0].known
+    known = filter_first(views, maps)[0].known
     low_confidence = maps[0].confidence.copy()
     low_confidence[:40] = 0.2
-    kept, _ = filter_first(views, [DepthMap(maps[0].depth, maps[0].normal, low_confidence), *maps[1:]])
-    assert not kept.known[:40].any()
-    np.testing.assert_array_equal(kept.known[40:], all_kept[40:])
-    blind = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.2))
-    assert not filter_first(views, [*maps[:2], blind])[0].known.any()
+    filtered_map, _ = filter_first(views, [DepthMap(maps[0].depth, maps[0].normal, low_confidence), *maps[1:]])
+    assert not filtered_map.known[:40].any()
+    np.testing.assert_array_equal(filtered_map.known[40:], known[40:])
+    unconfident_map = DepthMap(maps[2].depth, maps[2].normal, np.full_like(maps[2].confidence, 0.2))
+    assert not filter_first(views, [*maps[:2], unconfident_map])[0].known.any()
     valid = np.ones((120, 160), bool)
     valid[:, 100:] = False
-    np.testing.assert_array_equal(filter_first(views, maps, valid=valid)[0].known, all_kept & valid)
+    np.testing.assert_array_equal(filter_first(views, maps, valid=valid)[0].known, known & valid)
 
 
-def test_depth_edges_are_not_confirmed_wrongly():
+def test_only_exact_depths_remain_at_edges():
     """At the corner's edges and at occlusions all remaining depths are exact."""
     views = corner.cameras(6, corner.standard_intrinsics(240, 180))
     maps = [corner_map(camera) for camera in views]
-    kept, agree = filter_first(views, maps)
-    at = np.nonzero(kept.known)
-    points = world_points(views[0], np.stack([at[1] + 0.5, at[0] + 0.5], axis=1), kept.depth[at])
+    filtered_map, agreement = filter_first(views, maps)
+    indices = np.nonzero(filtered_map.known)
+    points = world_points(views[0], np.stack([indices[1] + 0.5, indices[0] + 0.5], axis=1), filtered_map.depth[indices])
     assert corner.distances(points).max() < 1e-5
-    assert kept.known.mean() > 0.9 * maps[0].known.mean()
-    assert agree.shape == (5, 180, 240)
-    assert (agree.sum(axis=0)[kept.known] >= 2).all()
+    assert filtered_map.known.mean() > 0.9 * maps[0].known.mean()
+    assert agreement.shape == (5, 180, 240)
+    assert (agreement.sum(axis=0)[filtered_map.known] >= 2).all()
 
 
 def test_world_points_project_to_their_pixels():
-    camera = cameras()[1]
+    camera = make_cameras()[1]
     pixels = np.random.default_rng(0).uniform(0, 120, (50, 2))
-    depth = np.random.default_rng(1).uniform(1, 9, 50)
-    back, z = camera.project(world_points(camera, pixels, depth))
-    np.testing.assert_allclose(back, pixels, atol=1e-9)
-    np.testing.assert_allclose(z, depth, atol=1e-12)
+    true_depths = np.random.default_rng(1).uniform(1, 9, 50)
+    projections, depths = camera.project(world_points(camera, pixels, true_depths))
+    np.testing.assert_allclose(projections, pixels, atol=1e-9)
+    np.testing.assert_allclose(depths, true_depths, atol=1e-12)

@@ -21,14 +21,14 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def search(tmp_path_factory):
+def search_program(tmp_path_factory):
     program = tmp_path_factory.mktemp("search") / "large_picture"
     folders = [f"-I{ROOT / folder}" for folder in ("pcbench/native", "reconstructors/mvs/native")]
     flags = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fopenmp"]
     interrupt = ROOT / "pcbench" / "native" / "common" / "interrupt.cpp"
     command = [COMPILER, *flags, *folders, str(SOURCE), str(interrupt), "-o", str(program)]
-    built = subprocess.run(command, capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
     return program
 
 
@@ -41,10 +41,10 @@ def search(tmp_path_factory):
         pytest.param(MAX_SIDE_PX, id="the largest"),
     ],
 )
-def test_last_pixels_are_searched_as_in_a_small_image(search, side):
+def test_last_pixels_are_searched_as_in_a_small_image(search_program, side):
     """Only the pages of the last rows are touched: the largest image needs as much memory as the smallest."""
-    done = subprocess.run([search, str(side)], capture_output=True, text=True)
-    if done.stdout.strip() == "no address space":
+    process = subprocess.run([search_program, str(side)], capture_output=True, text=True)
+    if process.stdout.strip() == "no address space":
         pytest.skip("this machine does not reserve more memory than it has")
-    assert done.returncode == 0, f"ended with {done.returncode}"
-    assert done.stdout == "256 of 256 costs kept, 16 of 16 planes taken\n"
+    assert process.returncode == 0, f"ended with {process.returncode}"
+    assert process.stdout == "256 of 256 costs kept, 16 of 16 planes taken\n"

@@ -19,16 +19,16 @@ def random_map(height=5, width=7):
 def test_round_trip(tmp_path):
     depth_map = random_map()
     write_map(tmp_path, depth_map)
-    back = read_map(tmp_path)
+    loaded_map = read_map(tmp_path)
     for name in ("depth", "normal", "confidence"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(depth_map, name))
-        assert getattr(back, name).dtype == np.float32
+        np.testing.assert_array_equal(getattr(loaded_map, name), getattr(depth_map, name))
+        assert getattr(loaded_map, name).dtype == np.float32
     np.testing.assert_array_equal(read_depth(tmp_path), depth_map.depth)
-    assert not back.known[0, 0]
-    assert back.known.sum() == 34
+    assert not loaded_map.known[0, 0]
+    assert loaded_map.known.sum() == 34
     # COLMAP writes no confidence file.
     (tmp_path / "confidence.bin").unlink()
-    np.testing.assert_array_equal(read_map(tmp_path).confidence, back.known.astype(np.float32))
+    np.testing.assert_array_equal(read_map(tmp_path).confidence, loaded_map.known.astype(np.float32))
 
 
 def test_colmap_reads_and_writes_the_same_files(tmp_path):
@@ -78,7 +78,7 @@ def test_where_removes_depths_outside_a_mask():
         b"0&0&1&",
         b"999999999&999999999&9&",
     ],
-    ids=["empty", "another format", "negative", "too few bytes", "too many bytes", "nothing", "absurd"],
+    ids=["empty", "another format", "negative size", "too few bytes", "too many bytes", "zero size", "huge size"],
 )
 def test_damaged_files_are_refused(tmp_path, content):
     (tmp_path / "depth.bin").write_bytes(content)

@@ -31,27 +31,27 @@ def photographs(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def solved(photographs, tmp_path_factory):
+def completed_run(photographs, tmp_path_factory):
     """Return a workspace after one run with exact maps, the reconstruction, and the matcher."""
     workspace, scene = tmp_path_factory.mktemp("solved"), read_scene(photographs)
     with pytest.MonkeyPatch.context() as patch:
         matcher = ExactMatcher(scene.cameras, corner_map).install(patch)
-        made = DenseMvs(backend="bundled").reconstruct(scene, workspace)
-    return workspace, made, matcher
+        reconstruction = DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    return workspace, reconstruction, matcher
 
 
 @pytest.fixture
-def workspace(solved, tmp_path):
+def workspace(completed_run, tmp_path):
     """Return a copy of the workspace that a test may change."""
-    shutil.copytree(solved[0], tmp_path / "work", symlinks=True)
+    shutil.copytree(completed_run[0], tmp_path / "work", symlinks=True)
     return tmp_path / "work"
 
 
-def test_exact_maps_yield_an_exact_cloud(solved, photographs):
-    _, made, matcher = solved
-    cloud = made.cloud
-    assert made.gauge == "georeferenced"
-    assert len(made.cameras) == 5
+def test_exact_maps_yield_an_exact_cloud(completed_run, photographs):
+    _, reconstruction, matcher = completed_run
+    cloud = reconstruction.cloud
+    assert reconstruction.gauge == "georeferenced"
+    assert len(reconstruction.cameras) == 5
     assert len(cloud) > 20_000
     # A pixel is 17 mm. Fusion takes medians per coordinate, which leave a plane by a fraction of a pixel at edges.
     error = corner.distances(cloud.points)
@@ -77,26 +77,26 @@ def test_exact_maps_yield_an_exact_cloud(solved, photographs):
         assert far > np.quantile(depth[depth > 0], 0.95)
 
 
-def test_choices_are_reported(solved):
-    notes = check_text("\n".join(solved[1].notes))
+def test_choices_are_reported(completed_run):
+    notes = check_text("\n".join(completed_run[1].notes))
     for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
         assert value in notes
 
 
-def test_workspace_keeps_the_maps(solved):
-    workspace, made, _ = solved
+def test_workspace_keeps_the_maps(completed_run):
+    workspace, reconstruction, _ = completed_run
     cameras = read_colmap_cameras(workspace / "maps")
-    assert [camera.name for camera in cameras] == sorted(made.cameras)
+    assert [camera.name for camera in cameras] == sorted(reconstruction.cameras)
     for camera in cameras:
-        found, true = read_map(workspace / "maps" / camera.name), corner_map(camera)
-        kept = found.known
-        assert kept.mean() > 0.5 * true.known.mean()
-        np.testing.assert_allclose(found.depth[kept], true.depth[kept], rtol=1e-6)
-        np.testing.assert_allclose(found.normal[kept], true.normal[kept], atol=1e-5)
+        stored_map, true_map = read_map(workspace / "maps" / camera.name), corner_map(camera)
+        known = stored_map.known
+        assert known.mean() > 0.5 * true_map.known.mean()
+        np.testing.assert_allclose(stored_map.depth[known], true_map.depth[known], rtol=1e-6)
+        np.testing.assert_allclose(stored_map.normal[known], true_map.normal[known], atol=1e-5)
         assert (workspace / "views" / camera.name / "image.png").is_file()
 
 
-def test_mesh_on_request(workspace, solved, photographs, monkeypatch):
+def test_mesh_is_written_on_request(workspace, completed_run, photographs, monkeypatch):
     calls = []
 
     def fake_write_mesh(fused, out, origin, unit):
@@ -104,30 +104,30 @@ def test_mesh_on_request(workspace, solved, photographs, monkeypatch):
         return 1234
 
     monkeypatch.setattr("reconstructors.mvs.mvs.write_mesh", fake_write_mesh)
-    made = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
+    reconstruction = DenseMvs(backend="bundled", mesh=True).reconstruct(read_scene(photographs), workspace)
     ((fused, out, origin, unit),) = calls
     assert out == workspace / "mesh.ply"
-    check_text(next(note for note in made.notes if f"1234 faces: {out}" in note))
+    check_text(next(note for note in reconstruction.notes if f"1234 faces: {out}" in note))
     assert unit is None
-    raw = read_cloud(fused).points + origin
-    np.testing.assert_array_equal(raw, solved[1].cloud.points)
+    points = read_cloud(fused).points + origin
+    np.testing.assert_array_equal(points, completed_run[1].cloud.points)
 
 
-def test_killed_run_loses_one_image(workspace, solved, photographs, monkeypatch):
+def test_resumed_run_computes_only_the_missing_maps(workspace, completed_run, photographs, monkeypatch):
     scene = read_scene(photographs)
     for path in ("photometric/003.png", "geometric/003.png", "maps/003.png"):
         shutil.rmtree(workspace / path)
     (workspace / "photometric/.003.png.partial").mkdir()
     (workspace / "photometric/.003.png.partial/depth.bin").write_bytes(b"480&3")
     matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
-    made = DenseMvs(backend="bundled").reconstruct(scene, workspace)
+    reconstruction = DenseMvs(backend="bundled").reconstruct(scene, workspace)
     assert [view.camera.name for view, _, _ in matcher.matched] == ["003.png"]
     assert matcher.refined == ["003.png"]
-    np.testing.assert_array_equal(made.cloud.points, solved[1].cloud.points)
+    np.testing.assert_array_equal(reconstruction.cloud.points, completed_run[1].cloud.points)
     # Other criteria use the same maps, another seed needs new ones.
-    stricter = DenseMvs(backend="bundled", views=4).reconstruct(scene, workspace)
+    strict_reconstruction = DenseMvs(backend="bundled", views=4).reconstruct(scene, workspace)
     assert len(matcher.matched) == 1
-    assert stricter.cloud.attributes["views"].min() >= 4
+    assert strict_reconstruction.cloud.attributes["views"].min() >= 4
     DenseMvs(backend="bundled", seed=1).reconstruct(scene, workspace)
     assert len(matcher.matched) == 6
 
@@ -146,68 +146,68 @@ def test_masked_pixels_yield_no_points(photographs, tmp_path, monkeypatch):
     assert len(scene.masks) == 5
     (tmp_path / "work").mkdir()
     matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
-    made = DenseMvs(backend="bundled").reconstruct(scene, tmp_path / "work")
+    reconstruction = DenseMvs(backend="bundled").reconstruct(scene, tmp_path / "work")
     assert all(view.valid is not None and not view.valid.all() for view, _, _ in matcher.matched)
-    assert made.cloud.points[:, 2].min() > 0.48
-    assert made.cloud.points[:, 2].max() > 1
+    assert reconstruction.cloud.points[:, 2].min() > 0.48
+    assert reconstruction.cloud.points[:, 2].max() > 1
 
 
-def test_failures_are_explained(solved, workspace, photographs, tmp_path, monkeypatch):
+def test_failures_are_explained(completed_run, workspace, photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
     for views, min_images in ((2, 3), (3, 3), (4, 4)):  # sparse points need three images
-        few = scene.select(["000.png", "001.png", "002.png"][: min_images - 1])
+        subset = scene.select(["000.png", "001.png", "002.png"][: min_images - 1])
         with check_error():
-            DenseMvs(views=views).reconstruct(few, tmp_path)
+            DenseMvs(views=views).reconstruct(subset, tmp_path)
 
-    empty = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
-    empty.install(monkeypatch)
+    empty_matcher = ExactMatcher(scene.cameras, lambda camera: corner_map(camera).where(np.zeros((240, 320), bool)))
+    empty_matcher.install(monkeypatch)
     with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=2).reconstruct(scene, workspace)
 
-    def full(*_, **__):
+    def raise_disk_full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("reconstructors.mvs.patchmatch.match", full)
+    monkeypatch.setattr("reconstructors.mvs.patchmatch.match", raise_disk_full)
     with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
 
 
-def test_full_disk_is_reported_before_matching(solved, workspace, photographs, monkeypatch):
+def test_full_disk_is_reported_before_matching(completed_run, workspace, photographs, monkeypatch):
     scene = read_scene(photographs)
     ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
-    parts = [workspace / part for part in ("views", "photometric", "geometric", "maps", "fused")]
-    files = [path for part in parts for path in part.rglob("*") if path.is_file() and not path.is_symlink()]
-    present = sum(path.stat().st_size for path in files)
+    folders = [workspace / folder for folder in ("views", "photometric", "geometric", "maps", "fused")]
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    present_bytes = sum(path.stat().st_size for path in files)
 
     def set_free_space(free):
         monkeypatch.setattr("shutil.disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, free))
 
     # Files that exist already need no more space.
-    set_free_space(90 * 5 * 320 * 240 - present)
+    set_free_space(90 * 5 * 320 * 240 - present_bytes)
     DenseMvs(backend="bundled").reconstruct(scene, workspace)
     # The estimate covers everything that a run writes, including the cloud, and not much more.
-    for part in parts:
-        shutil.rmtree(part)
-    written = present + 40 * len(solved[1].cloud)
-    set_free_space(written)
+    for folder in folders:
+        shutil.rmtree(folder)
+    written_bytes = present_bytes + 40 * len(completed_run[1].cloud)
+    set_free_space(written_bytes)
     with check_error(ReconstructionError, masked=True) as error:
         DenseMvs(backend="bundled").reconstruct(scene, workspace)
     estimate = 2**20 * int(re.search(r"need (\d+) MiB more", str(error.value))[1])
-    assert written < estimate < 1.5 * written
+    assert written_bytes < estimate < 1.5 * written_bytes
 
 
 def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
     scene = read_scene(photographs)
 
-    def without_last(camera):
+    def map_without_last(camera):
         depth_map = corner_map(camera)
         return depth_map.where(np.full(depth_map.depth.shape, camera.name != "004.png"))
 
-    ExactMatcher(scene.cameras, without_last).install(monkeypatch)
-    made = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
-    (note,) = [note for note in made.notes if "004.png" in note]
+    ExactMatcher(scene.cameras, map_without_last).install(monkeypatch)
+    reconstruction = DenseMvs(backend="bundled", seed=4).reconstruct(scene, workspace)
+    (note,) = [note for note in reconstruction.notes if "004.png" in note]
     assert "1 of 5 images" in check_text(note)
-    assert "4 depth maps" in " ".join(made.notes)
+    assert "4 depth maps" in " ".join(reconstruction.notes)
 
 
 @pytest.mark.parametrize(

@@ -26,28 +26,28 @@ def slanted():
 
 
 def test_slanted_plane_is_recovered(slanted):
-    scene, found = slanted
-    assert np.median(errors_px(scene, found.depth)) < 0.05
-    assert np.mean(errors_px(scene, found.depth) < 0.5) > 0.97
-    cosines = found.normal @ (np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0]))
+    scene, depth_map = slanted
+    assert np.median(errors_px(scene, depth_map.depth)) < 0.05
+    assert np.mean(errors_px(scene, depth_map.depth) < 0.5) > 0.97
+    cosines = depth_map.normal @ (np.array([0.35, -0.2, -1.0]) / np.linalg.norm([0.35, -0.2, -1.0]))
     assert np.degrees(np.arccos(np.median(cosines))) < 5
-    assert np.median(found.confidence) > 0.9
+    assert np.median(depth_map.confidence) > 0.9
 
 
 def test_exact_source_maps_improve_the_depths(slanted):
-    scene, found = slanted
-    refined = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0))
-    assert errors_px(scene, refined.depth).mean() < errors_px(scene, found.depth).mean()
-    assert np.percentile(errors_px(scene, refined.depth), 99) < 0.5
+    scene, depth_map = slanted
+    refined_map = refine(scene.views[0], scene.views[1:], scene.depths[1:], depth_map, (5.0, 20.0))
+    assert errors_px(scene, refined_map.depth).mean() < errors_px(scene, depth_map.depth).mean()
+    assert np.percentile(errors_px(scene, refined_map.depth), 99) < 0.5
 
 
-def test_contradicting_source_maps_cost(slanted):
-    scene, found = slanted
-    wrong = [np.float32(1.3) * depth for depth in scene.depths[1:]]
-    right = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=0)
-    denied = refine(scene.views[0], scene.views[1:], wrong, found, (5.0, 20.0), iterations=0)
-    loss = (right.confidence - denied.confidence)[40:-40, 60:-60]
-    assert np.median(loss) == pytest.approx(0.6, abs=0.02)  # the cost is clamped at three pixels of 0.2 each
+def test_contradicting_source_maps_lower_the_confidence(slanted):
+    scene, depth_map = slanted
+    wrong_depths = [np.float32(1.3) * depth for depth in scene.depths[1:]]
+    agreeing_map = refine(scene.views[0], scene.views[1:], scene.depths[1:], depth_map, (5.0, 20.0), iterations=0)
+    contradicted_map = refine(scene.views[0], scene.views[1:], wrong_depths, depth_map, (5.0, 20.0), iterations=0)
+    confidence_loss = (agreeing_map.confidence - contradicted_map.confidence)[40:-40, 60:-60]
+    assert np.median(confidence_loss) == pytest.approx(0.6, abs=0.02)  # the cost is clamped at three pixels of 0.2 each
 
 
 def correlation(scene: PlaneScene, x, y, normal, source):
@@ -55,25 +55,25 @@ def correlation(scene: PlaneScene, x, y, normal, source):
     reference, other = scene.views[0], scene.views[source]
     k = reference.camera.intrinsics
     offsets = np.stack(np.meshgrid(*[np.arange(-4, 5, 2)] * 2, indexing="xy"), axis=-1).reshape(-1, 2)
-    at = np.array([x, y]) + offsets
+    patch = np.array([x, y]) + offsets
     ray = np.array([(x + 0.5 - k.cx) / k.fx, (y + 0.5 - k.cy) / k.fy, 1])
-    rays = np.column_stack([(at + 0.5 - [k.cx, k.cy]) / [k.fx, k.fy], np.ones(len(at))])
+    rays = np.column_stack([(patch + 0.5 - [k.cx, k.cy]) / [k.fx, k.fy], np.ones(len(patch))])
     points = rays * (scene.depths[0][y, x] * (normal @ ray) / (rays @ normal))[:, None]
     world = reference.camera.cam_from_world.inverse().apply(points)
     height, width = other.gray.shape
     pixels = np.clip(other.camera.project(world)[0] - 0.5, 0, [width - 1.001, height - 1.001])  # clamped to the border
-    here = reference.gray[at[:, 1], at[:, 0]].astype(float)
+    reference_gray = reference.gray[patch[:, 1], patch[:, 0]].astype(float)
     column, row = np.floor(pixels).astype(int).T
     fx, fy = (pixels - np.floor(pixels)).T
     gray = other.gray.astype(float)
-    there = (
+    source_gray = (
         (gray[row, column] * (1 - fx) + gray[row, column + 1] * fx) * (1 - fy)
         + (gray[row + 1, column] * (1 - fx) + gray[row + 1, column + 1] * fx) * fy
     )  # fmt: skip
-    step = here - reference.gray[y, x]
-    weights = np.exp(-(offsets**2).sum(axis=1) / (2 * 4.0**2) - step**2 / (2 * 25.0**2))
+    difference = reference_gray - reference.gray[y, x]
+    weights = np.exp(-(offsets**2).sum(axis=1) / (2 * 4.0**2) - difference**2 / (2 * 25.0**2))
     weights /= weights.sum()
-    a, b = here - weights @ here, there - weights @ there
+    a, b = reference_gray - weights @ reference_gray, source_gray - weights @ source_gray
     return weights @ (a * b) / np.sqrt((weights @ a**2) * (weights @ b**2))
 
 
@@ -85,20 +85,22 @@ def test_costs_match_the_correlation_in_float64():
     planes[..., 0], planes[..., 1:] = 1.01 * scene.depths[0], normal
     state = _SearchState.initial(planes.copy(), len(scene.views) - 1)
     state.improve(scene.views[0], scene.views[1:], None, (5.0, 20.0), 0, 0, 0)
-    off = scene._replace(depths=[1.01 * scene.depths[0]])
+    offset_scene = scene._replace(depths=[1.01 * scene.depths[0]])
     rng = np.random.default_rng(1)
     for source in range(1, len(scene.views)):
         rows, columns = np.indices((height, width)).reshape(2, -1)
         k, camera = scene.views[0].camera.intrinsics, scene.views[source].camera
-        points = k.directions(np.stack([columns + 0.5, rows + 0.5], axis=1)) * off.depths[0].reshape(-1, 1)
-        seen = camera.project(scene.views[0].camera.cam_from_world.inverse().apply(points))[0] - 0.5
-        inside = np.minimum(seen, np.array([width - 1, height - 1]) - seen).min(axis=1)
-        own = np.minimum(np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)) >= 4
+        points = k.directions(np.stack([columns + 0.5, rows + 0.5], axis=1)) * offset_scene.depths[0].reshape(-1, 1)
+        projections = camera.project(scene.views[0].camera.cam_from_world.inverse().apply(points))[0] - 0.5
+        margin = np.minimum(projections, np.array([width - 1, height - 1]) - projections).min(axis=1)
+        inside_reference = (
+            np.minimum(np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)) >= 4
+        )
         # Patches completely inside the source, and patches that extend beyond its border.
-        for which in (own & (inside > 8), own & (inside > 0) & (inside < 3)):
-            for at in rng.choice(np.flatnonzero(which), 10, replace=False):
-                expected = 1 - correlation(off, columns[at], rows[at], normal, source)
-                assert state.view_costs[rows[at], columns[at], source - 1] == pytest.approx(expected, abs=3e-3)
+        for selection in (inside_reference & (margin > 8), inside_reference & (margin > 0) & (margin < 3)):
+            for pixel in rng.choice(np.flatnonzero(selection), 10, replace=False):
+                expected = 1 - correlation(offset_scene, columns[pixel], rows[pixel], normal, source)
+                assert state.view_costs[rows[pixel], columns[pixel], source - 1] == pytest.approx(expected, abs=3e-3)
 
 
 def test_untextured_plane_has_no_confidence():
@@ -114,13 +116,13 @@ def test_noise_variance_ignores_texture(sigma):
     assert noise_variance(smooth) < 4 * (sigma**2 + 1 / 12)
 
 
-def test_masks_hide_pixels(slanted):
+def test_masked_pixels_have_no_depth(slanted):
     scene, _ = slanted
     valid = np.ones(scene.depths[0].shape, bool)
     valid[:, :60] = False
-    found = match(scene.views[0]._replace(valid=valid), scene.views[1:], (5.0, 20.0))
-    assert not found.depth[:, :60].any() and not found.confidence[:, :60].any()
-    assert found.depth[:, 64:].all()
+    depth_map = match(scene.views[0]._replace(valid=valid), scene.views[1:], (5.0, 20.0))
+    assert not depth_map.depth[:, :60].any() and not depth_map.confidence[:, :60].any()
+    assert depth_map.depth[:, 64:].all()
     masked_sources = [view._replace(valid=np.zeros_like(valid)) for view in scene.views[1:]]
     assert not match(scene.views[0], masked_sources, (5.0, 20.0)).confidence.any()
 
@@ -133,9 +135,9 @@ def test_unusable_input_is_refused(slanted):
         match(scene.views[0], [scene.views[1]] * (MAX_SOURCES + 1), (5.0, 20.0))
     with check_error():
         match(scene.views[0], scene.views[1:], (0.0, 20.0))
-    wide = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE_PX + 1), np.uint8))
+    wide_view = scene.views[1]._replace(gray=np.zeros((1, MAX_SIDE_PX + 1), np.uint8))
     with check_error():
-        match(scene.views[0], [wide], (5.0, 20.0))
+        match(scene.views[0], [wide_view], (5.0, 20.0))
 
 
 DIGEST_SCRIPT = """
@@ -146,16 +148,16 @@ from reconstructors.mvs.native import _patchmatch
 from reconstructors.mvs.patchmatch import match, refine
 
 scene = plane_scene(normal=(0.35, -0.2, -1.0), width=151)
-found = match(scene.views[0], scene.views[1:], (5.0, 20.0), iterations=2)
-found = refine(scene.views[0], scene.views[1:], scene.depths[1:], found, (5.0, 20.0), iterations=1)
+depth_map = match(scene.views[0], scene.views[1:], (5.0, 20.0), iterations=2)
+depth_map = refine(scene.views[0], scene.views[1:], scene.depths[1:], depth_map, (5.0, 20.0), iterations=1)
 digest = hashlib.sha256()
-for array in (found.depth, found.normal, found.confidence):
+for array in (depth_map.depth, depth_map.normal, depth_map.confidence):
     digest.update(array.tobytes())
 print(json.dumps([_patchmatch.isa(), digest.hexdigest()]))
 """
 
 
-def run_with(**environment):
+def run_digest_script(**environment):
     return subprocess.run(
         [sys.executable, "-c", DIGEST_SCRIPT.format(path=[str(TESTS)])],
         env={**os.environ, **environment},
@@ -166,15 +168,15 @@ def run_with(**environment):
 
 @pytest.fixture(scope="module")
 def baseline_digest():
-    done = run_with(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
-    isa, digest = json.loads(done.stdout)
+    process = run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    isa, digest = json.loads(process.stdout)
     assert isa == "baseline"
     return digest
 
 
 @pytest.mark.parametrize("isa, threads", [("baseline", "3"), ("avx2", "1"), ("avx512", "2")])
 def test_same_bits_with_any_instruction_set_and_thread_count(baseline_digest, isa, threads):
-    done = run_with(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
-    if "PCBENCH_ISA: expected an instruction set that this machine supports" in done.stderr:
+    process = run_digest_script(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
+    if "PCBENCH_ISA: expected an instruction set that this machine supports" in process.stderr:
         pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
-    assert json.loads(done.stdout) == [isa, baseline_digest], done.stderr
+    assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr

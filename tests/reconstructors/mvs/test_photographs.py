@@ -32,10 +32,10 @@ def test_fountain(tmp_path):
     """At a third of the image size, the dense cloud agrees with sparse points of the full-size photographs."""
     for part in ("dense", "sparse"):
         (tmp_path / part).mkdir()
-    made = DenseMvs().reconstruct(read_scene(data_folder("fountain"), image_scale=0.35), tmp_path / "dense")
+    reconstruction = DenseMvs().reconstruct(read_scene(data_folder("fountain"), image_scale=0.35), tmp_path / "dense")
     sparse = ColmapSfm().reconstruct(read_scene(data_folder("fountain")), tmp_path / "sparse").cloud
-    off = plane_distances_px(made.cloud, sparse, list(made.cameras.values()))
-    assert len(made.cloud) > 400_000
+    distances_px = plane_distances_px(reconstruction.cloud, sparse, list(reconstruction.cameras.values()))
+    assert len(reconstruction.cloud) > 400_000
     assert len(sparse) > 10_000
-    assert np.median(off) < 0.3
-    assert np.quantile(off, 0.9) < 0.9
+    assert np.median(distances_px) < 0.3
+    assert np.quantile(distances_px, 0.9) < 0.9

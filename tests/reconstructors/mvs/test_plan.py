@@ -15,9 +15,9 @@ def test_default_matches_images_of_up_to_2000_pixels():
     plan = make_plan(SURVEY, None, None)
     assert (plan.scale, plan.spacing) == (1.0, 0.1)
     check_text(plan.reasons[0])
-    large = make_plan(replace(SURVEY, side_px=6000, footprint=0.02), None, None)
-    assert (large.scale, large.spacing) == (0.25, 0.08)
-    assert "1500 pixels" in check_text(large.reasons[0])
+    large_plan = make_plan(replace(SURVEY, side_px=6000, footprint=0.02), None, None)
+    assert (large_plan.scale, large_plan.spacing) == (0.25, 0.08)
+    assert "1500 pixels" in check_text(large_plan.reasons[0])
 
 
 def test_spacing_sets_the_image_size():
@@ -28,13 +28,13 @@ def test_spacing_sets_the_image_size():
         assert value in plan.reasons[0]
     check_text(plan.reasons[0])
     # The scale is clamped between the smallest size that can be matched and the full size.
-    finer = make_plan(SURVEY, 0.01, None)
-    assert (finer.scale, finer.spacing) == (1.0, 0.1)
-    assert "0.01" in check_text(finer.reasons[0])
-    coarser = make_plan(SURVEY, 10.0, None)
-    assert coarser.scale == pytest.approx(240 / 1600)
-    assert "of 10 " in check_text(coarser.reasons[0])
-    assert coarser.levels < plan.levels == 3
+    fine_plan = make_plan(SURVEY, 0.01, None)
+    assert (fine_plan.scale, fine_plan.spacing) == (1.0, 0.1)
+    assert "0.01" in check_text(fine_plan.reasons[0])
+    coarse_plan = make_plan(SURVEY, 10.0, None)
+    assert coarse_plan.scale == pytest.approx(240 / 1600)
+    assert "of 10 " in check_text(coarse_plan.reasons[0])
+    assert coarse_plan.levels < plan.levels == 3
 
 
 def test_sources_are_those_that_overlap_up_to_eight():
@@ -48,9 +48,9 @@ def test_sources_are_those_that_overlap_up_to_eight():
 
 def test_low_texture_adds_an_iteration():
     assert make_plan(SURVEY, None, None).photometric_iterations == 3
-    poor = make_plan(replace(SURVEY, textured_share=0.3), None, None)
-    assert poor.photometric_iterations == 4
-    assert "30%" in check_text(poor.reasons[2])
+    low_texture_plan = make_plan(replace(SURVEY, textured_share=0.3), None, None)
+    assert low_texture_plan.photometric_iterations == 4
+    assert "30%" in check_text(low_texture_plan.reasons[2])
 
 
 def test_texture_is_variation_within_a_patch():

@@ -15,14 +15,18 @@ from reconstructors.mvs.views import luminance, pinhole, read_view, undistort, v
 LENS = Intrinsics(480, 360, 430.0, 430.0, 245.0, 178.0, (-0.15, 0.03, 0.001, -0.001))
 
 
-def photographed_through(camera):
+def distorted_photograph(camera):
     """Return a photograph with lens distortion, sampled from a wider pinhole's photograph at twice the size."""
-    wide = Camera("", Intrinsics(1400, 1100, 860.0, 860.0, 700.0, 550.0), camera.cam_from_world)
-    image, k = corner.photograph(wide).astype(float), camera.intrinsics
+    wide_camera = Camera("", Intrinsics(1400, 1100, 860.0, 860.0, 700.0, 550.0), camera.cam_from_world)
+    image, k = corner.photograph(wide_camera).astype(float), camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
-    lines = k.directions(np.stack([x.ravel(), y.ravel()], axis=1))
-    at, _ = Camera("", wide.intrinsics, Similarity.identity()).project(lines)
-    return corner.bilinear(image, *(at.reshape(k.height, k.width, 2) - 0.5).transpose(2, 0, 1)).round().astype(np.uint8)
+    directions = k.directions(np.stack([x.ravel(), y.ravel()], axis=1))
+    pixels, _ = Camera("", wide_camera.intrinsics, Similarity.identity()).project(directions)
+    return (
+        corner.bilinear(image, *(pixels.reshape(k.height, k.width, 2) - 0.5).transpose(2, 0, 1))
+        .round()
+        .astype(np.uint8)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +39,7 @@ def scene(tmp_path_factory):
         Camera(f"left/{name}.png", k, camera.cam_from_world)
         for name, k, camera in zip("ab", (LENS, corner.standard_intrinsics()), corner.cameras(2, LENS), strict=True)
     )
-    Image.fromarray(photographed_through(distorted)).save(folder / "images" / distorted.name)
+    Image.fromarray(distorted_photograph(distorted)).save(folder / "images" / distorted.name)
     Image.fromarray(corner.photograph(ideal)).save(folder / "images" / ideal.name)
     mask = np.full((360, 480), 255, np.uint8)
     mask[:, :100] = 0
@@ -57,12 +61,12 @@ def test_lens_distortion_is_removed(scene, scale):
     # The ideal image at half size averages four pixels of the full size.
     full_size = Camera(
         "",
-        pinhole(camera, 1.0).intrinsics.resized(*(round(n / scale) for n in image.shape[1::-1])),
+        pinhole(camera, 1.0).intrinsics.resized(*(round(step / scale) for step in image.shape[1::-1])),
         camera.cam_from_world,
     )
     ideal = corner.photograph(full_size).astype(float)
-    n = round(1 / scale)
-    ideal = ideal.reshape(image.shape[0], n, image.shape[1], n, 3).mean(axis=(1, 3))
+    step = round(1 / scale)
+    ideal = ideal.reshape(image.shape[0], step, image.shape[1], step, 3).mean(axis=(1, 3))
     visible = corner_map(target).known & valid
     assert visible.mean() > 0.3
     assert np.median(np.abs(image[visible] - ideal[visible])) < 3
@@ -70,8 +74,8 @@ def test_lens_distortion_is_removed(scene, scale):
     shifted = np.roll(image, 1, axis=1)
     assert np.median(np.abs(shifted[visible] - ideal[visible])) > 2 * np.median(np.abs(image[visible] - ideal[visible]))
     # The mask hides the left part, and the lens does not cover the corners.
-    at, _ = camera.project(camera.position + rays_of(target) @ camera.cam_from_world.rotation)
-    expected = ((at >= [100, 0]) & (at < [480, 360])).all(axis=-1).reshape(valid.shape)
+    pixels, _ = camera.project(camera.position + rays_of(target) @ camera.cam_from_world.rotation)
+    expected = ((pixels >= [100, 0]) & (pixels < [480, 360])).all(axis=-1).reshape(valid.shape)
     assert (valid == expected).mean() > 0.99
 
 

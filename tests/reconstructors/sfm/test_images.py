@@ -15,25 +15,25 @@ from reconstructors.sfm.images import drop_unreadable
 pillow = import_or_skip("PIL.Image")
 
 
-def chunk(kind, data):
+def png_chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def large(data):
+def with_large_size(data):
     """The file is complete, but its header states 60000 x 60000 pixels."""
     header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + data[data.index(b"IDAT") - 4 :]
+    return b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", header) + data[data.index(b"IDAT") - 4 :]
 
 
-def flipped(data, place):
-    return data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :]
+def flip_byte(data, index):
+    return data[:index] + bytes([data[index] ^ 0xFF]) + data[index + 1 :]
 
 
 DAMAGE = {
     "truncated": lambda data: data[: len(data) // 2],
-    "too large (60000 x 60000 pixels, at most 600 million)": large,
-    "unreadable (broken PNG file": lambda data: flipped(data, data.rindex(b"IEND") - 5),  # the pixels' check sum
-    "unreadable": lambda data: flipped(data, data.index(b"IHDR") + 17),  # the header's
+    "too large (60000 x 60000 pixels, at most 600 million)": with_large_size,
+    "unreadable (broken PNG file": lambda data: flip_byte(data, data.rindex(b"IEND") - 5),  # checksum of the pixels
+    "unreadable": lambda data: flip_byte(data, data.index(b"IHDR") + 17),  # checksum of the header
 }
 
 
@@ -46,29 +46,29 @@ def photos(tmp_path):
     return folder
 
 
-@pytest.mark.parametrize("what", DAMAGE)
-def test_the_reason_is_reported(photos, tmp_path, what):
-    (photos / "2.png").write_bytes(DAMAGE[what]((photos / "2.png").read_bytes()))
+@pytest.mark.parametrize("reason", DAMAGE)
+def test_unreadable_images_are_dropped_with_the_reason(photos, tmp_path, reason):
+    (photos / "2.png").write_bytes(DAMAGE[reason]((photos / "2.png").read_bytes()))
     scene = read_scene(photos)
-    for _ in range(2):  # by looking, and from what was kept
-        left, (warning,) = drop_unreadable(scene, tmp_path)
-        assert left.images == ("0.png", "1.png", "3.png", "4.png")
+    for _ in range(2):  # decoded, and from the stored result
+        readable_scene, (warning,) = drop_unreadable(scene, tmp_path)
+        assert readable_scene.images == ("0.png", "1.png", "3.png", "4.png")
         assert warning.startswith("warning: 2.png ")
-        assert what in warning
+        assert reason in warning
         assert "\n" not in warning
 
 
-def test_a_photograph_that_is_cut_off(photos, tmp_path):
+def test_a_truncated_jpeg_is_dropped(photos, tmp_path):
     pillow.open(photos / "0.png").save(photos / "0.jpg")
     (photos / "0.png").unlink()
-    whole = (photos / "0.jpg").read_bytes()
-    (photos / "0.jpg").write_bytes(whole[: len(whole) // 2])
+    data = (photos / "0.jpg").read_bytes()
+    (photos / "0.jpg").write_bytes(data[: len(data) // 2])
     _, (warning,) = drop_unreadable(read_scene(photos), tmp_path)
     assert warning.startswith("warning: 0.jpg ")
     assert "truncated" in warning
 
 
-def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
+def test_all_readable_images_are_used_and_too_few_are_refused(photos, tmp_path):
     scene = read_scene(photos)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
@@ -79,11 +79,11 @@ def test_whole_images_are_all_used_and_too_few_are_refused(photos, tmp_path):
         drop_unreadable(read_scene(photos), tmp_path / "b")
 
 
-def test_the_others_are_reconstructed(photos, tmp_path):
+def test_the_readable_images_are_reconstructed(photos, tmp_path):
     import_or_skip("pycolmap")
     (photos / "2.png").write_bytes(DAMAGE["unreadable"]((photos / "2.png").read_bytes()))
     result = run(ReconstructionJob("sfm", photos, {"features": "1000"}), tmp_path / "work")
     assert (result.status, result.message) == ("ok", "")
-    made = result.require_reconstruction()
-    assert set(made.cameras) <= {"0.png", "1.png", "3.png", "4.png"}
-    assert any("2.png" in note and "unreadable" in note for note in made.notes)
+    reconstruction = result.require_reconstruction()
+    assert set(reconstruction.cameras) <= {"0.png", "1.png", "3.png", "4.png"}
+    assert any("2.png" in note and "unreadable" in note for note in reconstruction.notes)

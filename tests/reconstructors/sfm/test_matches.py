@@ -20,7 +20,7 @@ pycolmap = import_or_skip("pycolmap")
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """Six views of one plane of blots, each shifted by 12 pixels, with names that COLMAP's lists do not support."""
+    """Six crops of one random texture, shifted by 12 pixels each, with names that COLMAP's lists do not support."""
     folder = tmp_path_factory.mktemp("plane")
     blots = np.random.default_rng(0).integers(0, 256, (60, 84), dtype=np.uint8)
     picture = Image.fromarray(blots).resize((420, 300), Image.Resampling.BICUBIC)
@@ -34,58 +34,60 @@ def features(scene, tmp_path_factory):
     return extract_features(scene, tmp_path_factory.mktemp("features"), 1500, upsample=False)
 
 
-def _matched(features, scene, workspace):
+def _match_and_read(features, scene, workspace):
     """Return the table of matches and the images' names."""
     _, pairs = choose_pairs(scene, "exhaustive")
     folder = matches.match_pairs(features, pairs, workspace)
     database = sqlite3.connect(folder / DATABASE)
-    found = database.execute("SELECT pair_id, rows, data FROM matches ORDER BY pair_id").fetchall()
+    rows = database.execute("SELECT pair_id, rows, data FROM matches ORDER BY pair_id").fetchall()
     names = [name for (name,) in database.execute("SELECT name FROM images ORDER BY image_id")]
     database.close()
     assert not list(folder.glob("part-*"))
-    return found, names
+    return rows, names
 
 
 def test_matches_are_the_same_on_any_number_of_processes(features, scene, tmp_path, monkeypatch):
     monkeypatch.setattr(matches, "_MIN_PAIRS_PER_PROCESS", 4)
-    made = []
+    results = []
     for count in (1, 3):
         monkeypatch.setattr(matches, "cpu_count", lambda count=count: count)
         (tmp_path / str(count)).mkdir()
-        made.append(_matched(features, scene, tmp_path / str(count)))
-    assert made[0] == made[1]
-    found, names = made[0]
-    assert len(found) == 15
+        results.append(_match_and_read(features, scene, tmp_path / str(count)))
+    assert results[0] == results[1]
+    matches_of_pairs, names = results[0]
+    assert len(matches_of_pairs) == 15
     assert names == list(scene.images)
-    assert min(rows for _, rows, _ in found) > 100  # they all show most of the plane
+    assert min(rows for _, rows, _ in matches_of_pairs) > 100  # all show most of the texture
 
 
-def test_no_two_threads_of_colmap_match_at_a_time(features, scene, tmp_path, monkeypatch):
+def test_colmap_matches_with_one_thread(features, scene, tmp_path, monkeypatch):
     """Concurrent threads corrupt indices in about one of a hundred runs: too rare to test for directly."""
-    found, environments = [], []
-    start = matches.run_module
+    thread_counts, environments = [], []
+    run_module = matches.run_module
 
-    def started(*arguments, environment):
+    def record_environment(*arguments, environment):
         environments.append(environment)
-        return start(*arguments, environment=environment)
+        return run_module(*arguments, environment=environment)
 
-    monkeypatch.setattr(matches, "run_module", started)
-    _matched(features, scene, tmp_path)
+    monkeypatch.setattr(matches, "run_module", record_environment)
+    _match_and_read(features, scene, tmp_path)
     assert environments == [{"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}]
     monkeypatch.setattr(
-        pycolmap, "match_image_pairs", lambda *_, matching_options, **__: found.append(matching_options.num_threads)
+        pycolmap,
+        "match_image_pairs",
+        lambda *_, matching_options, **__: thread_counts.append(matching_options.num_threads),
     )
     match(tmp_path / "any.db", tmp_path / "pairs")
-    assert found == [1]
+    assert thread_counts == [1]
 
 
 @pytest.mark.slow
 def test_matches_are_the_same_in_many_runs(features, scene, tmp_path):
-    made = []
+    results = []
     for run in range(40):
         (tmp_path / str(run)).mkdir()
-        made.append(_matched(features, scene, tmp_path / str(run)))
-    assert all(one == made[0] for one in made)
+        results.append(_match_and_read(features, scene, tmp_path / str(run)))
+    assert all(result == results[0] for result in results)
 
 
 def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, capfd):
@@ -93,5 +95,5 @@ def test_a_failing_process_is_reported(features, scene, tmp_path, monkeypatch, c
     monkeypatch.setattr(matches, "cpu_count", lambda: 2)
     monkeypatch.setattr(matches, "_write_list", lambda file, pairs: file)
     with check_error(ReconstructionError):
-        _matched(features, scene, tmp_path)
-    assert "Check failed" in capfd.readouterr().err  # COLMAP's own words
+        _match_and_read(features, scene, tmp_path)
+    assert "Check failed" in capfd.readouterr().err  # COLMAP's message

@@ -41,64 +41,64 @@ def workspace(tmp_path_factory):
     return tmp_path_factory.mktemp("workspace")
 
 
-def note_of(made, part):
+def find_note(reconstruction, part):
     """Return the only note that contains a text."""
-    (note,) = [note for note in made.notes if part in note]
+    (note,) = [note for note in reconstruction.notes if part in note]
     return check_text(note)
 
 
-def test_given_poses_triangulate_onto_the_truth(photographs, workspace):
+def test_points_triangulated_from_given_poses_are_accurate(photographs, workspace):
     scene = read_scene(photographs)
-    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
-    assert made.gauge == "georeferenced"
-    assert "21 pairs" in note_of(made, "matching")
-    assert len(made.cloud) > 500
-    assert int(re.search(r"(\d+)% of the verified", " ".join(made.notes))[1]) > 95
+    reconstruction = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert reconstruction.gauge == "georeferenced"
+    assert "21 pairs" in find_note(reconstruction, "matching")
+    assert len(reconstruction.cloud) > 500
+    assert int(re.search(r"(\d+)% of the verified", " ".join(reconstruction.notes))[1]) > 95
     # SIFT is good to some tenths of a pixel; a pixel at 5 m is 12 mm.
-    error = corner.distances(made.cloud.points)
+    error = corner.distances(reconstruction.cloud.points)
     assert np.median(error) < 0.006
     assert np.quantile(error, 0.9) < 0.03
-    positions, angles = camera_errors(made.cameras, scene.cameras)
+    positions, angles = camera_errors(reconstruction.cameras, scene.cameras)
     assert len(positions) == 7
     assert positions.max() < 1e-12
     assert angles.max() < 1e-6
-    assert set(made.cloud.attributes) == {"reprojection_error", "track_length"}
+    assert set(reconstruction.cloud.attributes) == {"reprojection_error", "track_length"}
     # A point has the colour of the surface.
-    pixels, _ = scene.cameras["003.png"].project(made.cloud.points)
+    pixels, _ = scene.cameras["003.png"].project(reconstruction.cloud.points)
     inside = ((pixels > 5) & (pixels < [475, 355])).all(axis=1)
     x, y = pixels[inside].astype(int).T
-    shown = scene.read_image("003.png")[y, x].astype(float)
-    assert np.median(np.abs(shown - made.cloud.colors[inside])) < 10
+    photograph_colors = scene.read_image("003.png")[y, x].astype(float)
+    assert np.median(np.abs(photograph_colors - reconstruction.cloud.colors[inside])) < 10
 
 
 @pytest.mark.parametrize("mapping", ["incremental", "global"])
-def test_solved_poses_are_the_true_ones(photographs, workspace, mapping):
+def test_solved_poses_are_accurate(photographs, workspace, mapping):
     scene = read_scene(photographs)
-    made = ColmapSfm(poses="solve", mapping=mapping, refine="none", **QUICK).reconstruct(scene, workspace)
-    assert made.gauge == "georeferenced"
-    positions, angles = camera_errors(made.cameras, scene.cameras)
+    reconstruction = ColmapSfm(poses="solve", mapping=mapping, refine="none", **QUICK).reconstruct(scene, workspace)
+    assert reconstruction.gauge == "georeferenced"
+    positions, angles = camera_errors(reconstruction.cameras, scene.cameras)
     assert len(positions) == 7
-    # Tenths of a pixel over the whole image: 1 mm at 5 m, 0.01 degrees; ten times that is a mistake.
+    # Tenths of a pixel over the whole image: 1 mm at 5 m, 0.01 degrees; ten times that would be an error.
     assert positions.max() < 0.02
     assert angles.max() < 0.2
-    assert f"{np.median(positions):.3g} (median)" in note_of(made, "position errors")
-    assert np.median(corner.distances(made.cloud.points)) < 0.008
+    assert f"{np.median(positions):.3g} (median)" in find_note(reconstruction, "position errors")
+    assert np.median(corner.distances(reconstruction.cloud.points)) < 0.008
 
 
-def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
+def test_the_gauge_is_arbitrary_without_cameras_or_positions(photographs, workspace):
     scene = read_scene(photographs, cameras="none")
-    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
-    assert made.gauge == "arbitrary"
-    assert made.cloud.unit is None
-    assert "look in the same direction" not in " ".join(made.notes)
-    assert len(made.cameras) == 7
-    # Its frame is arbitrary but for up: the corner's, whose photographs are upright, and origin and scale as solved.
+    reconstruction = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert reconstruction.gauge == "arbitrary"
+    assert reconstruction.cloud.unit is None
+    assert "look in the same direction" not in " ".join(reconstruction.notes)
+    assert len(reconstruction.cameras) == 7
+    # Origin, scale and azimuth are arbitrary; up is that of the corner, as its photographs are upright.
     truth = read_scene(photographs).cameras
-    names = list(made.cameras)
-    fit = fit_similarity(*(np.stack([c[name].position for name in names]) for c in (truth, made.cameras)))
+    names = list(reconstruction.cameras)
+    fit = fit_similarity(*(np.stack([c[name].position for name in names]) for c in (truth, reconstruction.cameras)))
     up = fit.rotation[:, 2]
     assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) < 1.0  # solved rolls are good to some tenths
-    note_of(made, "levelled")
+    find_note(reconstruction, "levelled")
     with check_error():
         ColmapSfm(poses="given", **QUICK).reconstruct(scene, workspace)
     with check_error():
@@ -108,94 +108,97 @@ def test_without_anything_known_the_gauge_is_arbitrary(photographs, workspace):
 @pytest.mark.parametrize("settings", [{}, {"poses": "solve"}, {"poses": "solve", "mapping": "global"}])
 def test_the_same_input_gives_the_same_cloud(photographs, tmp_path, settings):
     scene = read_scene(photographs).select([f"{n:03}.png" for n in range(1, 6)])
-    made = []
+    reconstructions = []
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
-        made.append(ColmapSfm(**QUICK, **settings).reconstruct(scene, tmp_path / run))
-    np.testing.assert_array_equal(made[0].cloud.points, made[1].cloud.points)
-    for name, camera in made[0].cameras.items():
-        np.testing.assert_array_equal(camera.cam_from_world.matrix, made[1].cameras[name].cam_from_world.matrix)
+        reconstructions.append(ColmapSfm(**QUICK, **settings).reconstruct(scene, tmp_path / run))
+    np.testing.assert_array_equal(reconstructions[0].cloud.points, reconstructions[1].cloud.points)
+    for name, camera in reconstructions[0].cameras.items():
+        np.testing.assert_array_equal(
+            camera.cam_from_world.matrix, reconstructions[1].cameras[name].cam_from_world.matrix
+        )
 
 
 def test_finished_stages_are_reused(photographs, workspace):
     scene = read_scene(photographs)
     first = ColmapSfm(**QUICK).reconstruct(scene, workspace)
     times = {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in ("features", "matches")}
-    again = ColmapSfm(**QUICK).reconstruct(scene, workspace)
-    np.testing.assert_array_equal(first.cloud.points, again.cloud.points)
+    second = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    np.testing.assert_array_equal(first.cloud.points, second.cloud.points)
     assert times == {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in times}
 
 
-def test_gps_gives_metres(photographs, workspace):
+def test_gps_gives_a_metric_frame(photographs, workspace):
     truth = read_scene(photographs).cameras
     origin = Gps(48.0, 11.0, 500.0)
-    # 30 times as large, so that degrees have digits enough; the corner's axes are east, north and up.
+    # Scaled by 30, so that rounded degrees are precise enough; the corner's axes are east, north and up.
     metres = {"lat": 111_200.0, "lon": 111_320.0 * np.cos(np.radians(48))}
     gps = {}
     for name, camera in truth.items():
         east, north, up = 30 * camera.position
         gps[name] = Gps(48 + north / metres["lat"], 11 + east / metres["lon"], 500 + up)
     scene = replace(read_scene(photographs, cameras="none"), gps=gps)
-    made = ColmapSfm(**QUICK).reconstruct(scene, workspace)
-    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
-    assert "7 images" in note_of(made, "aligned to the GPS")
+    reconstruction = ColmapSfm(**QUICK).reconstruct(scene, workspace)
+    assert (reconstruction.gauge, reconstruction.cloud.unit) == ("georeferenced", "m")
+    assert "7 images" in find_note(reconstruction, "aligned to the GPS")
     # The frame is east-north-up about the first image's position.
     expected = enu_from_wgs84([gps[name] for name in truth], gps["000.png"])
-    found = np.stack([made.cameras[name].position for name in truth])
-    np.testing.assert_allclose(found, expected, atol=1.5)  # the intrinsics are solved for: a hundredth of 150 m
-    corner_at = enu_from_wgs84([origin], gps["000.png"])[0]
-    assert np.median(np.abs(made.cloud.points - corner_at).min(axis=1)) < 0.5
+    solved_positions = np.stack([reconstruction.cameras[name].position for name in truth])
+    # The intrinsics are solved for: the tolerance is a hundredth of 150 m.
+    np.testing.assert_allclose(solved_positions, expected, atol=1.5)
+    corner_position = enu_from_wgs84([origin], gps["000.png"])[0]
+    assert np.median(np.abs(reconstruction.cloud.points - corner_position).min(axis=1)) < 0.5
 
 
-def test_positions_in_a_file_give_their_frame(photographs, workspace):
+def test_given_positions_define_the_frame(photographs, workspace):
     truth = read_scene(photographs).cameras
     positions = {name: 10 * camera.position + [100, 200, 300] for name, camera in truth.items()}
     positions["002.png"] = positions["002.png"] + [30, 0, 0]  # one is wrong
     scene = replace(read_scene(photographs), positions=positions)
-    made = ColmapSfm(poses="solve", align="gps", refine="none", **QUICK).reconstruct(scene, workspace)
-    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
-    assert np.median(corner.distances((made.cloud.points - [100, 200, 300]) / 10)) < 0.02
+    reconstruction = ColmapSfm(poses="solve", align="gps", refine="none", **QUICK).reconstruct(scene, workspace)
+    assert (reconstruction.gauge, reconstruction.cloud.unit) == ("georeferenced", "m")
+    assert np.median(corner.distances((reconstruction.cloud.points - [100, 200, 300]) / 10)) < 0.02
 
 
 def test_points_of_two_images_are_left_out(photographs, workspace):
     scene = read_scene(photographs)
-    some, more = (ColmapSfm(min_views=n, **QUICK).reconstruct(scene, workspace) for n in (3, 2))
-    assert some.cloud.attributes["track_length"].min() == 3
-    assert more.cloud.attributes["track_length"].min() == 2
-    left_out = len(more.cloud) - len(some.cloud)
-    assert note_of(some, "points observed by fewer").startswith(f"{left_out} ")
+    three_view_points, two_view_points = (ColmapSfm(min_views=n, **QUICK).reconstruct(scene, workspace) for n in (3, 2))
+    assert three_view_points.cloud.attributes["track_length"].min() == 3
+    assert two_view_points.cloud.attributes["track_length"].min() == 2
+    left_out = len(two_view_points.cloud) - len(three_view_points.cloud)
+    assert find_note(three_view_points, "points observed by fewer").startswith(f"{left_out} ")
     with check_error(ReconstructionError, masked=True):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
 def test_control_points_define_the_frame(photographs, workspace, tmp_path):
     truth = read_scene(photographs).cameras
-    marks = {"A": [0, 0, 0.5], "B": [1, 0, 1], "C": [0, 1.5, 1], "D": [1, 1, 0], "check*": [1.2, 0, 0.4]}
+    positions = {"A": [0, 0, 0.5], "B": [1, 0, 1], "C": [0, 1.5, 1], "D": [1, 1, 0], "check*": [1.2, 0, 0.4]}
     lines = []
-    for name, point in marks.items():
+    for name, point in positions.items():
         for image in ("001.png", "003.png", "005.png"):
             (pixel,), _ = truth[image].project(np.array([point], dtype=float))
             assert (pixel > 0).all()
             lines.append(f"{name} {' '.join(map(str, 10 * np.array(point)))} {image} {pixel[0]} {pixel[1]}")
     (tmp_path / "control.txt").write_text("\n".join(lines))
     scene = read_scene(photographs, cameras="none")
-    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
-    assert made.gauge == "georeferenced"
-    assert " 4 " in note_of(made, "aligned to")
-    residuals = made.residuals
+    reconstruction = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
+    assert reconstruction.gauge == "georeferenced"
+    assert " 4 " in find_note(reconstruction, "aligned to")
+    residuals = reconstruction.residuals
     assert [point.name for point in residuals.control] == ["A", "B", "C", "D"]
     assert [point.name for point in residuals.check] == ["check"]
     assert residuals.rmse(residuals.control).total < 0.03  # a pixel is 0.12 in this frame
     assert residuals.rmse(residuals.check).total < 0.1
     assert residuals.rmse(residuals.check).vertical is None
-    assert np.median(corner.distances(made.cloud.points)) < 0.1  # the frame is scaled by ten
+    assert np.median(corner.distances(reconstruction.cloud.points)) < 0.1  # the frame is scaled by ten
     with check_error(ValueError):
         ColmapSfm(align="control")
 
 
-def marks_in(cameras, places, names=("001.png", "003.png", "005.png")):
+def control_lines(cameras, positions, names=("001.png", "003.png", "005.png")):
     """Return lines of a control file: observations of positions in images."""
-    for name, point in places.items():
+    for name, point in positions.items():
         for image in names:
             (pixel,), _ = cameras[image].project(np.array([point], dtype=float))
             yield f"{name} {' '.join(map(str, point))} {image} {pixel[0]} {pixel[1]}"
@@ -204,20 +207,24 @@ def marks_in(cameras, places, names=("001.png", "003.png", "005.png")):
 def test_check_points_alone_score_given_cameras(photographs, workspace, tmp_path):
     """Surveyed positions with a known error: the residuals equal it."""
     cameras = read_scene(photographs).cameras
-    lines = [*marks_in(cameras, {"p*": [0, 0, 0.5], "q*": [1, 0, 1]})]
-    lines = [re.sub(r"^(.\*) (\S+) (\S+) (\S+)", _moved_by(-0.03, -0.04, 0.12), line) for line in lines]
+    lines = [*control_lines(cameras, {"p*": [0, 0, 0.5], "q*": [1, 0, 1]})]
+    lines = [re.sub(r"^(.\*) (\S+) (\S+) (\S+)", _shift_by(-0.03, -0.04, 0.12), line) for line in lines]
     (tmp_path / "control.txt").write_text("\n".join(["# z is up", *lines]))
-    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
-    # Rays through exact pixels meet in their point but for rounding.
-    assert made.residuals.rmse(made.residuals.check) == pytest.approx((2, 0.13, 0.05, 0.12), abs=1e-9)
-    assert made.residuals.control == ()
-    lines = [*marks_in(cameras, {"p": [0, 0, 0.5]})]
+    reconstruction = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(
+        read_scene(photographs), workspace
+    )
+    # Rays through exact pixels meet in their point up to rounding.
+    assert reconstruction.residuals.rmse(reconstruction.residuals.check) == pytest.approx(
+        (2, 0.13, 0.05, 0.12), abs=1e-9
+    )
+    assert reconstruction.residuals.control == ()
+    lines = [*control_lines(cameras, {"p": [0, 0, 0.5]})]
     (tmp_path / "control.txt").write_text("\n".join(lines))
     with check_error():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(read_scene(photographs), workspace)
 
 
-def _moved_by(dx, dy, dz):
+def _shift_by(dx, dy, dz):
     def move(match):
         x, y, z = map(float, match.groups()[1:])
         return f"{match[1]} {x + dx!r} {y + dy!r} {z + dz!r}"
@@ -225,32 +232,32 @@ def _moved_by(dx, dy, dz):
     return move
 
 
-def test_marks_in_images_that_are_not_there(photographs, workspace, tmp_path):
+def test_marks_in_missing_images_are_reported(photographs, workspace, tmp_path):
     scene = read_scene(photographs)
     (tmp_path / "control.txt").write_text("p* 0 0 0 elsewhere.jpg 1 2\np* 0 0 0 nowhere.jpg 1 2\n")
     with check_error():
         ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
-    lines = [*marks_in(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
+    lines = [*control_lines(scene.cameras, {"p*": [0, 0, 0.5]}), "p* 0 0 0.5 elsewhere.jpg 1 2"]
     (tmp_path / "control.txt").write_text("\n".join(lines))
-    made = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
-    note_of(made, "elsewhere.jpg")
-    assert made.residuals.check[0].error < 1e-9
+    reconstruction = ColmapSfm(control=tmp_path / "control.txt", **QUICK).reconstruct(scene, workspace)
+    find_note(reconstruction, "elsewhere.jpg")
+    assert reconstruction.residuals.check[0].error < 1e-9
 
 
-def test_scale_masks_and_undistortion(photographs, tmp_path):
-    masked = tmp_path / "masked"
-    masked.mkdir()
+def test_image_scale_masks_and_undistortion_are_applied(photographs, tmp_path):
+    masks_folder = tmp_path / "masked"
+    masks_folder.mkdir()
     mask = np.full((360, 480), 255, np.uint8)
     mask[:, :240] = 0
     for number in range(7):
-        Image.fromarray(mask).save(masked / f"{number:03}.png.png")
-    scene = read_scene(photographs, masks=masked, image_scale=0.75)
+        Image.fromarray(mask).save(masks_folder / f"{number:03}.png.png")
+    scene = read_scene(photographs, masks=masks_folder, image_scale=0.75)
     settings = {**QUICK, "undistort": True}
-    made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
-    assert made.cameras["000.png"].intrinsics.width == 360
-    assert np.median(corner.distances(made.cloud.points)) < 0.01
-    # In every image that shows a point it is in the right half; no image shows it in the left half alone.
-    right = [scene.cameras[name].project(made.cloud.points)[0][:, 0] > 180 for name in scene.images]
+    reconstruction = ColmapSfm(**settings).reconstruct(scene, tmp_path)
+    assert reconstruction.cameras["000.png"].intrinsics.width == 360
+    assert np.median(corner.distances(reconstruction.cloud.points)) < 0.01
+    # Each point is in the unmasked right half of at least two images.
+    right = [scene.cameras[name].project(reconstruction.cloud.points)[0][:, 0] > 180 for name in scene.images]
     assert np.sum(right, axis=0).min() >= 2
     with Image.open(tmp_path / "undistorted/images/000.png") as image:
         assert abs(image.width - 360) <= 2
@@ -258,10 +265,10 @@ def test_scale_masks_and_undistortion(photographs, tmp_path):
 
 
 def test_images_without_a_mask_keep_their_features(photographs, tmp_path):
-    masked = tmp_path / "masked"
-    masked.mkdir()
-    Image.fromarray(np.zeros((360, 480), np.uint8)).save(masked / "003.png.png")
-    scene = read_scene(photographs, masks=masked)
+    masks_folder = tmp_path / "masked"
+    masks_folder.mkdir()
+    Image.fromarray(np.zeros((360, 480), np.uint8)).save(masks_folder / "003.png.png")
+    scene = read_scene(photographs, masks=masks_folder)
     counts = count_features(extract_features(scene, tmp_path, 500, upsample=False))
     assert [name for name in scene.images if not counts[name]] == ["003.png"]
 
@@ -273,7 +280,7 @@ def write_scene(folder, images):
     return read_scene(folder)
 
 
-def fails(scene, workspace, error=ReconstructionError, **settings):
+def check_failure(scene, workspace, error=ReconstructionError, **settings):
     workspace.mkdir(exist_ok=True)
     with check_error(error, masked=True):
         ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
@@ -281,53 +288,55 @@ def fails(scene, workspace, error=ReconstructionError, **settings):
 
 def test_failures_are_reported(tmp_path):
     blank = {f"{n}.png": np.full((240, 320, 3), 90 + n, np.uint8) for n in range(3)}
-    fails(write_scene(tmp_path / "blank", blank), tmp_path / "a")
+    check_failure(write_scene(tmp_path / "blank", blank), tmp_path / "a")
     noise = {f"{n}.png": (255 * corner.texture(n, 320)).astype(np.uint8) for n in range(3)}
-    fails(write_scene(tmp_path / "noise", noise), tmp_path / "b")
+    check_failure(write_scene(tmp_path / "noise", noise), tmp_path / "b")
     copies = dict.fromkeys(("0.png", "1.png", "2.png"), noise["0.png"])
-    fails(write_scene(tmp_path / "copies", copies), tmp_path / "c")
-    one = write_scene(tmp_path / "one", {"0.png": noise["0.png"]})
-    fails(one, tmp_path / "d", InputError)
+    check_failure(write_scene(tmp_path / "copies", copies), tmp_path / "c")
+    single_image = write_scene(tmp_path / "one", {"0.png": noise["0.png"]})
+    check_failure(single_image, tmp_path / "d", InputError)
 
 
-def test_names_may_have_spaces(photographs, tmp_path):
+def test_image_names_may_have_spaces(photographs, tmp_path):
     """COLMAP splits its list of pairs at spaces."""
     names = ["one two.png", "1 2 3.png", "éä ü.png", "3.png"]
     cameras = corner.cameras(7, K)[1:5]
     (tmp_path / "work").mkdir()
     for name, camera in zip(names, cameras, strict=True):
         shutil.copyfile(photographs / "images" / camera.name, tmp_path / name)
-    known = {name: replace(camera, name=name) for name, camera in zip(names, cameras, strict=True)}
-    made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(
-        replace(read_scene(tmp_path), cameras=known), tmp_path / "work"
+    known_cameras = {name: replace(camera, name=name) for name, camera in zip(names, cameras, strict=True)}
+    reconstruction = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(
+        replace(read_scene(tmp_path), cameras=known_cameras), tmp_path / "work"
     )
-    assert sorted(made.cameras) == sorted(names)
-    positions, _ = camera_errors(made.cameras, known)
+    assert sorted(reconstruction.cameras) == sorted(names)
+    positions, _ = camera_errors(reconstruction.cameras, known_cameras)
     assert positions.max() < 0.02
 
 
-def test_other_intrinsics_find_no_features_again(photographs, tmp_path):
+def test_other_intrinsics_reuse_features_and_matches(photographs, tmp_path):
     scene = read_scene(photographs)
-    wrong = replace(K, distortion=(-0.2, 0.0, 0.0, 0.0))
-    other = replace(scene, cameras={name: replace(c, intrinsics=wrong) for name, c in scene.cameras.items()})
-    right = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, tmp_path)
+    wrong_intrinsics = replace(K, distortion=(-0.2, 0.0, 0.0, 0.0))
+    wrong_scene = replace(
+        scene, cameras={name: replace(c, intrinsics=wrong_intrinsics) for name, c in scene.cameras.items()}
+    )
+    reference = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, tmp_path)
     times = {name: (tmp_path / name / "stage.json").stat().st_mtime_ns for name in ("features", "matches", "verified")}
-    bent = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(other, tmp_path)
-    again = {name: (tmp_path / name / "stage.json").stat().st_mtime_ns for name in times}
-    assert [name for name in times if times[name] == again[name]] == ["features", "matches"]
-    assert bent.cameras["003.png"].intrinsics == wrong
-    errors = [np.median(corner.distances(made.cloud.points)) for made in (right, bent)]
+    distorted = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(wrong_scene, tmp_path)
+    new_times = {name: (tmp_path / name / "stage.json").stat().st_mtime_ns for name in times}
+    assert [name for name in times if times[name] == new_times[name]] == ["features", "matches"]
+    assert distorted.cameras["003.png"].intrinsics == wrong_intrinsics
+    errors = [np.median(corner.distances(reconstruction.cloud.points)) for reconstruction in (reference, distorted)]
     assert errors[1] > 3 * errors[0]
 
 
 def test_wrong_poses_are_refused(photographs, tmp_path):
     scene = read_scene(photographs)
     names = list(scene.images)
-    # The cameras in the reverse order: each is a true one, of another image.
-    turned = {
+    # Cameras in reverse order: each is a true one, but of another image.
+    reversed_cameras = {
         name: replace(scene.cameras[other], name=name) for name, other in zip(names, reversed(names), strict=True)
     }
-    fails(replace(scene, cameras=turned), tmp_path)
+    check_failure(replace(scene, cameras=reversed_cameras), tmp_path)
 
 
 def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp_path, monkeypatch):
@@ -354,28 +363,30 @@ def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp
     assert not any(note.startswith("warning: ") for note in first.notes)
     monkeypatch.setattr(pycolmap, "geometric_verification", verify_wrongly)
     shutil.rmtree(tmp_path / "verified")
-    made = ColmapSfm(**settings).reconstruct(scene, tmp_path)
-    assert (made.gauge, made.cloud.unit) == ("arbitrary", None)
-    (note,) = [note for note in made.notes if note.startswith("warning: ")]
+    reconstruction = ColmapSfm(**settings).reconstruct(scene, tmp_path)
+    assert (reconstruction.gauge, reconstruction.cloud.unit) == ("arbitrary", None)
+    (note,) = [note for note in reconstruction.notes if note.startswith("warning: ")]
     assert note.startswith("warning: 4 of ")
-    note_of(made, "not aligned")
+    find_note(reconstruction, "not aligned")
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
     with check_error(ReconstructionError, masked=True):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
-    # Given cameras stay in their own world: theirs is said to be contradicted.
-    given = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
-    assert given.gauge == "georeferenced"
-    note_of(given, "contradict the given cameras")
+    # Given cameras keep their frame; a note reports that pairs contradict them.
+    with_given_poses = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
+    assert with_given_poses.gauge == "georeferenced"
+    find_note(with_given_poses, "contradict the given cameras")
 
 
 def test_a_solution_contradicted_by_known_cameras_is_not_aligned_to_them(photographs, workspace):
     scene = read_scene(photographs)
     order = np.random.default_rng(1).permutation(list(scene.images))
-    shuffled = {name: replace(scene.cameras[other], name=name) for name, other in zip(scene.images, order, strict=True)}
-    scene = replace(scene, cameras=shuffled)
-    made = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
-    assert made.gauge == "arbitrary"
-    note_of(made, "not aligned to cameras")
+    shuffled_cameras = {
+        name: replace(scene.cameras[other], name=name) for name, other in zip(scene.images, order, strict=True)
+    }
+    scene = replace(scene, cameras=shuffled_cameras)
+    reconstruction = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
+    assert reconstruction.gauge == "arbitrary"
+    find_note(reconstruction, "not aligned to cameras")
     with check_error(ReconstructionError, masked=True):
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
@@ -385,13 +396,13 @@ def test_the_largest_component_is_kept(photographs, tmp_path):
     folder.mkdir()
     for number, camera in enumerate(corner.cameras(9, K)):
         if number != 5:
-            seed = 0 if number < 5 else 50  # another corner altogether
+            seed = 0 if number < 5 else 50  # another corner
             Image.fromarray(corner.photograph(camera, seed)).save(folder / camera.name)
     (tmp_path / "work").mkdir()
-    made = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
-    assert sorted(made.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
-    assert "(of 5, 3 images)" in note_of(made, "components")
-    assert "3 of 8 images" in note_of(made, "006.png, 007.png, 008.png")
+    reconstruction = ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path / "work")
+    assert sorted(reconstruction.cameras) == ["000.png", "001.png", "002.png", "003.png", "004.png"]
+    assert "(of 5, 3 images)" in find_note(reconstruction, "components")
+    assert "3 of 8 images" in find_note(reconstruction, "006.png, 007.png, 008.png")
 
 
 def test_other_components_of_the_same_images_are_not_counted(photographs, workspace, tmp_path):
@@ -406,13 +417,13 @@ def test_other_components_of_the_same_images_are_not_counted(photographs, worksp
 
 def test_images_without_cameras_are_left_out_and_reported(photographs, tmp_path):
     scene = read_scene(photographs)
-    known = {name: camera for name, camera in scene.cameras.items() if name != "003.png"}
-    made = ColmapSfm(**QUICK).reconstruct(replace(scene, cameras=known), tmp_path)
-    assert "1 of 7 images" in note_of(made, "003.png")
-    assert "003.png" not in made.cameras
+    known_cameras = {name: camera for name, camera in scene.cameras.items() if name != "003.png"}
+    reconstruction = ColmapSfm(**QUICK).reconstruct(replace(scene, cameras=known_cameras), tmp_path)
+    assert "1 of 7 images" in find_note(reconstruction, "003.png")
+    assert "003.png" not in reconstruction.cameras
 
 
-def test_it_is_an_installed_plugin():
+def test_sfm_is_an_installed_plugin():
     plugin = find_plugin("sfm")
     assert plugin.origin.startswith("pcbench ")
     assert plugin.missing is None
@@ -423,8 +434,8 @@ def test_it_is_an_installed_plugin():
 def test_fountain_small(tmp_path):
     """Images at a quarter of the size; the data set's cameras were measured by laser."""
     scene = read_scene(data_folder("fountain"), image_scale=0.25)
-    made = ColmapSfm(poses="solve", refine="none").reconstruct(scene, tmp_path)
-    positions, angles = camera_errors(made.cameras, scene.cameras)
+    reconstruction = ColmapSfm(poses="solve", refine="none").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(reconstruction.cameras, scene.cameras)
     assert len(positions) == 11
     assert np.median(positions) < 0.02  # metres, at 8 m: a pixel is 20 mm
     assert angles.max() < 0.2
@@ -433,8 +444,8 @@ def test_fountain_small(tmp_path):
 @pytest.mark.slow
 def test_fountain(tmp_path):
     scene = read_scene(data_folder("fountain"))
-    made = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
-    positions, angles = camera_errors(made.cameras, scene.cameras)
+    reconstruction = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(reconstruction.cameras, scene.cameras)
     assert len(positions) == 11
     assert np.median(positions) < 0.005
     assert angles.max() < 0.1
@@ -443,14 +454,14 @@ def test_fountain(tmp_path):
 @pytest.mark.slow
 def test_fox(tmp_path):
     scene = read_scene(data_folder("fox"), on_warning=lambda _: None)
-    given = ColmapSfm().reconstruct(scene, tmp_path)
-    assert given.gauge == "georeferenced"
-    assert len(given.cameras) == 50
-    assert len(given.cloud) > 5000
-    solved = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
-    positions, angles = camera_errors(solved.cameras, scene.cameras)
+    with_given_poses = ColmapSfm().reconstruct(scene, tmp_path)
+    assert with_given_poses.gauge == "georeferenced"
+    assert len(with_given_poses.cameras) == 50
+    assert len(with_given_poses.cloud) > 5000
+    with_solved_poses = ColmapSfm(poses="solve").reconstruct(scene, tmp_path)
+    positions, angles = camera_errors(with_solved_poses.cameras, scene.cameras)
     assert len(positions) == 50
-    # The given poses came from COLMAP too, out of more and larger images; the path is 7 units long.
+    # The given poses came from COLMAP too, from more and larger images; the path is 7 units long.
     assert np.median(positions) < 0.02
     assert np.median(angles) < 0.2
 
@@ -458,27 +469,27 @@ def test_fox(tmp_path):
 @pytest.mark.slow
 def test_brighton(tmp_path):
     scene = read_scene(data_folder("brighton"))
-    made = ColmapSfm().reconstruct(scene, tmp_path)
-    assert (made.gauge, made.cloud.unit) == ("georeferenced", "m")
-    assert len(made.cameras) == 18
+    reconstruction = ColmapSfm().reconstruct(scene, tmp_path)
+    assert (reconstruction.gauge, reconstruction.cloud.unit) == ("georeferenced", "m")
+    assert len(reconstruction.cameras) == 18
     expected = enu_from_wgs84([scene.gps[name] for name in scene.images], scene.gps[scene.images[0]])
-    found = np.stack([made.cameras[name].position for name in scene.images])
-    # Consumer GPS is good to metres; along a flight it is better than that.
-    assert np.median(np.linalg.norm(found - expected, axis=1)) < 2
+    solved_positions = np.stack([reconstruction.cameras[name].position for name in scene.images])
+    # Consumer GPS is accurate to metres; relative to the other images of a flight it is better.
+    assert np.median(np.linalg.norm(solved_positions - expected, axis=1)) < 2
     # The drone looks down: it is above the points.
-    assert np.median(made.cloud.points[:, 2]) < found[:, 2].min() - 20
+    assert np.median(reconstruction.cloud.points[:, 2]) < solved_positions[:, 2].min() - 20
 
 
 def test_images_from_one_place_give_no_point(tmp_path):
     folder = tmp_path / "scene"
     (folder / "images").mkdir(parents=True)
-    whole = corner.cameras(7, K)[3]
-    picture = corner.photograph(whole)
+    camera = corner.cameras(7, K)[3]
+    photograph = corner.photograph(camera)
     cameras = []
-    for k, left in enumerate((0, 40, 80)):  # parts of one photograph, with the cameras that took them
-        part = replace(K, width=400, cx=K.cx - left)
-        cameras.append(replace(whole, name=f"{k}.png", intrinsics=part))
-        Image.fromarray(picture[:, left : left + 400]).save(folder / "images" / f"{k}.png")
+    for k, left in enumerate((0, 40, 80)):  # crops of one photograph, with their cameras
+        intrinsics = replace(K, width=400, cx=K.cx - left)
+        cameras.append(replace(camera, name=f"{k}.png", intrinsics=intrinsics))
+        Image.fromarray(photograph[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
     with check_error(ReconstructionError, masked=True):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)

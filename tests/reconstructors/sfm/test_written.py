@@ -17,7 +17,7 @@ from reconstructors.sfm.sfm import ColmapSfm
 
 import_or_skip("pycolmap")
 
-QUICK = ColmapSfm(upsample=False, features=1000)
+QUICK_SFM = ColmapSfm(upsample=False, features=1000)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def photographs(tmp_path_factory):
 def workspace(photographs, tmp_path_factory):
     """Workspace after a reconstruction."""
     folder = tmp_path_factory.mktemp("work")
-    QUICK.reconstruct(read_scene(photographs), folder)
+    QUICK_SFM.reconstruct(read_scene(photographs), folder)
     return folder
 
 
@@ -42,8 +42,8 @@ def test_a_truncated_model_is_refused(workspace, tmp_path, name):
         (model / file.name).write_bytes(file.read_bytes())
     check_written(model)
     size = (model / name).stat().st_size
-    for left in (size // 2, 8, 0):
-        os.truncate(model / name, left)
+    for length in (size // 2, 8, 0):
+        os.truncate(model / name, length)
         with check_error(ReconstructionError):
             check_written(model)
     (model / name).unlink()
@@ -51,37 +51,37 @@ def test_a_truncated_model_is_refused(workspace, tmp_path, name):
         check_written(model)
 
 
-@pytest.mark.parametrize("cut", ["features/database.db", "verified/database.db", "triangulation/0/images.bin"])
-def test_a_truncated_stage_is_recomputed(photographs, workspace, cut):
+@pytest.mark.parametrize("file_name", ["features/database.db", "verified/database.db", "triangulation/0/images.bin"])
+def test_a_truncated_stage_is_recomputed(photographs, workspace, file_name):
     scene = read_scene(photographs)
-    before = QUICK.reconstruct(scene, workspace)
-    whole = (workspace / cut).stat().st_size
-    os.truncate(workspace / cut, whole // 2)
-    again = QUICK.reconstruct(scene, workspace)
-    np.testing.assert_array_equal(again.cloud.points, before.cloud.points)
-    assert (workspace / cut).stat().st_size == whole
+    first = QUICK_SFM.reconstruct(scene, workspace)
+    size = (workspace / file_name).stat().st_size
+    os.truncate(workspace / file_name, size // 2)
+    second = QUICK_SFM.reconstruct(scene, workspace)
+    np.testing.assert_array_equal(second.cloud.points, first.cloud.points)
+    assert (workspace / file_name).stat().st_size == size
 
 
-def test_a_limit_on_files_is_an_error_and_leaves_no_stage(photographs, tmp_path):
-    """The limit applies from before COLMAP writes the model, whose file of images alone exceeds it."""
+def test_a_file_size_limit_is_an_error_and_leaves_no_stage(photographs, tmp_path):
+    """The limit is set before COLMAP writes the model, whose file of images exceeds it."""
     code = f"""
 import resource, sys
 from pathlib import Path
 from pcbench.scenes import read_scene
 from reconstructors.sfm import mapping
 from reconstructors.sfm.sfm import ColmapSfm
-triangulated = mapping._posed_model
-def limited(*arguments):  # from here on, and more than a database takes when it is opened
-    model = triangulated(*arguments)
+posed_model = mapping._posed_model
+def posed_model_with_limit(*arguments):  # sets the limit from here on; it is larger than a database at opening
+    model = posed_model(*arguments)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
     return model
 if sys.argv[1] == "limited":
-    mapping._posed_model = limited
+    mapping._posed_model = posed_model_with_limit
 ColmapSfm(upsample=False, features=1000).reconstruct(read_scene({str(photographs)!r}), Path({str(tmp_path)!r}))
 """
-    limited = subprocess.run([sys.executable, "-c", code, "limited"], capture_output=True, text=True)
-    assert limited.returncode != 0
+    process = subprocess.run([sys.executable, "-c", code, "limited"], capture_output=True, text=True)
+    assert process.returncode != 0
     assert not (tmp_path / "triangulation/stage.json").exists()
-    assert "ReconstructionError" in limited.stderr
+    assert "ReconstructionError" in process.stderr
     assert subprocess.run([sys.executable, "-c", code, "free"]).returncode == 0
     check_written(tmp_path / "triangulation/0")

@@ -11,13 +11,13 @@ def reference_engine():
     return Engine(reference, "cpu")
 
 
-def on_cpu():
+def cpu_engine():
     from reconstructors.splat import cpu
 
     return Engine(cpu, "cpu")
 
 
-def on_emulated_cuda():
+def emulated_cuda_engine():
     """The CUDA kernels and the code around them, on the CPU."""
     import_or_skip("torch")
     from cuda_emulator import EmulatedCuda
@@ -25,7 +25,7 @@ def on_emulated_cuda():
     return Engine(EmulatedCuda(), "cpu")
 
 
-def on_cuda():
+def cuda_engine():
     torch = import_or_skip("torch")
     if not torch.cuda.is_available():
         pytest.skip("torch finds no CUDA device")
@@ -34,14 +34,18 @@ def on_cuda():
     return Engine(cuda, "cuda")
 
 
-@pytest.fixture(scope="session", params=[on_cpu, on_emulated_cuda, pytest.param(on_cuda, marks=pytest.mark.gpu)])
+@pytest.fixture(
+    scope="session", params=[cpu_engine, emulated_cuda_engine, pytest.param(cuda_engine, marks=pytest.mark.gpu)]
+)
 def engine(request):
     """The kernels of each device; `pytest -m gpu` runs those of CUDA."""
     import_or_skip("torch")
     return request.param()
 
 
-@pytest.fixture(scope="session", params=[reference_engine, on_cpu, pytest.param(on_cuda, marks=pytest.mark.gpu)])
+@pytest.fixture(
+    scope="session", params=[reference_engine, cpu_engine, pytest.param(cuda_engine, marks=pytest.mark.gpu)]
+)
 def any_engine(request):
     """The same with the reference rasterizer, which must also meet closed forms."""
     import_or_skip("torch")

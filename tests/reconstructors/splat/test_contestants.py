@@ -34,8 +34,8 @@ def test_a_step_in_plain_torch_has_the_same_image_and_gradients(count, width, he
         for part in ("forward", "loss", "backward", "adam"):
             getattr(contestant, part)()
     # Both are float32; a pixel may lie on the other side of the threshold 1/255, which changes it by that much.
-    off = (ours.image - plain.image).abs()
-    assert off.mean() < 1e-6 and off.max() < 2 / 255
+    difference = (ours.image - plain.image).abs()
+    assert difference.mean() < 1e-6 and difference.max() < 2 / 255
     for name, a, b in zip(ours.gradients()._fields, ours.gradients(), plain.gradients(), strict=True):
         assert (a - b).norm() < 2e-3 * b.norm(), name
         assert b.any(), name
@@ -46,19 +46,19 @@ def test_training_runs_with_another_rasterizer():
     picture = make_picture(150, 40, 30)
     photograph = Photograph("view", picture.view, (picture.target * 255).to(torch.uint8), None)
     scores = []
-    for drawn_by in (None, render_plainly):
+    for render in (None, render_plainly):
         model = Gaussians(*(part.clone() for part in picture.parameters._replace(sh=picture.parameters.sh[:, :1])))
         training = Training(model, [[photograph]], Schedule(steps=25, sh_degree=1, downscale_shares=(0, 0)), Density())
         before = evaluate(training.model, [photograph])[0]
-        if drawn_by is not None:
-            training._rasterizer = RasterizerByAutograd(drawn_by)
+        if render is not None:
+            training._rasterizer = RasterizerByAutograd(render)
         training.run(25)
         scores.append(evaluate(training.model, [photograph])[0])
     assert scores[0] > before + 0.2
     assert scores[1] == pytest.approx(scores[0], abs=0.02)
 
 
-def test_no_step_changes_the_image():
+def test_repeated_steps_render_the_same_image():
     """All runs have to render the same image."""
     picture = make_picture(200, 40, 30)
     for contestant in (Ours(picture), PlainTorch(picture)):
@@ -82,26 +82,24 @@ def test_contributors_are_counted_at_each_pixel():
         for u in range(48):
             offset = [u + 0.5, v + 0.5] - xy
             alpha = np.minimum(opacities * np.exp(-np.einsum("ni,nij,nj->n", offset, inverse, offset) / 2), 0.99)
-            left = np.cumprod(1 - alpha[alpha >= 1 / 255])
-            counts.append((left >= 1e-4).sum())
+            transmittance = np.cumprod(1 - alpha[alpha >= 1 / 255])
+            counts.append((transmittance >= 1e-4).sum())
     assert contributors(picture) == pytest.approx(np.mean(counts), rel=1e-3)
 
 
 def test_the_bench_prints_a_row_for_each_contestant():
     command = [sys.executable, ROOT / "tests/bench/splat_raster.py"]
     options = ["--sizes", "48x32", "--counts", "300", "--threads", "1", "--runs", "1"]
-    printed = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout
+    output = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout
     assert re.search(
-        r"^48x32, 300 Gaussians: \d+ rendered, [\d,]+ tile instances, \d+ per pixel, alpha 0\.\d\d; ", printed, re.M
+        r"^48x32, 300 Gaussians: \d+ rendered, [\d,]+ tile instances, \d+ per pixel, alpha 0\.\d\d; ", output, re.M
     )
-    rows = re.findall(
-        r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){9}) +(\S+)$", printed, re.M
-    )
+    rows = re.findall(r"^ +1 widest +(pcbench|pcbench, geometry|plain torch) +((?: +\d+\.\d){9}) +(\S+)$", output, re.M)
     assert [name for name, *_ in rows] == ["pcbench", "pcbench, geometry", "plain torch"]
-    assert all(float(off) < 1e-6 for *_, off in rows)
+    assert all(float(difference) < 1e-6 for *_, difference in rows)
 
 
-BENCHES = {  # of the options that make them short, and of the rows that they print
+BENCHES = {  # options for a short run, pattern of a row, and number of rows
     "splat_train": (["--counts=300,600", "--steps=30,60", "--seeds=2"], r"pcbench +\d+ +\d+(?: +\S+ ± \S+){6} *", 3),
     "splat_clouds": (["--steps=40", "--gaussians=800", "--cases=circles, seed 11"], r".* +\d+ +\S+(?: +\S+){7}", 11),
     "splat_budget": (
@@ -117,5 +115,5 @@ BENCHES = {  # of the options that make them short, and of the rows that they pr
 def test_the_benches_of_training_print_their_rows(renderer, tmp_path, bench):
     options, row, count = BENCHES[bench]
     command = [sys.executable, ROOT / "tests" / "bench" / f"{bench}.py", "--images=32", "--size=160x96"]
-    done = subprocess.run([*command, "--folder", tmp_path, *options], check=True, capture_output=True, text=True)
-    assert len(re.findall(f"^{row}$", done.stdout, re.M)) == count, done.stdout
+    process = subprocess.run([*command, "--folder", tmp_path, *options], check=True, capture_output=True, text=True)
+    assert len(re.findall(f"^{row}$", process.stdout, re.M)) == count, process.stdout

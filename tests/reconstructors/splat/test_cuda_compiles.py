@@ -18,9 +18,9 @@ from reconstructors.splat import cuda
 from reconstructors.splat.cuda import kernels
 
 ARCHITECTURES = ("sm_80", "sm_90", "sm_120")
-EVERY = kernels.all_kernels()
+ALL_KERNELS = kernels.all_kernels()
 # The variant of each kernel with the most code: all harmonics, all images, and the state for the gradient.
-LARGEST = list({kernel.name: kernel for kernel in EVERY}.values())
+LARGEST_VARIANTS = list({kernel.name: kernel for kernel in ALL_KERNELS}.values())
 
 
 @pytest.fixture
@@ -33,24 +33,24 @@ def nvrtc(monkeypatch, tmp_path):
     return nvrtc
 
 
-def assert_is_code_of(cubin, kernel):
+def assert_code_of(cubin, kernel):
     assert cubin[:4] == b"\x7fELF" and int.from_bytes(cubin[18:20], "little") == 190  # of the machine CUDA
     assert f".text.{kernel.name}\0".encode() in cubin
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-@pytest.mark.parametrize("kernel", LARGEST, ids=lambda kernel: kernel.name)
+@pytest.mark.parametrize("kernel", LARGEST_VARIANTS, ids=lambda kernel: kernel.name)
 def test_every_kernel_compiles(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
+    assert_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize(
-    "kernel", EVERY, ids=lambda kernel: "-".join([kernel.name, *(str(n) for _, n in kernel.constants)])
+    "kernel", ALL_KERNELS, ids=lambda kernel: "-".join([kernel.name, *(str(n) for _, n in kernel.constants)])
 )
 def test_every_kernel_compiles_with_all_of_its_constants(nvrtc, kernel, architecture):
-    assert_is_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
+    assert_code_of(nvrtc.compile_kernel(kernel, architecture), kernel)
 
 
 def test_compiled_kernels_are_cached(nvrtc, monkeypatch, tmp_path):
@@ -59,13 +59,13 @@ def test_compiled_kernels_are_cached(nvrtc, monkeypatch, tmp_path):
     (file,) = (tmp_path / "pcbench").iterdir()
     assert file.read_bytes() == cubin
 
-    def refuse(*_):
+    def fail(*_):
         raise AssertionError("compiled again")
 
     from cuda import core
 
-    with monkeypatch.context() as patched:
-        patched.setattr(core, "Program", refuse)
+    with monkeypatch.context() as patch:
+        patch.setattr(core, "Program", fail)
         assert nvrtc.compile_kernel(kernel, "sm_90") == cubin
         for other, architecture in [(kernel, "sm_80"), (replace(kernel, threads=64), "sm_90")]:
             with pytest.raises(RuntimeError, match=r"compiled again|does not compile"):
@@ -75,7 +75,7 @@ def test_compiled_kernels_are_cached(nvrtc, monkeypatch, tmp_path):
 def test_a_cache_folder_that_is_not_writable_is_ignored(nvrtc, monkeypatch, tmp_path):
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert_is_code_of(nvrtc.compile_kernel(kernels.compact(), "sm_90"), kernels.compact())
+    assert_code_of(nvrtc.compile_kernel(kernels.compact(), "sm_90"), kernels.compact())
 
 
 def test_a_compilation_error_has_the_log(nvrtc, tmp_path):
@@ -101,8 +101,8 @@ class Driver:
         assert callable(self.core.ObjectCode.from_cubin(cubin).get_kernel)
 
         def kernel(name):
-            called = (kernel for kernel in EVERY if kernel.name == name)
-            return next(kernel for kernel in called if self.nvrtc.compile_kernel(kernel, "sm_90") == cubin)
+            variants = (kernel for kernel in ALL_KERNELS if kernel.name == name)
+            return next(kernel for kernel in variants if self.nvrtc.compile_kernel(kernel, "sm_90") == cubin)
 
         return SimpleNamespace(get_kernel=kernel)
 
@@ -113,7 +113,7 @@ class Driver:
         self.emulator.run(kernel, shape.grid[0], holder.ptr)
 
 
-def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
+def test_the_driver_gets_arguments_in_the_layout_of_the_kernels(nvrtc, monkeypatch):
     """Tests the launcher and cuda.core's argument packing; the emulator runs the kernels instead of a GPU."""
     torch = import_or_skip("torch")
     from contextlib import nullcontext
@@ -143,17 +143,17 @@ def test_arguments_reach_the_driver_as_kernels_take_them(nvrtc, monkeypatch):
         assert all(torch.equal(*pair) for pair in zip(*parts, strict=True))
     assert all(np.array_equal(*pair) for pair in zip(*passes, strict=True))
     assert driver.streams == {1}  # the driver's handle of the default stream
-    assert set(driver.emulator.launched) == {kernel.name for kernel in EVERY}
+    assert set(driver.emulator.launched) == {kernel.name for kernel in ALL_KERNELS}
 
 
-def outcome(code):
+def run_code(code):
     """Return what a fresh interpreter prints."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ)
+    assert process.returncode == 0, process.stderr
+    return process.stdout.strip()
 
 
-COMPILE = """
+COMPILE_SCRIPT = """
 from pcbench.errors import MissingExtra
 from reconstructors.splat.cuda import kernels, nvrtc
 try:
@@ -164,18 +164,21 @@ except MissingExtra as error:
 
 
 def test_importing_needs_neither_torch_nor_cuda():
-    without = "import sys; sys.modules['torch'] = sys.modules['cuda'] = None\n"
-    assert outcome(without + "from reconstructors.splat.cuda import Rasterizer") == ""
-    assert outcome(without + COMPILE).startswith("cuda-core is needed for this")
+    block_imports = "import sys; sys.modules['torch'] = sys.modules['cuda'] = None\n"
+    assert run_code(block_imports + "from reconstructors.splat.cuda import Rasterizer") == ""
+    assert run_code(block_imports + COMPILE_SCRIPT).startswith("cuda-core is needed for this")
 
 
 def test_without_nvrtc_the_extra_is_named(nvrtc):
-    break_it = """
+    break_nvrtc = """
 from cuda.bindings import nvrtc
 def fail(): raise RuntimeError("no libnvrtc.so\\nanywhere")
 nvrtc.nvrtcVersion = fail
 """
-    assert outcome(break_it + COMPILE) == "NVRTC is needed for this (no libnvrtc.so): pip install 'pcbench[cuda]'"
+    assert (
+        run_code(break_nvrtc + COMPILE_SCRIPT)
+        == "NVRTC is needed for this (no libnvrtc.so): pip install 'pcbench[cuda]'"
+    )
 
 
 def test_cpu_tensors_are_refused():

@@ -41,7 +41,7 @@ def training_step(engine, scene):
     }
 
 
-def emulated(order, seed, emulator=Emulator):
+def emulated_engine(order, seed, emulator=Emulator):
     return Engine(EmulatedCuda(order, seed, emulator), "cpu")
 
 
@@ -51,7 +51,7 @@ def assert_same_bits(ours, theirs, context):
 
 
 # Several batches of splats per tile, rays that end, splats across the image, and an image of several tiles.
-ORDERED = [
+ORDER_SCENES = [
     pytest.param(make_scene(huge_gaussians), id="huge"),
     pytest.param(make_scene(opaque_gaussians), id="opaque"),
     pytest.param(make_scene(crowd), id="crowd", marks=pytest.mark.slow),
@@ -63,18 +63,18 @@ ORDERED = [
 ]
 
 
-@pytest.mark.parametrize("scene", ORDERED)
+@pytest.mark.parametrize("scene", ORDER_SCENES)
 def test_every_order_gives_the_same_bits(scene):
     """Memory is filled with NaN, so reading shared or device memory before it is written would give NaN."""
     with nan_filled_memory():
-        results = [training_step(emulated(*order), scene) for order in ORDERS]
+        results = [training_step(emulated_engine(*order), scene) for order in ORDERS]
     for order, result in zip(ORDERS[1:], results[1:], strict=True):
         assert_same_bits(result, results[0], order)
     assert all(np.isfinite(array).all() for array in results[0].values())
 
 
 def test_all_kernels_are_run():
-    engine = emulated("forward", 0)
+    engine = emulated_engine("forward", 0)
     training_step(engine, make_scene(huge_gaussians))
     engine.kernels.morton_order(torch.zeros(3, 3))
     assert set(engine.kernels.emulator.launched) == {kernel.name for kernel in kernels.all_kernels()}
@@ -88,8 +88,8 @@ class Mutant(Emulator):
     def launch(self, kernel, blocks, *arguments):
         if kernel.name == self.kernel:
             parts = kernel.source.split("__syncthreads();")
-            kept = "__syncthreads();".join(parts[: self.barrier + 1])
-            source = kept + "__syncthreads();".join(parts[self.barrier + 1 :])
+            head = "__syncthreads();".join(parts[: self.barrier + 1])
+            source = head + "__syncthreads();".join(parts[self.barrier + 1 :])
             kernel = Source(kernel.name, kernel.threads, source)
         super().launch(kernel, blocks, *arguments)
 
@@ -115,7 +115,7 @@ def test_a_missing_barrier_is_detected(kernel, barrier):
     results = []
     for order in ORDERS:
         with nan_filled_memory():
-            engine = emulated(*order, mutant)
+            engine = emulated_engine(*order, mutant)
             if kernel == "blend":
                 results.append(run_pass(engine, make_scene(scattered_cloud)).images["color"])
             else:
@@ -130,7 +130,7 @@ def test_images_equal_the_cpus_bit_for_bit(kind):
     scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     ours, theirs = (
-        run_pass(emulated("forward", 0), scene, image_gradients),
+        run_pass(emulated_engine("forward", 0), scene, image_gradients),
         run_pass(Engine(cpu, "cpu"), scene, image_gradients),
     )
     assert_same_bits(ours.images, theirs.images, kind.__name__)
@@ -144,19 +144,19 @@ def test_adam_steps_equal_the_cpus_bit_for_bit(rates):
     rng = np.random.default_rng(6)
     ids, gradient = torch.arange(0, 40, 3), torch.from_numpy(rng.normal(size=(14, 7)).astype(np.float32))
     results = []
-    for kernels_of in (emulated("forward", 0).kernels, cpu):
+    for device_kernels in (emulated_engine("forward", 0).kernels, cpu):
         results.append([torch.ones(40, 7), torch.zeros(40, 7), torch.zeros(40, 7)])
         for step in (1, 2, 3):
-            kernels_of.adam(*results[-1], gradient / step, ids, rates, step)
+            device_kernels.adam(*results[-1], gradient / step, ids, rates, step)
     assert all(torch.equal(*pair) for pair in zip(*results, strict=True))
 
 
 def test_without_gradient_nothing_is_stored_for_the_backward_pass():
     scene = make_scene(scattered_cloud)
-    engine = emulated("forward", 0)
+    engine = emulated_engine("forward", 0)
     rasterizer = engine.kernels.Rasterizer()
-    rasterizer.forward = lambda *given, forward=rasterizer.forward, **options: forward(
-        *given, **options, gradient=False
+    rasterizer.forward = lambda *arguments, forward=rasterizer.forward, **options: forward(
+        *arguments, **options, gradient=False
     )
     assert_same_bits(run_pass(engine, scene, None, rasterizer).images, run_pass(engine, scene).images, "")
     with pytest.raises(AssertionError, match="forward pass"):
@@ -167,20 +167,20 @@ def test_the_morton_order_sorts_interleaved_bits():
     rng = np.random.default_rng(7)
     points = rng.normal(size=(200, 3)).astype(np.float32)
     points[50:60] = points[40:50]
-    least, size = points.min(axis=0), (points.max(axis=0) - points.min(axis=0)).max()
-    cells = np.minimum((points - least) * (np.float32(2**21) / size), np.float32(2**21 - 1)).astype(np.int64)
+    minimum, size = points.min(axis=0), (points.max(axis=0) - points.min(axis=0)).max()
+    cells = np.minimum((points - minimum) * (np.float32(2**21) / size), np.float32(2**21 - 1)).astype(np.int64)
     bits = (cells[:, :, None] >> np.arange(21)) & 1
     codes = (bits << (3 * np.arange(21) + np.arange(3)[:, None])).sum(axis=(1, 2))
-    order = emulated("forward", 0).kernels.morton_order(torch.from_numpy(points)).numpy()
+    order = emulated_engine("forward", 0).kernels.morton_order(torch.from_numpy(points)).numpy()
     np.testing.assert_array_equal(order, np.argsort(codes, kind="stable"))
 
 
 def test_the_morton_order_of_equal_points_and_of_none():
-    kernels_of = emulated("forward", 0).kernels
-    assert kernels_of.morton_order(torch.ones(5, 3)).tolist() == [0, 1, 2, 3, 4]
-    assert kernels_of.morton_order(torch.zeros(0, 3)).tolist() == []
+    device_kernels = emulated_engine("forward", 0).kernels
+    assert device_kernels.morton_order(torch.ones(5, 3)).tolist() == [0, 1, 2, 3, 4]
+    assert device_kernels.morton_order(torch.zeros(0, 3)).tolist() == []
     line = [[3.0, 0, 0], [1, 0, 0], [2, 0, 0]]
-    assert kernels_of.morton_order(torch.tensor(line)).tolist() == [1, 2, 0]
+    assert device_kernels.morton_order(torch.tensor(line)).tolist() == [1, 2, 0]
 
 
 def test_constants_are_part_of_the_source():

@@ -28,7 +28,7 @@ def gpu():
 
 
 @pytest.fixture(scope="module")
-def emulated():
+def emulator():
     from cuda_emulator import EmulatedCuda
 
     return Engine(EmulatedCuda(), "cpu")
@@ -41,26 +41,26 @@ def cpu():
     return Engine(cpu, "cpu")
 
 
-def city(count=100_000, width=480, height=270):
+def large_scene(count=100_000, width=480, height=270):
     """A scene of the size of a training step: about 20 Gaussians at each pixel."""
     return scattered_cloud(np.random.default_rng(11), count, width, height, size=0.012)
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_a_pass_equals_the_emulators_bit_for_bit(gpu, emulated, kind):
+def test_a_pass_equals_the_emulators_bit_for_bit(gpu, emulator, kind):
     """Each operation is rounded by IEEE 754, nothing is contracted, and the order of each sum is fixed."""
     scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     for geometry in (True, False):
-        given = image_gradients if geometry else image_gradients._replace(depth=None, normal=None)
-        ours, theirs = (run_pass(engine, scene, given, geometry=geometry) for engine in (gpu, emulated))
+        pass_gradients = image_gradients if geometry else image_gradients._replace(depth=None, normal=None)
+        ours, theirs = (run_pass(engine, scene, pass_gradients, geometry=geometry) for engine in (gpu, emulator))
         for name, array in theirs.arrays().items():
             np.testing.assert_array_equal(ours.arrays()[name], array, err_msg=name)
 
 
 def test_a_large_pass_equals_the_cpus(gpu, cpu):
     """Images are equal bit for bit; gradients are summed in another order."""
-    scene = city()
+    scene = large_scene()
     image_gradients = random_image_gradients(scene)
     ours, theirs = run_pass(gpu, scene, image_gradients), run_pass(cpu, scene, image_gradients)
     for name, image in theirs.images.items():
@@ -72,26 +72,26 @@ def test_a_large_pass_equals_the_cpus(gpu, cpu):
 
 
 def test_repeated_passes_give_the_same_bits(gpu):
-    scene = city()
-    image_gradients, used = random_image_gradients(scene), gpu.kernels.Rasterizer()
-    first = run_pass(gpu, scene, image_gradients, used).arrays()
+    scene = large_scene()
+    image_gradients, rasterizer = random_image_gradients(scene), gpu.kernels.Rasterizer()
+    first = run_pass(gpu, scene, image_gradients, rasterizer).arrays()
     for _ in range(5):
-        for name, array in run_pass(gpu, scene, image_gradients, used).arrays().items():
+        for name, array in run_pass(gpu, scene, image_gradients, rasterizer).arrays().items():
             np.testing.assert_array_equal(array, first[name], err_msg=name)
 
 
 @pytest.mark.parametrize("height, width", [(1, 1), (37, 50), (270, 480)])
-def test_the_loss_equals_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulated, height, width):
+def test_the_loss_equals_that_of_the_cpu_and_of_the_emulator(gpu, cpu, emulator, height, width):
     rng = np.random.default_rng(4)
     image, target = (rng.random((height, width, 3), dtype=np.float32) for _ in range(2))
-    ours, theirs, same = (
-        engine.kernels.image_loss(engine.tensor(image), engine.tensor(target), 0.2) for engine in (gpu, cpu, emulated)
+    ours, theirs, emulator_loss = (
+        engine.kernels.image_loss(engine.tensor(image), engine.tensor(target), 0.2) for engine in (gpu, cpu, emulator)
     )
     assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)
     assert float(ours.ssim) == pytest.approx(float(theirs.ssim), abs=1e-5)
     size = float(theirs.gradient.abs().max())
     torch.testing.assert_close(ours.gradient.cpu(), theirs.gradient, rtol=0, atol=1e-4 * size)
-    assert torch.equal(ours.gradient.cpu(), same.gradient)
+    assert torch.equal(ours.gradient.cpu(), emulator_loss.gradient)
 
 
 @pytest.mark.parametrize("rates", [0.01, torch.linspace(0.001, 0.1, 48)], ids=["one", "each"])
@@ -109,9 +109,9 @@ def test_adam_equals_the_cpus(gpu, cpu, rates):
         assert torch.equal(ours, theirs)
 
 
-def test_the_morton_order_equals_the_emulators(gpu, emulated):
+def test_the_morton_order_equals_the_emulators(gpu, emulator):
     points = np.random.default_rng(7).normal(size=(10_000, 3)).astype(np.float32)
-    orders = [engine.kernels.morton_order(engine.tensor(points)).cpu() for engine in (gpu, emulated)]
+    orders = [engine.kernels.morton_order(engine.tensor(points)).cpu() for engine in (gpu, emulator)]
     assert torch.equal(*orders)
 
 
@@ -123,12 +123,14 @@ def test_kernels_run_on_the_current_stream(gpu):
     expected = gpu.kernels.Rasterizer().forward(gaussians, view, background, geometry=True)
     torch.cuda.synchronize()
     with torch.cuda.stream(torch.cuda.Stream()):
-        late = torch.zeros_like(gaussians.scales)
+        late_scales = torch.zeros_like(gaussians.scales)
         torch.cuda._sleep(200_000_000)  # about a tenth of a second
-        late.copy_(gaussians.scales)
-        drawn = gpu.kernels.Rasterizer().forward(gaussians._replace(scales=late), view, background, geometry=True)
+        late_scales.copy_(gaussians.scales)
+        images = gpu.kernels.Rasterizer().forward(
+            gaussians._replace(scales=late_scales), view, background, geometry=True
+        )
     torch.cuda.synchronize()
-    for ours, theirs in zip(drawn, expected, strict=True):
+    for ours, theirs in zip(images, expected, strict=True):
         assert torch.equal(ours, theirs)
 
 
@@ -137,9 +139,9 @@ def test_gradients_reach_the_leaves_through_autograd(gpu):
     scene = make_scene(scattered_cloud)
     results = []
     for device in ("cuda", "cpu"):
-        given = [torch.from_numpy(array).to(device).requires_grad_() for array in scene.arrays]
-        rendering = rasterize(*given, scene.camera)
+        tensors = [torch.from_numpy(array).to(device).requires_grad_() for array in scene.arrays]
+        rendering = rasterize(*tensors, scene.camera)
         (rendering.color.square().sum() + rendering.depth.sum()).backward()
-        results.append([tensor.grad.cpu() for tensor in given])
+        results.append([tensor.grad.cpu() for tensor in tensors])
     for ours, theirs in zip(*results, strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5 * float(theirs.abs().max()))

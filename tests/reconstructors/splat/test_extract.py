@@ -22,16 +22,20 @@ PIXELS, FOCAL, DISTANCE = 48, 6000.0, 400.0  # far away, so that the projection 
 FOOTPRINT = DISTANCE / FOCAL
 
 
-def around(count=6, distance=DISTANCE, tilt_deg=35.0, target=(0.0, 0.0, 0.0)):
+def cameras_on_circle(count=6, distance=DISTANCE, tilt_deg=35.0, target=(0.0, 0.0, 0.0)):
     """Return cameras on a circle that look down at a target, by name."""
     k = Intrinsics(PIXELS, PIXELS - 8, FOCAL, FOCAL, 0.47 * PIXELS, 0.4 * PIXELS)
-    tilt, turns = np.radians(tilt_deg), 2 * np.pi * np.arange(count) / count
-    away = np.stack([np.sin(tilt) * np.cos(turns), np.sin(tilt) * np.sin(turns), np.full(count, np.cos(tilt))], axis=1)
+    tilt, azimuths = np.radians(tilt_deg), 2 * np.pi * np.arange(count) / count
+    directions = np.stack(
+        [np.sin(tilt) * np.cos(azimuths), np.sin(tilt) * np.sin(azimuths), np.full(count, np.cos(tilt))], axis=1
+    )
     names = [f"{number}.png" for number in range(count)]
-    return {name: Camera(name, k, look_at(target + distance * a, target)) for name, a in zip(names, away, strict=True)}
+    return {
+        name: Camera(name, k, look_at(target + distance * a, target)) for name, a in zip(names, directions, strict=True)
+    }
 
 
-def discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
+def make_discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
     """Return flat round Gaussians on a surface, in the world's frame."""
     w = 1 + normals[:, 2]  # of the rotation from +z to the normal
     quats = np.stack([w, -normals[:, 1], normals[:, 0], np.zeros(len(w))], axis=1)
@@ -41,20 +45,20 @@ def discs(points, normals, size, color=(0.2, 0.5, 0.8), opacity=0.95):
     return Gaussians(*(torch.from_numpy(a.astype(np.float32)) for a in (points, quats, scales, logits, sh)))
 
 
-def plane(half=3.0, spacing=0.5, size=1.0):
+def make_plane(half=3.0, spacing=0.5, size=1.0):
     """The plane z = 0, tilted by 35 degrees in each of the cameras."""
     grid = np.arange(-half, half, spacing) + spacing / 2
     points = np.stack([*(a.ravel() for a in np.meshgrid(grid, grid)), np.zeros(len(grid) ** 2)], axis=1)
-    return discs(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), size)
+    return make_discs(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), size)
 
 
 WORLD = LocalFrame(np.zeros(3), 1.0)
 
 
-def test_a_plane_of_flat_gaussians_is_that_plane():
+def test_flat_gaussians_on_a_plane_yield_that_plane():
     """Half a pixel is 0.3 footprints of height at this tilt. The remaining error comes from the dilation of 0.3 square
     pixels: it flattens the slope in depth, 0.7, by 0.3 over the square of 12 pixels, up to 36 pixels from a mean."""
-    cloud = surface(plane(), WORLD, around())
+    cloud = surface(make_plane(), WORLD, cameras_on_circle())
     heights = cloud.points[:, 2] / FOOTPRINT
     assert len(cloud) > 1000
     assert np.abs(heights).max() < 0.7 * (0.3 / 12**2) * 36 + 0.02
@@ -64,108 +68,112 @@ def test_a_plane_of_flat_gaussians_is_that_plane():
     assert cloud.attributes["confidence"].min() > 0.5
 
 
-def test_a_sphere_of_gaussians_is_that_sphere_and_normals_point_outwards():
+def test_gaussians_on_a_sphere_yield_that_sphere_with_outward_normals():
     rng = np.random.default_rng(5)
     normals = rng.normal(size=(2500, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals[normals[:, 2] > -0.9]
-    cloud = surface(discs(normals, normals, 0.1), WORLD, around(10, tilt_deg=50))
+    cloud = surface(make_discs(normals, normals, 0.1), WORLD, cameras_on_circle(10, tilt_deg=50))
     radii = np.linalg.norm(cloud.points, axis=1)
-    out = cloud.points / radii[:, None]
-    tangent = (3 * 0.1) ** 2 / 2  # distance of a tangent disc from the sphere at three standard deviations
-    assert 0 < np.median(radii) - 1 < tangent
-    assert np.percentile(np.abs(radii - 1), 95) < tangent + 0.5 * FOOTPRINT
-    assert np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", out, cloud.normals), -1, 1))).max() < 30
+    outward = cloud.points / radii[:, None]
+    tangent_distance = (3 * 0.1) ** 2 / 2  # distance of a tangent disc from the sphere at three standard deviations
+    assert 0 < np.median(radii) - 1 < tangent_distance
+    assert np.percentile(np.abs(radii - 1), 95) < tangent_distance + 0.5 * FOOTPRINT
+    assert np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", outward, cloud.normals), -1, 1))).max() < 30
     assert np.percentile(cloud.points[:, 2], 1) < 0.1  # below the equator too
 
 
 def test_the_surface_does_not_depend_on_the_local_frame():
     """In projected coordinates and with another unit."""
-    model, cameras = plane(half=1.5), around()
+    model, cameras = make_plane(half=1.5), cameras_on_circle()
     expected = surface(model, WORLD, cameras)
     origin, unit = np.array([448_262.0, 5_411_932.0, 120.0]), 50.0
-    placed = {}
+    world_cameras = {}
     for name, camera in cameras.items():
-        turn, position = camera.cam_from_world.rotation, origin + unit * camera.position
-        placed[name] = replace(camera, cam_from_world=replace(camera.cam_from_world, translation=-turn @ position))
-    found = surface(model, LocalFrame(origin, unit), placed)
-    assert len(found) == pytest.approx(len(expected), rel=0.01)
-    assert found.points[:, 2].mean() == pytest.approx(120.0, abs=unit * 0.05 * FOOTPRINT)
-    assert np.abs((found.points.min(axis=0) - origin) / unit - expected.points.min(axis=0)).max() < FOOTPRINT
+        rotation, position = camera.cam_from_world.rotation, origin + unit * camera.position
+        world_cameras[name] = replace(
+            camera, cam_from_world=replace(camera.cam_from_world, translation=-rotation @ position)
+        )
+    cloud = surface(model, LocalFrame(origin, unit), world_cameras)
+    assert len(cloud) == pytest.approx(len(expected), rel=0.01)
+    assert cloud.points[:, 2].mean() == pytest.approx(120.0, abs=unit * 0.05 * FOOTPRINT)
+    assert np.abs((cloud.points.min(axis=0) - origin) / unit - expected.points.min(axis=0)).max() < FOOTPRINT
 
 
 def test_surface_that_too_few_images_see_is_left_out():
     """Two of six cameras see another part of the plane."""
-    aside = np.array([20.0, 0.0, 0.0])
-    model = plane()
+    far_target = np.array([20.0, 0.0, 0.0])
+    model = make_plane()
     model = model.concatenate(replace(model, means=model.means + torch.tensor([20.0, 0.0, 0.0])))
-    there = {f"there {name}": camera for name, camera in list(around(target=aside).items())[:2]}
-    cloud = surface(model, WORLD, around(4) | there)
+    far_cameras = {f"there {name}": camera for name, camera in list(cameras_on_circle(target=far_target).items())[:2]}
+    cloud = surface(model, WORLD, cameras_on_circle(4) | far_cameras)
     assert cloud.points[:, 0].max() < 3
-    third = {f"third {name}": camera for name, camera in list(around(target=aside).items())[2:3]}
-    assert surface(model, WORLD, around(4) | there | third).points[:, 0].max() > 19
+    third_camera = {f"third {name}": camera for name, camera in list(cameras_on_circle(target=far_target).items())[2:3]}
+    assert surface(model, WORLD, cameras_on_circle(4) | far_cameras | third_camera).points[:, 0].max() > 19
 
 
 def test_a_gaussian_in_front_of_one_camera_only_is_no_surface():
-    model, cameras = plane(), around()
+    model, cameras = make_plane(), cameras_on_circle()
     position = next(iter(cameras.values())).position * 0.9
-    floater = discs(position[None], (position / np.linalg.norm(position))[None], 0.2)
+    floater = make_discs(position[None], (position / np.linalg.norm(position))[None], 0.2)
     cloud = surface(model.concatenate(floater), WORLD, cameras)
     assert cloud.points[:, 2].max() < 0.1 * FOOTPRINT
 
 
-def test_the_voxel_sets_the_spacing():
-    few, many = (surface(plane(), WORLD, around(), voxel=side) for side in (0.4, 0.1))
-    assert 8 < len(many) / len(few) < 22
+def test_the_voxel_size_sets_the_spacing():
+    coarse_cloud, fine_cloud = (surface(make_plane(), WORLD, cameras_on_circle(), voxel=side) for side in (0.4, 0.1))
+    assert 8 < len(fine_cloud) / len(coarse_cloud) < 22
     with check_error():
-        surface(plane(), WORLD, around(), voxel=0.0)
+        surface(make_plane(), WORLD, cameras_on_circle(), voxel=0.0)
 
 
-def test_surface_that_all_of_few_cameras_see_is_certain():
+def test_surface_that_all_of_three_cameras_see_is_kept():
     """Three cameras that agree are few of six, but all of three."""
-    assert len(surface(plane(), WORLD, around(3))) > 0.7 * len(surface(plane(), WORLD, around(6)))
+    assert len(surface(make_plane(), WORLD, cameras_on_circle(3))) > 0.7 * len(
+        surface(make_plane(), WORLD, cameras_on_circle(6))
+    )
 
 
 def test_no_surface_is_an_error():
-    cameras = around()
+    cameras = cameras_on_circle()
     with check_error():
-        surface(plane(), WORLD, dict(list(cameras.items())[:2]))
-    faint = replace(plane(), logits=torch.full_like(plane().logits, -9.0))
+        surface(make_plane(), WORLD, dict(list(cameras.items())[:2]))
+    faint_model = replace(make_plane(), logits=torch.full_like(make_plane().logits, -9.0))
     with check_error(ReconstructionError):
-        surface(faint, WORLD, cameras)
+        surface(faint_model, WORLD, cameras)
     with check_error(ReconstructionError):
-        surface(plane(), WORLD, cameras, criteria=replace(SURFACE_CRITERIA, views=6, depth=1e-12))
+        surface(make_plane(), WORLD, cameras, criteria=replace(SURFACE_CRITERIA, views=6, depth=1e-12))
 
 
 def test_a_small_cache_of_maps_gives_the_same_cloud(monkeypatch):
-    expected = surface(plane(), WORLD, around())
+    expected = surface(make_plane(), WORLD, cameras_on_circle())
     monkeypatch.setattr(depths_module, "_CACHE_BYTES", 0)
-    depths = RenderedMaps(plane(), WORLD, around(20), 12)
-    find_overlap(plane(), depths, 12)
+    depths = RenderedMaps(make_plane(), WORLD, cameras_on_circle(20), 12)
+    find_overlap(make_plane(), depths, 12)
     assert depths.of.cache_info().currsize == 13
-    assert np.array_equal(surface(plane(), WORLD, around()).points, expected.points)
+    assert np.array_equal(surface(make_plane(), WORLD, cameras_on_circle()).points, expected.points)
 
 
 def test_points_are_averaged_by_weight_and_coarse_ones_only_fill_gaps():
-    def points(*rows, views=3):
+    def make_points(*rows, views=3):
         n = len(rows)
         up = np.tile([0.0, 0.0, 1.0], (n, 1))
         return Points(np.array(rows, float), up, np.full((n, 3), 10.0), np.ones(n), np.full(n, views))
 
     voxels = Voxels(1.0)
-    voxels.add(points((0.2, 0.5, 0.5), (0.6, 0.5, 0.5)), np.array([3.0, 1.0]), np.zeros(2))
-    voxels.add(points((0.4, 0.5, 0.5), views=5), np.array([1e-9]), np.zeros(1))
-    coarse = points((1.5, 0.5, 0.5), (1.4, 0.5, 0.5), (-1.5, 0.5, 0.5), (-1.3, 0.5, 0.5))
-    voxels.add(coarse, np.ones(4), np.full(4, 1.7))
-    found = voxels.fuse()
+    voxels.add(make_points((0.2, 0.5, 0.5), (0.6, 0.5, 0.5)), np.array([3.0, 1.0]), np.zeros(2))
+    voxels.add(make_points((0.4, 0.5, 0.5), views=5), np.array([1e-9]), np.zeros(1))
+    coarse_points = make_points((1.5, 0.5, 0.5), (1.4, 0.5, 0.5), (-1.5, 0.5, 0.5), (-1.3, 0.5, 0.5))
+    voxels.add(coarse_points, np.ones(4), np.full(4, 1.7))
+    fused_points = voxels.fuse()
     # The points at 1.5 and 1.4 are in the cell of two units that has a finer point.
-    assert np.allclose(found.points, [[0.3, 0.5, 0.5], [-1.4, 0.5, 0.5]])
-    assert found.views.tolist() == [5, 3] and np.allclose(found.normals, [0, 0, 1])
+    assert np.allclose(fused_points.points, [[0.3, 0.5, 0.5], [-1.4, 0.5, 0.5]])
+    assert fused_points.views.tolist() == [5, 3] and np.allclose(fused_points.normals, [0, 0, 1])
 
 
 def test_means_are_those_of_the_gaussians():
     frame = LocalFrame(np.array([500_000.0, 5_000_000.0, 100.0]), 10.0)
-    model = plane(half=2.5)
+    model = make_plane(half=2.5)
     cloud = means(model, frame)
     assert np.allclose(cloud.points, frame.to_world(model.means.numpy()))
     assert np.allclose(np.abs(cloud.normals), [0, 0, 1], atol=1e-6)
@@ -174,7 +182,7 @@ def test_means_are_those_of_the_gaussians():
 
 
 def test_means_are_filtered_by_opacity_and_size():
-    model = plane(half=2.5)
+    model = make_plane(half=2.5)
     logits, log_scales = model.logits.clone(), model.log_scales.clone()
     logits[:10] = -2.0
     log_scales[5:20, 1] = 1.0  # e

@@ -15,41 +15,41 @@ from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
-def budget(gaussians, *psnr, degree=2):
+def make_budget(gaussians, *psnr, degree=2):
     return Budget(gaussians, degree, psnr, 1.0)
 
 
-def test_a_loss_is_the_mean_over_the_blocks_without_their_common_part():
-    hard, easy = 20.0, 35.0
-    loss = PsnrLoss.of(budget(100, hard - 0.1, easy - 0.3), budget(200, hard, easy))
+def test_a_loss_is_the_mean_difference_over_the_blocks():
+    hard_psnr, easy_psnr = 20.0, 35.0
+    loss = PsnrLoss.of(make_budget(100, hard_psnr - 0.1, easy_psnr - 0.3), make_budget(200, hard_psnr, easy_psnr))
     assert loss.mean == pytest.approx(0.2)
     assert loss.error == pytest.approx(np.std([0.1, 0.3], ddof=1) / np.sqrt(2))
 
 
 def test_the_smallest_within_one_standard_error_is_selected():
-    best = budget(800, 30.0, 20.0, 25.0)
-    within = budget(200, 30.1, 19.8, 24.9)  # 0.067 less, standard error 0.088
-    less = budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each block: standard error 0
-    assert select_budget([best, within, less]) == 1
-    assert select_budget([best, less]) == 0
+    best = make_budget(800, 30.0, 20.0, 25.0)
+    equivalent = make_budget(200, 30.1, 19.8, 24.9)  # 0.067 less, standard error 0.088
+    worse = make_budget(100, 29.9, 19.9, 24.9)  # 0.1 less in each block: standard error 0
+    assert select_budget([best, equivalent, worse]) == 1
+    assert select_budget([best, worse]) == 0
     # The same number with spherical harmonics of a lower degree is smaller.
-    assert select_budget([best, within, less, within._replace(degree=0)]) == 3
-    assert "800 Gaussians" in check_text(Curve((best, less)).sentence)
+    assert select_budget([best, equivalent, worse, equivalent._replace(degree=0)]) == 3
+    assert "800 Gaussians" in check_text(Curve((best, worse)).sentence)
     check_text(Curve((best,)).sentence)
-    assert check_text(Curve((best, within, less)).sentence).startswith(
+    assert check_text(Curve((best, equivalent, worse)).sentence).startswith(
         "200 Gaussians with spherical harmonics of degree 2 "
     )
-    assert "24.93 dB" in Curve((best, within, less)).sentence
+    assert "24.93 dB" in Curve((best, equivalent, worse)).sentence
 
 
-def test_a_curve_is_read_as_written(tmp_path):
-    curve = Curve((budget(800, 30.0, 20.0), budget(400, 29.123456789, 19.0, degree=1)))
+def test_a_curve_is_read_back_unchanged(tmp_path):
+    curve = Curve((make_budget(800, 30.0, 20.0), make_budget(400, 29.123456789, 19.0, degree=1)))
     curve.write(tmp_path / "curve.csv")
     assert Curve.read(tmp_path / "curve.csv") == curve
     assert (tmp_path / "curve.csv").read_text().splitlines()[0].startswith("gaussians,degree,step_cpu_ms,bytes,psnr_db")
 
 
-def copies(model, count):
+def duplicate_gaussians(model, count):
     """Return each Gaussian `count` times with noise in the position: more than are needed."""
     parts = [part.repeat_interleave(count, dim=0) for part in vars(model).values()]
     parts[0] = parts[0] + torch.from_numpy(np.random.default_rng(1).normal(0, 0.05, parts[0].shape).astype(np.float32))
@@ -59,8 +59,13 @@ def copies(model, count):
 def new_training(steps=120):
     model, pictures = truth()
     density = Parsimonious([pictures[0:1], pictures[4:5]])
-    rest = [pictures[k] for k in (1, 2, 3, 5, 6, 7)]
-    return Training(copies(grey(model), 8), rest, Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0)), density)
+    training_pictures = [pictures[k] for k in (1, 2, 3, 5, 6, 7)]
+    return Training(
+        duplicate_gaussians(grey(model), 8),
+        training_pictures,
+        Schedule(steps=steps, sh_degree=1, downscale_shares=(0, 0)),
+        density,
+    )
 
 
 def test_the_selected_model_is_trained_on_all_photographs():
@@ -75,17 +80,19 @@ def test_the_selected_model_is_trained_on_all_photographs():
 
 
 def test_each_budget_has_the_same_number_of_steps():
-    training, seen = new_training(), []
+    training, records = new_training(), []
 
-    def on_step(now):
-        if now.density.curve is None:
-            seen.append((now.step, len(now.model), now.model.degree))
+    def on_step(state):
+        if state.density.curve is None:
+            records.append((state.step, len(state.model), state.model.degree))
 
     training.run(120, on_step)
     curve = training.density.curve
     # After half of the steps each model has the same ten further steps; the last one is evaluated within `control`.
     for budget in curve.budgets:
-        steps = [step for step, gaussians, degree in seen if (gaussians, degree) == (budget.gaussians, budget.degree)]
+        steps = [
+            step for step, gaussians, degree in records if (gaussians, degree) == (budget.gaussians, budget.degree)
+        ]
         assert set(range(61, 70)) <= set(steps) <= set(range(121))
         assert max(steps) < 70
 
@@ -95,20 +102,20 @@ def test_a_resumed_selection_equals_an_uninterrupted_one(tmp_path):
     uninterrupted.run(120)
     for steps_run in (62, 90, 118):  # steps before the interruption; the selection goes back in steps
         first, second = new_training(), new_training()
-        left = steps_run
+        remaining_steps = steps_run
 
-        def on_step(now, path=tmp_path / "checkpoint.pt"):
-            nonlocal left
-            left -= 1
-            if left == 0:
-                now.save(path, "key")
+        def on_step(state, path=tmp_path / "checkpoint.pt"):
+            nonlocal remaining_steps
+            remaining_steps -= 1
+            if remaining_steps == 0:
+                state.save(path, "key")
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
             first.run(120, on_step)
         assert numbers(run_with_checkpoints(second, tmp_path / "checkpoint.pt", "key")) == numbers(uninterrupted.model)
-        theirs = [b._replace(step_ms=0) for b in second.density.curve.budgets]
-        assert theirs == [b._replace(step_ms=0) for b in uninterrupted.density.curve.budgets]
+        budgets = [b._replace(step_ms=0) for b in second.density.curve.budgets]
+        assert budgets == [b._replace(step_ms=0) for b in uninterrupted.density.curve.budgets]
 
 
 def test_a_run_of_one_step_ends_with_a_selection():

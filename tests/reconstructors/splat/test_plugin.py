@@ -16,10 +16,10 @@ torch = import_or_skip("torch")
 from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402
 
-QUICK = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
+QUICK_SETTINGS = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
 
 
-class Points:
+class RandomPointsSfm:
     """Replaces `sfm`: random points."""
 
     def __init__(self, **_):
@@ -33,46 +33,46 @@ class Points:
 @pytest.fixture
 def train(tmp_path, monkeypatch):
     """Train with settings on eight photographs, some of which are completely hidden by masks."""
-    monkeypatch.setattr(plugin, "ColmapSfm", Points)
+    monkeypatch.setattr(plugin, "ColmapSfm", RandomPointsSfm)
     folder = tmp_path / "corner"
     folder.mkdir()
     corner.write_scene(folder, corner.cameras(8, corner.standard_intrinsics(64, 48)))
     (tmp_path / "work").mkdir()
 
-    def run(hidden=(), **settings):
-        masks = tmp_path / f"masks_{len(hidden)}"
+    def run(masked_images=(), **settings):
+        masks = tmp_path / f"masks_{len(masked_images)}"
         masks.mkdir(exist_ok=True)
-        for number in hidden:
+        for number in masked_images:
             Image.fromarray(np.zeros((48, 64), np.uint8)).save(masks / f"{number:03}.png.png")
-        scene = read_scene(folder, masks=masks if hidden else None)
-        settings = {**QUICK, "start": "sfm", **settings}
+        scene = read_scene(folder, masks=masks if masked_images else None)
+        settings = {**QUICK_SETTINGS, "start": "sfm", **settings}
         return plugin.GaussianSplatting(**settings).reconstruct(scene, tmp_path / "work")
 
     return run
 
 
 def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
-    assert "nan" not in " ".join(train(hidden=[0, 3]).notes)
+    assert "nan" not in " ".join(train(masked_images=[0, 3]).notes)
     assert "nan" not in (tmp_path / "work/model/curve.csv").read_text()
     with check_error():
-        train(hidden=range(8))
+        train(masked_images=range(8))
 
 
 def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
     keys = []
 
-    def stopped(training, checkpoint, key):
+    def interrupt(training, checkpoint, key):
         keys.append(key)
         raise InterruptedError
 
-    monkeypatch.setattr(plugin, "run_with_checkpoints", stopped)
-    for hidden in ((), (2,), ()):
+    monkeypatch.setattr(plugin, "run_with_checkpoints", interrupt)
+    for masked_images in ((), (2,), ()):
         with pytest.raises(InterruptedError):
-            train(hidden)
+            train(masked_images)
     assert keys[0] == keys[2] != keys[1]
 
 
-def test_too_little_memory_is_refused_with_figures(train):
+def test_too_little_memory_is_refused(train):
     with check_error(masked=True):
         train(memory=1e-6)
 
@@ -80,14 +80,16 @@ def test_too_little_memory_is_refused_with_figures(train):
 def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     with check_error(ValueError):
         train(cloud="surface", min_opacity=0.5)
-    monkeypatch.setattr(Points, "reconstruct", lambda *_: pytest.fail("work was started"))
+    monkeypatch.setattr(RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
     with check_error():
         train(hold_out="every")
 
 
 def test_the_note_gives_the_last_step(train, monkeypatch):
     check_text(next(note for note in train(density="fixed").notes if note.endswith("after step 12")))
-    monkeypatch.setattr(plugin, "Schedule", lambda **given: Schedule(**given, plateau=np.inf, downscale_shares=(0, 0)))
+    monkeypatch.setattr(
+        plugin, "Schedule", lambda **settings: Schedule(**settings, plateau=np.inf, downscale_shares=(0, 0))
+    )
     check_text(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
 
 

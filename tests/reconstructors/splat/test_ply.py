@@ -18,7 +18,7 @@ from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.ply import read_model, write_model  # noqa: E402
 
 
-def gaussians(rng, count=7, degree=3):
+def random_gaussians(rng, count=7, degree=3):
     shapes = [(count, 3), (count, 4), (count, 3), (count,), (count, (degree + 1) ** 2, 3)]
     return Gaussians(*(torch.from_numpy(rng.normal(size=shape).astype(np.float32)) for shape in shapes))
 
@@ -49,57 +49,60 @@ def test_the_layout_is_that_of_kerbl_et_al(tmp_path):
     ]
     assert header.decode().splitlines() == lines
     rest = [3 * k + c for c in range(3) for k in range(1, 16)]
-    larger = [np.log(2.0) + log for log in (-1, -2, -3)]
-    expected = [12, 24, 36, 0, 0, 0, 0, 1, 2, *rest, 0.25, *larger, 0.5, 0.1, 0.2, 0.3]
+    log_scales = [np.log(2.0) + log for log in (-1, -2, -3)]
+    expected = [12, 24, 36, 0, 0, 0, 0, 1, 2, *rest, 0.25, *log_scales, 0.5, 0.1, 0.2, 0.3]
     assert body == struct.pack("<62f", *expected)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_round_trip(tmp_path, degree):
-    given, frame = gaussians(np.random.default_rng(3), degree=degree), LocalFrame(np.array([3.0, -2.0, 1.0]), 4.0)
-    write_model(tmp_path / "model.ply", given, frame)
-    found, world = read_model(tmp_path / "model.ply")
-    assert world.unit == 1 and not world.origin.any()
-    expected = parts(given)
+    model, frame = (
+        random_gaussians(np.random.default_rng(3), degree=degree),
+        LocalFrame(np.array([3.0, -2.0, 1.0]), 4.0),
+    )
+    write_model(tmp_path / "model.ply", model, frame)
+    loaded_model, loaded_frame = read_model(tmp_path / "model.ply")
+    assert loaded_frame.unit == 1 and not loaded_frame.origin.any()
+    expected = parts(model)
     expected["means"] = frame.to_world(expected["means"]).astype(np.float32)
     expected["log_scales"] = (expected["log_scales"].astype(np.float64) + np.log(4.0)).astype(np.float32)
-    for name, values in parts(found).items():
+    for name, values in parts(loaded_model).items():
         assert np.array_equal(values, expected[name]), name
-    write_model(tmp_path / "again.ply", found, world)
+    write_model(tmp_path / "again.ply", loaded_model, loaded_frame)
     assert (tmp_path / "again.ply").read_bytes() == (tmp_path / "model.ply").read_bytes()
 
 
-def test_projected_coordinates_keep_their_digits(tmp_path):
+def test_projected_coordinates_keep_their_precision(tmp_path):
     """The spacing of float32 numbers at UTM coordinates is half a metre."""
-    given, frame = (
-        gaussians(np.random.default_rng(4), 200),
+    model, frame = (
+        random_gaussians(np.random.default_rng(4), 200),
         LocalFrame(np.array([448_262.5, 5_411_932.25, 117.0]), 80.0),
     )
-    write_model(tmp_path / "model.ply", given, frame)
+    write_model(tmp_path / "model.ply", model, frame)
     header = (tmp_path / "model.ply").read_bytes().split(b"end_header")[0].decode()
     assert "coordinates about 4482" in header and "double" not in header
-    truth = frame.to_world(given.means.numpy())
-    assert np.abs(read_cloud(tmp_path / "model.ply").points - truth).max() < 1e-4
-    found, world = read_model(tmp_path / "model.ply")
-    assert np.abs(world.to_world(found.means.numpy()) - truth).max() < 1e-4
+    world_means = frame.to_world(model.means.numpy())
+    assert np.abs(read_cloud(tmp_path / "model.ply").points - world_means).max() < 1e-4
+    loaded_model, loaded_frame = read_model(tmp_path / "model.ply")
+    assert np.abs(loaded_frame.to_world(loaded_model.means.numpy()) - world_means).max() < 1e-4
 
 
 def test_discs_become_flat_gaussians(tmp_path):
     write_cloud(tmp_path / "discs.ply", splat_models.make_gaussians(5, dimensions=2))
-    found, _ = read_model(tmp_path / "discs.ply")
-    assert found.scales.shape == (5, 3)
-    assert torch.equal(found.scales.argmin(dim=1), torch.full((5,), 2))
-    assert (found.scales[:, 2] < 1e-3 * found.scales[:, :2].amin(dim=1)).all()
+    model, _ = read_model(tmp_path / "discs.ply")
+    assert model.scales.shape == (5, 3)
+    assert torch.equal(model.scales.argmin(dim=1), torch.full((5,), 2))
+    assert (model.scales[:, 2] < 1e-3 * model.scales[:, :2].amin(dim=1)).all()
 
 
 def test_models_of_other_programs_are_read(tmp_path):
     cloud = splat_models.make_gaussians(6)
     write_cloud(tmp_path / "model.ply", cloud)
-    found, frame = read_model(tmp_path / "model.ply")
-    assert np.allclose(frame.to_world(found.means.numpy()), cloud.points)
-    assert np.allclose(found.opacities.numpy(), np.linspace(0.1, 0.9, 6), atol=1e-6)
-    assert np.allclose(found.scales.numpy(), 0.01 * np.outer(np.arange(1, 7), [1, 2, 3]), rtol=1e-5)
-    assert found.degree == 3 and np.allclose(found.sh[:, 0].numpy(), 0.5)
+    model, frame = read_model(tmp_path / "model.ply")
+    assert np.allclose(frame.to_world(model.means.numpy()), cloud.points)
+    assert np.allclose(model.opacities.numpy(), np.linspace(0.1, 0.9, 6), atol=1e-6)
+    assert np.allclose(model.scales.numpy(), 0.01 * np.outer(np.arange(1, 7), [1, 2, 3]), rtol=1e-5)
+    assert model.degree == 3 and np.allclose(model.sh[:, 0].numpy(), 0.5)
 
 
 def test_splats_with_nan_are_dropped(tmp_path):
@@ -108,8 +111,8 @@ def test_splats_with_nan_are_dropped(tmp_path):
     scales[2] = np.nan
     write_cloud(tmp_path / "model.ply", Cloud(cloud.points, attributes=cloud.attributes | {"scale_1": scales}))
     notes = []
-    found, _ = read_model(tmp_path / "model.ply", notes.append)
-    assert len(found) == 3 and len(notes) == 1 and "1 of 4 splats" in check_text(notes[0])
+    model, _ = read_model(tmp_path / "model.ply", notes.append)
+    assert len(model) == 3 and len(notes) == 1 and "1 of 4 splats" in check_text(notes[0])
 
 
 @pytest.mark.parametrize("missing", ["opacity", "rot_3", "f_dc_1", "scale_1"])

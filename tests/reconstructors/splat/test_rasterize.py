@@ -31,7 +31,7 @@ def device(engine, monkeypatch):
     return engine
 
 
-def given(device, scene, dtype=torch.float32):
+def scene_tensors(device, scene, dtype=torch.float32):
     return [device.tensor(array).to(dtype).requires_grad_() for array in scene.arrays]
 
 
@@ -46,113 +46,113 @@ def test_images_and_gradients_equal_those_of_the_reference(device):
     """Depth is the mean, whose gradient also passes through alpha; the background has a gradient, too."""
     scene = make_scene(scattered_cloud)
     background = device.tensor(scene.background).requires_grad_()
-    tensors = given(device, scene)
+    tensors = scene_tensors(device, scene)
     ours = rasterize(*tensors, scene.camera, background=background)
     random_loss(ours).backward()
 
     exact = [torch.from_numpy(array).double().requires_grad_() for array in (*scene.arrays, scene.background)]
-    drawn = reference.render(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
-    alpha = 1 - drawn.transmittance
+    rendering = reference.render(GaussianTensors(*exact[:5]), View.of(scene.camera), exact[5])
+    alpha = 1 - rendering.transmittance
     theirs = ours._replace(
-        color=drawn.color,
+        color=rendering.color,
         alpha=alpha,
-        depth=drawn.depth / torch.where(alpha > 0, alpha, 1),
-        normal=drawn.normal,
-        median_depth=drawn.median_depth,
+        depth=rendering.depth / torch.where(alpha > 0, alpha, 1),
+        normal=rendering.normal,
+        median_depth=rendering.median_depth,
     )
     random_loss(theirs).backward()
     assert (theirs.alpha == 0).any() and (ours.depth[ours.alpha == 0] == 0).all()
     for name, image in ours._asdict().items():
         assert image.dtype == torch.float32 and image.requires_grad == (name != "median_depth")
-        wanted = getattr(theirs, name).detach().numpy()
+        expected = getattr(theirs, name).detach().numpy()
         # Where alpha is a few thousandths its rounding error is 1e-5 of it, and of the depth.
-        np.testing.assert_allclose(image.detach().cpu().numpy(), wanted, rtol=0, atol=1e-4, err_msg=name)
-    for ours_by, theirs_by in zip([*tensors, background], exact, strict=True):
-        scale = theirs_by.grad.abs().max().item()
+        np.testing.assert_allclose(image.detach().cpu().numpy(), expected, rtol=0, atol=1e-4, err_msg=name)
+    for tensor, exact_tensor in zip([*tensors, background], exact, strict=True):
+        scale = exact_tensor.grad.abs().max().item()
         # Likewise the gradient of a depth divided by such an alpha.
-        np.testing.assert_allclose(ours_by.grad.cpu().numpy(), theirs_by.grad.numpy(), rtol=1e-3, atol=3e-5 * scale)
+        np.testing.assert_allclose(tensor.grad.cpu().numpy(), exact_tensor.grad.numpy(), rtol=1e-3, atol=3e-5 * scale)
 
 
 def test_a_scene_far_from_the_origin_has_the_same_images(device):
     """In float64 UTM coordinates; float32 would be wrong by half a metre."""
     scene = make_scene(scattered_cloud)
-    far = np.array([654_321.0, 5_432_109.0, 512.0])
-    motion = scene.camera.cam_from_world
-    moved = replace(
-        scene.camera, cam_from_world=Similarity(motion.rotation, motion.translation - motion.rotation @ far)
+    offset = np.array([654_321.0, 5_432_109.0, 512.0])
+    pose = scene.camera.cam_from_world
+    moved_camera = replace(
+        scene.camera, cam_from_world=Similarity(pose.rotation, pose.translation - pose.rotation @ offset)
     )
-    means, *others = given(device, scene, torch.float64)
-    near, there = rasterize(means, *others, scene.camera), None
-    far_means = (means.detach() + device.tensor(far)).requires_grad_()
-    there = rasterize(far_means, *others, moved)
-    for ours, theirs in zip(there, near, strict=True):
+    means, *others = scene_tensors(device, scene, torch.float64)
+    near_rendering = rasterize(means, *others, scene.camera)
+    far_means = (means.detach() + device.tensor(offset)).requires_grad_()
+    far_rendering = rasterize(far_means, *others, moved_camera)
+    for ours, theirs in zip(far_rendering, near_rendering, strict=True):
         # The coordinates are exact to 1e-9; a pixel may change sides at the threshold of 1/255.
         assert (ours - theirs).abs().max() < 5e-3 and ((ours - theirs).abs() > 1e-5).float().mean() < 1e-3
-    random_loss(near).backward()
-    random_loss(there).backward()
+    random_loss(near_rendering).backward()
+    random_loss(far_rendering).backward()
     assert means.grad.dtype == torch.float64
     assert torch.allclose(far_means.grad, means.grad, rtol=1e-3, atol=1e-4 * means.grad.abs().max().item())
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float16, torch.bfloat16])
-def test_other_types_are_drawn_in_float32(device, dtype):
+def test_other_types_are_rendered_in_float32(device, dtype):
     scene = make_scene(scattered_cloud)
-    tensors = given(device, scene, dtype)
+    tensors = scene_tensors(device, scene, dtype)
     rendering = rasterize(*tensors, scene.camera)
     random_loss(rendering).backward()
-    again = [tensor.detach().float().requires_grad_() for tensor in tensors]
-    wanted = rasterize(*again, scene.camera)
-    random_loss(wanted).backward()
-    assert rendering.color.dtype == torch.float32 and torch.equal(rendering.color, wanted.color)
-    for ours, theirs in zip(tensors, again, strict=True):
+    float_tensors = [tensor.detach().float().requires_grad_() for tensor in tensors]
+    expected = rasterize(*float_tensors, scene.camera)
+    random_loss(expected).backward()
+    assert rendering.color.dtype == torch.float32 and torch.equal(rendering.color, expected.color)
+    for ours, theirs in zip(tensors, float_tensors, strict=True):
         assert ours.grad.dtype == dtype
         assert torch.equal(ours.grad, theirs.grad.to(dtype))
 
 
-def test_rows_that_are_not_contiguous(device):
+def test_tensors_that_are_not_contiguous_have_the_same_gradients(device):
     scene = make_scene(scattered_cloud)
-    tensors = given(device, scene)
-    spread = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
-    assert not any(tensor.is_contiguous() for tensor in spread)
-    for each in (tensors, spread):
-        random_loss(rasterize(*each, scene.camera)).backward()
-    for ours, theirs in zip(spread, tensors, strict=True):
+    tensors = scene_tensors(device, scene)
+    strided_tensors = [torch.stack([tensor.detach()] * 2, dim=-1)[..., 0].requires_grad_() for tensor in tensors]
+    assert not any(tensor.is_contiguous() for tensor in strided_tensors)
+    for leaves in (tensors, strided_tensors):
+        random_loss(rasterize(*leaves, scene.camera)).backward()
+    for ours, theirs in zip(strided_tensors, tensors, strict=True):
         assert torch.equal(ours.grad, theirs.grad)
 
 
-def test_two_renderings_at_once(device):
+def test_two_renderings_have_independent_gradients(device):
     """Each keeps the data for its own gradient, which can be computed in any order and twice."""
     scenes = make_scene(scattered_cloud), make_scene(scattered_cloud, seed=1)
-    apart = []
+    gradients = []
     for scene in scenes:
-        tensors = given(device, scene)
+        tensors = scene_tensors(device, scene)
         random_loss(rasterize(*tensors, scene.camera)).backward()
-        apart.append([tensor.grad for tensor in tensors])
-    tensors = [given(device, scene) for scene in scenes]
-    losses = [random_loss(rasterize(*each, scene.camera)) for each, scene in zip(tensors, scenes, strict=True)]
+        gradients.append([tensor.grad for tensor in tensors])
+    tensors = [scene_tensors(device, scene) for scene in scenes]
+    losses = [random_loss(rasterize(*leaves, scene.camera)) for leaves, scene in zip(tensors, scenes, strict=True)]
     (losses[0] + losses[1]).backward(retain_graph=True)
     losses[0].backward()
-    for tensor, grad in zip(tensors[0], apart[0], strict=True):
-        assert torch.equal(tensor.grad, grad + grad)
-    for tensor, grad in zip(tensors[1], apart[1], strict=True):
-        assert torch.equal(tensor.grad, grad)
+    for tensor, gradient in zip(tensors[0], gradients[0], strict=True):
+        assert torch.equal(tensor.grad, gradient + gradient)
+    for tensor, gradient in zip(tensors[1], gradients[1], strict=True):
+        assert torch.equal(tensor.grad, gradient)
 
 
 def test_overwritten_tensors_have_no_gradient(device):
     """Torch raises an error if a parameter or an image was changed in place."""
     scene = make_scene(scattered_cloud)
-    tensors = given(device, scene)
+    tensors = scene_tensors(device, scene)
     loss = random_loss(rasterize(*tensors, scene.camera))
     with torch.no_grad():
         tensors[2] *= 0.5
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
-    rendering = rasterize(*given(device, scene), scene.camera)
+    rendering = rasterize(*scene_tensors(device, scene), scene.camera)
     loss = random_loss(rendering._replace(color=rendering.color.clamp_(0, 1)))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
     background = device.tensor(scene.background)
-    loss = random_loss(rasterize(*given(device, scene), scene.camera, background=background))
+    loss = random_loss(rasterize(*scene_tensors(device, scene), scene.camera, background=background))
     background += 1
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
@@ -160,53 +160,55 @@ def test_overwritten_tensors_have_no_gradient(device):
 
 def test_gradients_with_respect_to_one_tensor_only(device):
     scene = make_scene(scattered_cloud)
-    everything = given(device, scene)
-    random_loss(rasterize(*everything, scene.camera)).backward()
-    for only in range(5):
-        tensors = [tensor.requires_grad_(n == only) for n, tensor in enumerate(given(device, scene))]
+    all_tensors = scene_tensors(device, scene)
+    random_loss(rasterize(*all_tensors, scene.camera)).backward()
+    for index in range(5):
+        tensors = [tensor.requires_grad_(n == index) for n, tensor in enumerate(scene_tensors(device, scene))]
         random_loss(rasterize(*tensors, scene.camera)).backward()
-        assert [tensor.grad is not None for tensor in tensors] == [n == only for n in range(5)]
-        assert torch.equal(tensors[only].grad, everything[only].grad)
+        assert [tensor.grad is not None for tensor in tensors] == [n == index for n in range(5)]
+        assert torch.equal(tensors[index].grad, all_tensors[index].grad)
 
 
-def test_a_gradient_is_prepared_only_if_one_may_follow(device, monkeypatch):
+def test_the_backward_pass_is_prepared_only_if_a_tensor_requires_a_gradient(device, monkeypatch):
     """On CUDA it needs memory."""
-    prepared = []
+    gradient_options = []
 
-    class Spy:
+    class RecordingRasterizer:
         def __init__(self):
-            self.own = device.kernels.Rasterizer()
+            self.rasterizer = device.kernels.Rasterizer()
 
-        def forward(self, *given, gradient, **options):
-            prepared.append(gradient)
-            return self.own.forward(*given, gradient=gradient, **options)
+        def forward(self, *arguments, gradient, **options):
+            gradient_options.append(gradient)
+            return self.rasterizer.forward(*arguments, gradient=gradient, **options)
 
-    monkeypatch.setattr(sys.modules[rasterize.__module__], "kernels_of", lambda _: SimpleNamespace(Rasterizer=Spy))
+    monkeypatch.setattr(
+        sys.modules[rasterize.__module__], "kernels_of", lambda _: SimpleNamespace(Rasterizer=RecordingRasterizer)
+    )
     scene = make_scene(scattered_cloud)
-    tensors = [tensor.requires_grad_(False) for tensor in given(device, scene)]
+    tensors = [tensor.requires_grad_(False) for tensor in scene_tensors(device, scene)]
     rasterize(*tensors, scene.camera)
     rasterize(*tensors[:4], tensors[4].requires_grad_(), scene.camera)
-    assert prepared == [False, True]
+    assert gradient_options == [False, True]
 
 
 def test_a_deleted_rendering_is_freed(device):
     """With all its memory, immediately: there is no reference cycle."""
     scene = make_scene(scattered_cloud)
-    rendering = rasterize(*given(device, scene), scene.camera)
+    rendering = rasterize(*scene_tensors(device, scene), scene.camera)
     node = rendering.color.grad_fn
-    held = weakref.ref(node.rasterizer)
-    assert held() is not None
+    rasterizer_reference = weakref.ref(node.rasterizer)
+    assert rasterizer_reference() is not None
     del rendering, node
-    assert held() is None
+    assert rasterizer_reference() is None
 
 
-def test_without_gradients_and_without_gaussians(device):
+def test_renderings_without_gradients_or_without_gaussians(device):
     scene = make_scene(scattered_cloud)
     with torch.no_grad():
-        rendering = rasterize(*given(device, scene), scene.camera)
+        rendering = rasterize(*scene_tensors(device, scene), scene.camera)
     assert not rendering.color.requires_grad
     empty, background = make_scene(no_gaussians), [0.1, 0.2, 0.3]
-    tensors = given(device, empty)
+    tensors = scene_tensors(device, empty)
     rendering = rasterize(*tensors, empty.camera, background=background)
     assert torch.equal(rendering.color.cpu(), torch.tensor(background).expand(22, 37, 3))
     assert not any(image.any() for image in rendering[1:])
@@ -224,7 +226,7 @@ def check_refusal(change, **options):
         rasterize(*changed.values(), **{"camera": scene.camera, **options})
 
 
-def with_one(value):
+def set_one_value(value):
     def change(tensor):
         tensor = tensor.clone()
         tensor.view(len(tensor), -1)[3, 0] = value
@@ -245,15 +247,15 @@ def with_one(value):
         {"sh": lambda t: t[:, :5]},
         {"sh": lambda t: t[:, 0]},
         {"quats": lambda t: t.int()},
-        {"means": with_one(np.nan)},
+        {"means": set_one_value(np.nan)},
         {"means": lambda t: 1e39 * t.double()},
-        {"quats": with_one(np.inf)},
-        {"quats": with_one(-1e20)},
+        {"quats": set_one_value(np.inf)},
+        {"quats": set_one_value(-1e20)},
         {"scales": lambda t: t.to_sparse()},
-        {"sh": with_one(-np.inf)},
-        {"scales": with_one(-2.5)},
-        {"opacities": with_one(1.5)},
-        {"opacities": with_one(-0.5)},
+        {"sh": set_one_value(-np.inf)},
+        {"scales": set_one_value(-2.5)},
+        {"opacities": set_one_value(1.5)},
+        {"opacities": set_one_value(-0.5)},
         {"scales": lambda t: t.to("meta")},
     ],
 )
@@ -281,8 +283,8 @@ def test_other_wrong_input_is_refused():
 
 def test_torch_is_imported_on_first_use(monkeypatch):
     script = "import sys; import reconstructors.splat; print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout == "False\n", done.stderr
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert process.stdout == "False\n", process.stderr
     scene = make_scene(scattered_cloud)
     monkeypatch.setitem(sys.modules, "torch", None)
     with check_error(MissingExtra):
@@ -300,5 +302,5 @@ from reconstructors.splat import rasterize
 scene = make_scene(scattered_cloud)
 rendering = rasterize(*(torch.from_numpy(array).requires_grad_() for array in scene.arrays), scene.camera)
 """
-    done = subprocess.run([sys.executable, "-c", script.format(path=str(TESTS))], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    process = subprocess.run([sys.executable, "-c", script.format(path=str(TESTS))], capture_output=True, text=True)
+    assert (process.returncode, process.stderr) == (0, "")

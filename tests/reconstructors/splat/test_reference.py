@@ -15,7 +15,7 @@ torch = import_or_skip("torch")
 reference = pytest.importorskip("reconstructors.splat.reference")
 
 
-def in_double(scene):
+def to_double(scene):
     return GaussianTensors(*(torch.from_numpy(array).double() for array in scene.arrays))
 
 
@@ -27,55 +27,57 @@ def test_gradients_equal_finite_differences(kind):
     """
     scene, rng = make_scene(kind), np.random.default_rng(1)
     view, background = View.of(scene.camera), torch.from_numpy(scene.background).double()
-    weights = [torch.from_numpy(rng.normal(size=(view.height, view.width, *rest))) for rest in [(3,), (), (), (3,)]]
+    weights = [
+        torch.from_numpy(rng.normal(size=(view.height, view.width, *channels))) for channels in [(3,), (), (), (3,)]
+    ]
 
     def loss(tensors):
         images = reference.render(GaussianTensors(*tensors[:5]), view, tensors[5])[:4]
         return sum((image * weight).sum() for image, weight in zip(images, weights, strict=True))
 
-    inputs = [tensor.requires_grad_() for tensor in (*(given[-30:] for given in in_double(scene)), background)]
+    inputs = [tensor.requires_grad_() for tensor in (*(tensor[-30:] for tensor in to_double(scene)), background)]
     gradients = torch.autograd.grad(loss(inputs), inputs)
-    for place, gradient in enumerate(gradients):
+    for index, gradient in enumerate(gradients):
         for _ in range(2):
             direction = torch.from_numpy(rng.normal(size=gradient.shape))
             direction /= direction.norm()
             with torch.no_grad():
                 ends = [[*inputs] for _ in range(2)]
-                ends[0][place], ends[1][place] = inputs[place] + 1e-6 * direction, inputs[place] - 1e-6 * direction
+                ends[0][index], ends[1][index] = inputs[index] + 1e-6 * direction, inputs[index] - 1e-6 * direction
                 slope = (loss(ends[0]) - loss(ends[1])).item() / 2e-6
-            assert slope == pytest.approx((gradient * direction).sum().item(), abs=1e-6), place
+            assert slope == pytest.approx((gradient * direction).sum().item(), abs=1e-6), index
 
 
 def test_the_backward_pass_equals_autograd():
     """For a sum over all images; the screen gradient is that of moving one Gaussian's image over the pixels."""
     scene = make_scene(scattered_cloud)
-    view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in in_double(scene)]
+    view, leaves = View.of(scene.camera), [tensor.requires_grad_() for tensor in to_double(scene)]
     background = torch.from_numpy(scene.background).double()
-    drawn = reference.render(GaussianTensors(*leaves), view, background)
+    rendering = reference.render(GaussianTensors(*leaves), view, background)
     rng = np.random.default_rng(1)
-    by = [torch.from_numpy(rng.normal(size=image.shape)) for image in drawn[:4]]
-    torch.autograd.backward([(image * weight).sum() for image, weight in zip(drawn[:4], by, strict=True)])
+    weights = [torch.from_numpy(rng.normal(size=image.shape)) for image in rendering[:4]]
+    torch.autograd.backward([(image * weight).sum() for image, weight in zip(rendering[:4], weights, strict=True)])
     rasterizer = reference.Rasterizer()
     rasterizer.forward(GaussianTensors(*leaves), view, background, geometry=True)
-    gradients = rasterizer.backward(*by, None)
+    gradients = rasterizer.backward(*weights, None)
     for leaf, rows in zip(leaves, gradients[1:6], strict=True):
         full = torch.zeros_like(leaf)
         full[gradients.ids] = rows
         # 100 roundings, times the covariances' largest condition number of 30 (see rounding_bound in test_maths.py).
         assert (full - leaf.grad).abs().max() < 1e-12 * leaf.grad.abs().max()
     splats = reference.project(GaussianTensors(*leaves), view)
-    nothing = torch.zeros_like(splats.depth)
+    zeros = torch.zeros_like(splats.depth)
 
     def loss(xy):
-        images = reference.blend(splats._replace(xy=xy), nothing, view, background).output
-        return sum((image * weight).sum() for image, weight in zip(images[:4], by, strict=True)).item()
+        images = reference.blend(splats._replace(xy=xy), zeros, view, background).output
+        return sum((image * weight).sum() for image, weight in zip(images[:4], weights, strict=True)).item()
 
     with torch.no_grad():
         for row in (0, 11, 30):
-            place = int((splats.ids == gradients.ids[row]).nonzero()[0, 0])
+            index = int((splats.ids == gradients.ids[row]).nonzero()[0, 0])
             for axis in range(2):
                 step = torch.zeros_like(splats.xy)
-                step[place, axis] = 1e-6
+                step[index, axis] = 1e-6
                 slope = (loss(splats.xy + step) - loss(splats.xy - step)) / 2e-6
                 assert slope == pytest.approx(gradients.screen[row, axis].item(), rel=1e-5, abs=1e-5)
 
@@ -84,11 +86,13 @@ def test_weights_and_errors_are_sums_over_pixels():
     """The weights of all Gaussians sum to alpha at each pixel, and likewise for the error."""
     scene = make_scene(scattered_cloud)
     rasterizer, view = reference.Rasterizer(), View.of(scene.camera)
-    drawn = rasterizer.forward(in_double(scene), view, torch.zeros(3), geometry=True)
+    rendering = rasterizer.forward(to_double(scene), view, torch.zeros(3), geometry=True)
     error = torch.rand(view.height, view.width, generator=torch.Generator().manual_seed(1))
-    gradients = rasterizer.backward(drawn.color, None, None, None, error)
-    assert gradients.weight.sum().item() == pytest.approx((1 - drawn.transmittance).sum().item(), rel=1e-12)
-    assert gradients.error.sum().item() == pytest.approx(((1 - drawn.transmittance) * error).sum().item(), rel=1e-12)
+    gradients = rasterizer.backward(rendering.color, None, None, None, error)
+    assert gradients.weight.sum().item() == pytest.approx((1 - rendering.transmittance).sum().item(), rel=1e-12)
+    assert gradients.error.sum().item() == pytest.approx(
+        ((1 - rendering.transmittance) * error).sum().item(), rel=1e-12
+    )
 
 
 def test_rotations_equal_scipys():
@@ -105,10 +109,8 @@ def test_harmonics_equal_scipys():
     columns = []
     for degree in range(4):
         for order in range(-degree, degree + 1):
-            complex_one = sph_harm_y(degree, abs(order), polar, azimuth)
-            columns.append(
-                complex_one.real if order == 0 else np.sqrt(2) * (complex_one.imag, complex_one.real)[order > 0]
-            )
+            value = sph_harm_y(degree, abs(order), polar, azimuth)
+            columns.append(value.real if order == 0 else np.sqrt(2) * (value.imag, value.real)[order > 0])
     ours = reference.harmonics(torch.from_numpy(directions), 16).numpy()
     np.testing.assert_allclose(ours, np.column_stack(columns), atol=1e-12)
     for count in (1, 4, 9):
@@ -118,28 +120,30 @@ def test_harmonics_equal_scipys():
 def test_a_small_gaussian_is_projected_like_its_points():
     """For offsets of a thousandth of each axis: the spread of the ends in the image, and of their depths."""
     scene = make_scene(scattered_cloud)
-    view, gaussians = View.of(scene.camera), in_double(scene)
+    view, gaussians = View.of(scene.camera), to_double(scene)
     splats = reference.project(gaussians, view)
     center, _ = scene.camera.project(gaussians.means.numpy()[splats.ids])
     np.testing.assert_allclose(splats.xy.numpy(), center, atol=1e-9)
-    turns = Rotation.from_quat(scene.quats[splats.ids].astype(np.float64), scalar_first=True).as_matrix()
-    covariance, with_depth = np.zeros((len(center), 2, 2)), np.zeros((len(center), 2))
+    rotations = Rotation.from_quat(scene.quats[splats.ids].astype(np.float64), scalar_first=True).as_matrix()
+    covariance, depth_covariance = np.zeros((len(center), 2, 2)), np.zeros((len(center), 2))
     for axis in range(3):
-        offset = 1e-3 * turns[:, :, axis] * scene.scales[splats.ids, axis, None].astype(np.float64)
-        (there, deep), (back, shallow) = (
+        offset = 1e-3 * rotations[:, :, axis] * scene.scales[splats.ids, axis, None].astype(np.float64)
+        (forward, forward_depth), (backward, backward_depth) = (
             scene.camera.project(gaussians.means.numpy()[splats.ids] + sign * offset) for sign in (1, -1)
         )
-        half, depth = (there - back) / 2e-3, (deep - shallow) / 2e-3
-        covariance += half[:, :, None] * half[:, None]
-        with_depth += half * depth[:, None]
+        half_axis, depth = (forward - backward) / 2e-3, (forward_depth - backward_depth) / 2e-3
+        covariance += half_axis[:, :, None] * half_axis[:, None]
+        depth_covariance += half_axis * depth[:, None]
     left, right, top, bottom = view.limits
     x, y = ((center - [view.cx, view.cy]) / [view.fx, view.fy]).T
-    within = (x > left) & (x < right) & (y > top) & (y < bottom)
-    assert within.sum() > 30
+    is_inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    assert is_inside.sum() > 30
     dilated = covariance + 0.3 * np.eye(2)
-    np.testing.assert_allclose(torch.linalg.inv(splats.inverse).numpy()[within], dilated[within], rtol=1e-4, atol=1e-4)
-    slope = np.linalg.solve(dilated, with_depth[:, :, None])[:, :, 0]
-    np.testing.assert_allclose(splats.slope.numpy()[within], slope[within], rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(
+        torch.linalg.inv(splats.inverse).numpy()[is_inside], dilated[is_inside], rtol=1e-4, atol=1e-4
+    )
+    slope = np.linalg.solve(dilated, depth_covariance[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(splats.slope.numpy()[is_inside], slope[is_inside], rtol=1e-3, atol=1e-5)
 
 
 def test_ssim_equals_that_of_scipys_filters():
@@ -150,16 +154,16 @@ def test_ssim_equals_that_of_scipys_filters():
         return gaussian_filter(image, 1.5, radius=5, mode="constant", axes=(0, 1))
 
     xx, yy, xy = smooth(x * x) - smooth(x) ** 2, smooth(y * y) - smooth(y) ** 2, smooth(x * y) - smooth(x) * smooth(y)
-    up = (2 * smooth(x) * smooth(y) + 1e-4) * (2 * xy + 9e-4)
-    ssim = (up / ((smooth(x) ** 2 + smooth(y) ** 2 + 1e-4) * (xx + yy + 9e-4))).mean()
+    numerator = (2 * smooth(x) * smooth(y) + 1e-4) * (2 * xy + 9e-4)
+    ssim = (numerator / ((smooth(x) ** 2 + smooth(y) ** 2 + 1e-4) * (xx + yy + 9e-4))).mean()
     loss = reference.image_loss(torch.from_numpy(x), torch.from_numpy(y), 0.2)
     assert loss.ssim.item() == pytest.approx(ssim, rel=1e-10)
     assert loss.l1.item() == pytest.approx(np.abs(x - y).mean(), rel=1e-12)
     # The gradient, by finite differences of one value.
-    moved = [torch.from_numpy(x.copy()) for _ in range(2)]
-    moved[0][0, 12, 1] += 1e-6
-    moved[1][0, 12, 1] -= 1e-6
-    ends = [reference.image_loss(image, torch.from_numpy(y), 0.2) for image in moved]
+    images = [torch.from_numpy(x.copy()) for _ in range(2)]
+    images[0][0, 12, 1] += 1e-6
+    images[1][0, 12, 1] -= 1e-6
+    ends = [reference.image_loss(image, torch.from_numpy(y), 0.2) for image in images]
     values = [0.8 * end.l1.item() + 0.2 * (1 - end.ssim.item()) for end in ends]
     assert (values[0] - values[1]) / 2e-6 == pytest.approx(loss.gradient[0, 12, 1].item(), rel=1e-5)
 

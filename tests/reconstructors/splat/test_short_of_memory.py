@@ -9,7 +9,7 @@ from optional import import_or_skip
 
 import_or_skip("torch")
 
-CODE = """
+SCRIPT = """
 import resource, sys
 from pathlib import Path
 import numpy as np
@@ -24,66 +24,67 @@ def splats(count, width, height):
     camera = np.eye(3), np.zeros(3), (100, 100, width / 2, height / 2), (-9, 9, -9, 9)
     numbers = means, quaternions, scales, opacities, harmonics, *camera
     images = np.zeros((height, width, 3)), np.zeros((height, width))
-    given = [np.array(array, np.float32) for array in numbers]
-    return *given, 0.01, np.zeros(3, np.float32), *(np.array(image, np.float32) for image in images), None, None, None
+    arrays = [np.array(array, np.float32) for array in numbers]
+    return *arrays, 0.01, np.zeros(3, np.float32), *(np.array(image, np.float32) for image in images), None, None, None
 
 def gradients(rasterizer, arguments):
     rows, (height, width) = rasterizer.drawn, arguments[11].shape[:2]
-    out = [np.empty((rows, *array.shape[1:]), np.float32) for array in arguments[:5]]
+    rows_out = [np.empty((rows, *array.shape[1:]), np.float32) for array in arguments[:5]]
     rest = [np.empty((rows, 2), np.float32), np.empty(rows, np.float32), np.empty(rows, np.float32)]
-    return np.ones((height, width, 3), np.float32), None, None, None, None, np.empty(rows, np.int64), *out, *rest
+    return np.ones((height, width, 3), np.float32), None, None, None, None, np.empty(rows, np.int64), *rows_out, *rest
 
-def run(what, count, width, height):
+def run(operation, count, width, height):
     arguments = splats(count, width, height)
-    if what == "image_loss":
+    if operation == "image_loss":
         image = arguments[11]
         image[:] = 0.5
         gradient = np.empty_like(image)
         return lambda: (_rasterizer.image_loss(image, 1 - image, 0.2, gradient), gradient.tobytes())[1]
-    def pass_():
+    def run_pass():
         rasterizer = _rasterizer.Rasterizer()
         rasterizer.forward(*arguments)
-        if what == "forward":
+        if operation == "forward":
             return arguments[11].tobytes()
         backward = gradients(rasterizer, arguments)
         rasterizer.backward(*backward)
         return backward[6].tobytes()
-    return pass_
+    return run_pass
 
-what, *size = sys.argv[1], *map(int, sys.argv[2:])
-run(what, 10, 64, 64)()  # starts all threads
-work = run(what, *size)
-failed, room = 0, 0
-_, most = resource.getrlimit(resource.RLIMIT_AS)
+operation, *size = sys.argv[1], *map(int, sys.argv[2:])
+run(operation, 10, 64, 64)()  # starts all threads
+compute = run(operation, *size)
+failures, headroom = 0, 0
+_, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
 while True:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + room, most))
+    resource.setrlimit(resource.RLIMIT_AS, (used + headroom, hard_limit))
     try:
-        result = work()
+        result = compute()
         break
     except MemoryError:
-        failed += 1
+        failures += 1
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    room += 1 << 18
-print(failed, result == work())
+        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
+    headroom += 1 << 18
+print(failures, result == compute())
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
-    ("what", "size"), [("forward", (20_000, 96, 64)), ("backward", (5_000, 96, 64)), ("image_loss", (1, 30_000, 2))]
+    ("operation", "size"),
+    [("forward", (20_000, 96, 64)), ("backward", (5_000, 96, 64)), ("image_loss", (1, 30_000, 2))],
 )
-def test_running_out_of_memory_raises_a_memory_error(what, size, threads):
+def test_running_out_of_memory_raises_a_memory_error(operation, size, threads):
     """The limit rises in small steps, so that each large allocation fails once; the final result is that without a
     limit."""
-    done = subprocess.run(
-        [sys.executable, "-c", CODE, what, *map(str, size)],
+    process = subprocess.run(
+        [sys.executable, "-c", SCRIPT, operation, *map(str, size)],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
-    failed, same = done.stdout.split()
-    assert int(failed) > 3 and same == "True"
+    assert process.returncode == 0, process.stderr
+    failures, is_same = process.stdout.split()
+    assert int(failures) > 3 and is_same == "True"

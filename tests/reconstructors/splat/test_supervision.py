@@ -40,22 +40,22 @@ def pinhole(width, height, focal, cx=0.5, cy=0.5, name="a/b.png"):
 def test_a_slope_is_resampled_exactly_from_a_map_of_any_size(size):
     """The map's pixels are larger and smaller than the view's, with other centres."""
     width, height = size
-    camera, mapped = pinhole(60, 40, 55.0, 0.47, 0.55), pinhole(width, height, 55.0 * width / 60, 0.47, 0.55)
+    camera, map_camera = pinhole(60, 40, 55.0, 0.47, 0.55), pinhole(width, height, 55.0 * width / 60, 0.47, 0.55)
     normal = np.array([0.5, -0.8, -0.3]) / np.sqrt(0.98)
-    resampled = resample_depths(View.of(camera), mapped, plane_map(mapped, normal, 0.4))
+    resampled = resample_depths(View.of(camera), map_camera, plane_map(map_camera, normal, 0.4))
     expected = plane_map(camera, normal, 0.4).depth
-    seen = resampled > 0
-    assert seen.mean() >= 0.95  # a size that is no multiple covers a little less
-    np.testing.assert_allclose(resampled[seen], expected[seen], rtol=1e-5)
+    covered = resampled > 0
+    assert covered.mean() >= 0.95  # a size that is no multiple covers a little less
+    np.testing.assert_allclose(resampled[covered], expected[covered], rtol=1e-5)
 
 
 def test_depths_are_not_mixed_across_an_edge_and_unknown_ones_stay_unknown():
-    camera, mapped = pinhole(60, 40, 55.0), pinhole(97, 65, 55.0 * 97 / 60)
+    camera, map_camera = pinhole(60, 40, 55.0), pinhole(97, 65, 55.0 * 97 / 60)
     depth = np.where(np.arange(97) < 40, 2.0, 5.0) * np.ones((65, 1))
     depth[:10] = 0
-    facing = np.broadcast_to(np.float32([0, 0, -1]), (65, 97, 3))
-    depth_map = DepthMap(depth.astype(np.float32), facing, np.ones((65, 97), np.float32))
-    resampled = resample_depths(View.of(camera), mapped, depth_map.where(depth > 0))
+    normals = np.broadcast_to(np.float32([0, 0, -1]), (65, 97, 3))
+    depth_map = DepthMap(depth.astype(np.float32), normals, np.ones((65, 97), np.float32))
+    resampled = resample_depths(View.of(camera), map_camera, depth_map.where(depth > 0))
     assert set(np.unique(resampled)) == {0.0, 2.0, 5.0}
     assert (resampled[:6] == 0).all() and (resampled[7:] > 0).all()
 
@@ -69,8 +69,8 @@ def test_the_gradient_equals_that_of_the_loss():
     target = torch.from_numpy(rng.uniform(2, 6, (view.height, view.width)).astype(np.float32))
     target[rng.random(target.shape) < 0.3] = 0
     known = target > 0
-    shown = rasterize(*leaves, scene.camera)
-    difference = (shown.depth * shown.alpha - shown.alpha * target)[known]
+    autograd_rendering = rasterize(*leaves, scene.camera)
+    difference = (autograd_rendering.depth * autograd_rendering.alpha - autograd_rendering.alpha * target)[known]
     (0.7 * (difference.abs() / target[known]).mean()).backward()
 
     rasterizer = cpu.CpuRasterizer()
@@ -88,8 +88,8 @@ def test_the_gradient_equals_that_of_the_loss():
         expected = leaf.grad[gradients.ids]
         assert float(expected.abs().max()) > 0
         np.testing.assert_allclose(rows, expected, atol=2e-4 * float(expected.abs().max()))
-    unknown = photograph._replace(name="another")
-    assert Supervision({"view": [target]}).gradients(unknown, rendering) == (None, None)
+    other_photograph = photograph._replace(name="another")
+    assert Supervision({"view": [target]}).gradients(other_photograph, rendering) == (None, None)
 
 
 def wall():
@@ -144,17 +144,24 @@ def test_depths_constrain_what_photographs_do_not(tmp_path):
         for camera in cameras
     ]
     supervision = read_supervision(tmp_path, pictures, unit)
-    for given in (None, supervision):
+    for depth_supervision in (None, supervision):
         training = Training(
             Gaussians(*(part.clone() for part in vars(model).values())),
             pictures,
             Schedule(steps=200, sh_degree=0, downscale_shares=(0, 0)),
             Density(),
-            given,
+            depth_supervision,
         )
         training.run(200)
-        now = training.model
-        rendering = rasterize(now.means, now.quats, now.scales, now.opacities, now.sh, cameras[1])
+        trained_model = training.model
+        rendering = rasterize(
+            trained_model.means,
+            trained_model.quats,
+            trained_model.scales,
+            trained_model.opacities,
+            trained_model.sh,
+            cameras[1],
+        )
         difference = (rendering.depth - torch.from_numpy(plane_map(cameras[1], (0.0, -1.0, 0.0), 0.0).depth))[
             rendering.alpha > 0.5
         ]
@@ -164,7 +171,7 @@ def test_depths_constrain_what_photographs_do_not(tmp_path):
 
 
 @dataclass(frozen=True)
-class BluntMvs:
+class InexactMvs:
     """Replaces `mvs`: exact maps and inexact points."""
 
     poses: str = "given"
@@ -183,7 +190,7 @@ class BluntMvs:
 
 
 def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypatch):
-    monkeypatch.setattr(plugin, "INITIAL_MVS", BluntMvs())
+    monkeypatch.setattr(plugin, "INITIAL_MVS", InexactMvs())
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()
     scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))

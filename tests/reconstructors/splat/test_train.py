@@ -66,26 +66,26 @@ def test_the_model_is_determined_by_the_seed():
     runs = [new_training(steps=20, seed=seed) for seed in (0, 0, 1)]
     for run in runs:
         run.run(20)
-    first, again, other = (numbers(run.model) for run in runs)
-    assert first == again != other
+    first, second, other = (numbers(run.model) for run in runs)
+    assert first == second != other
 
 
 def test_training_converges_when_the_photographs_no_longer_improve(tmp_path):
-    eager, uninterrupted = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
-    eager.run(400)
+    stopped_early, uninterrupted = new_training(steps=400, plateau=2.0), new_training(steps=400, plateau=-np.inf)
+    stopped_early.run(400)
     uninterrupted.run(400)
     assert (uninterrupted.converged, uninterrupted.step) == (False, 400)
-    assert eager.converged and 120 <= eager.step < 400 and eager.step % 40 == 0
+    assert stopped_early.converged and 120 <= stopped_early.step < 400 and stopped_early.step % 40 == 0
     mean_psnr = []
-    for step in (eager.step - 80, eager.step - 40, eager.step):
-        again = new_training(steps=400, plateau=-np.inf)
-        again.run(step)
-        mean_psnr.append(np.mean(again.psnr))
+    for step in (stopped_early.step - 80, stopped_early.step - 40, stopped_early.step):
+        rerun = new_training(steps=400, plateau=-np.inf)
+        rerun.run(step)
+        mean_psnr.append(np.mean(rerun.psnr))
     assert mean_psnr[2] - min(mean_psnr[:2]) < 2.0
-    assert numbers(again.model) == numbers(eager.model)
-    eager.save(tmp_path / "checkpoint.pt", "key")
-    again = new_training(steps=400, plateau=2.0)
-    assert numbers(run_with_checkpoints(again, tmp_path / "checkpoint.pt", "key")) == numbers(eager.model)
+    assert numbers(rerun.model) == numbers(stopped_early.model)
+    stopped_early.save(tmp_path / "checkpoint.pt", "key")
+    rerun = new_training(steps=400, plateau=2.0)
+    assert numbers(run_with_checkpoints(rerun, tmp_path / "checkpoint.pt", "key")) == numbers(stopped_early.model)
 
 
 def test_masked_pixels_do_not_influence_training():
@@ -99,12 +99,12 @@ def test_masked_pixels_do_not_influence_training():
     plain_views = [pyramid[0] for pyramid in plain.photographs]
     plain.run(60)
     masked.run(60)
-    hidden = new_training(steps=60)
-    for mine, theirs in zip(hidden.photographs, masked.photographs, strict=True):
-        mine[0] = theirs[0]._replace(valid=None)
-    hidden.run(60)
-    with_mask, without = (np.mean(evaluate(run.model, plain_views)) for run in (masked, hidden))
-    assert with_mask > without + 2
+    unmasked = new_training(steps=60)
+    for unmasked_pyramid, masked_pyramid in zip(unmasked.photographs, masked.photographs, strict=True):
+        unmasked_pyramid[0] = masked_pyramid[0]._replace(valid=None)
+    unmasked.run(60)
+    psnr_with_mask, psnr_without_mask = (np.mean(evaluate(run.model, plain_views)) for run in (masked, unmasked))
+    assert psnr_with_mask > psnr_without_mask + 2
 
 
 def test_parameters_that_are_not_finite_are_an_error():
@@ -117,9 +117,9 @@ def test_parameters_that_are_not_finite_are_an_error():
 def test_parameters_that_are_not_finite_are_no_convergence():
     training = new_training(steps=100, plateau=np.inf)
 
-    def set_nan(now):
-        if now.step == 29:
-            now.model.means[3] = np.nan  # the rasterizer skips it
+    def set_nan(state):
+        if state.step == 29:
+            state.model.means[3] = np.nan  # the rasterizer skips it
 
     with check_error(ReconstructionError):
         training.run(100, set_nan)
@@ -133,15 +133,15 @@ def test_a_model_without_gaussians_is_an_error():
 
 def test_splitting_keeps_the_distribution_and_shrinks():
     model, _ = truth()
-    many = Gaussians(*(part[:1].repeat(4000, *[1] * (part.ndim - 1)) for part in vars(model).values()))
-    halves = split(many, 1.6, np.random.default_rng(0))
+    copies = Gaussians(*(part[:1].repeat(4000, *[1] * (part.ndim - 1)) for part in vars(model).values()))
+    halves = split(copies, 1.6, np.random.default_rng(0))
     assert len(halves) == 8000
-    torch.testing.assert_close(halves.scales, many.scales.repeat(2, 1) / 1.6)
+    torch.testing.assert_close(halves.scales, copies.scales.repeat(2, 1) / 1.6)
     # Their positions are sampled from the Gaussian: along its axes they deviate by its scales, up to sampling error.
-    turned_back = many.quats[0] * torch.tensor([1.0, -1, -1, -1])
-    local = rotate(turned_back.repeat(8000, 1), halves.means - many.means[0])
-    np.testing.assert_allclose(local.std(dim=0), many.scales[0], rtol=0.04)
-    np.testing.assert_allclose(local.mean(dim=0) / many.scales[0], 0, atol=0.05)
+    inverse_rotation = copies.quats[0] * torch.tensor([1.0, -1, -1, -1])
+    local = rotate(inverse_rotation.repeat(8000, 1), halves.means - copies.means[0])
+    np.testing.assert_allclose(local.std(dim=0), copies.scales[0], rtol=0.04)
+    np.testing.assert_allclose(local.mean(dim=0) / copies.scales[0], 0, atol=0.05)
 
 
 def test_classic_density_respects_the_maximum_and_prunes_low_opacities():
@@ -171,15 +171,15 @@ def test_a_local_frame_scales_projected_coordinates_to_unit_size():
     origin = np.array([500_000.0, 5_400_000.0, 200.0])
     cameras = []
     for angle in np.linspace(0, 2 * np.pi, 6, endpoint=False):
-        place = origin + 300 * np.array([np.cos(angle), np.sin(angle), 1])
-        cameras.append(replace(scene.camera, cam_from_world=look_at(place, origin)))
+        position = origin + 300 * np.array([np.cos(angle), np.sin(angle), 1])
+        cameras.append(replace(scene.camera, cam_from_world=look_at(position, origin)))
     frame = LocalFrame.of(cameras)
     points = origin + np.random.default_rng(1).uniform(-50, 50, size=(100, 3))
     assert frame.unit == pytest.approx(330)
     np.testing.assert_allclose(frame.to_world(frame.to_local(points)), points, atol=1e-7)  # the precision of float64
-    at, depth = cameras[0].project(points)
-    local_at, local_depth = frame.camera(cameras[0]).project(frame.to_local(points))
-    np.testing.assert_allclose(local_at, at, atol=1e-6)
+    pixels, depth = cameras[0].project(points)
+    local_pixels, local_depth = frame.camera(cameras[0]).project(frame.to_local(points))
+    np.testing.assert_allclose(local_pixels, pixels, atol=1e-6)
     np.testing.assert_allclose(local_depth * frame.unit, depth, atol=1e-6)
 
 

@@ -39,8 +39,8 @@ def truth():
     valid[5:12, 3:20] = False
     pictures = []
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, 6, endpoint=False)):
-        place = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
-        view = View.of(replace(scene.camera, cam_from_world=look_at(place, (0, 0, 0))))
+        position = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
+        view = View.of(replace(scene.camera, cam_from_world=look_at(position, (0, 0, 0))))
         color = (render(model, view) * 255).round().to(torch.uint8)
         pictures.append(Photograph(str(k), view, color, valid if k == 1 else None))
     return model, pictures
@@ -75,7 +75,7 @@ def psnr(training):
     return np.mean(evaluate(training.model, [pyramid[0] for pyramid in training.photographs]))
 
 
-def assert_similar(ours, theirs, order, within=1e-4):
+def assert_similar(ours, theirs, order, tolerance=1e-4):
     """Compare two trainings, the first of which had its Gaussians reordered.
 
     Gradients are sums in another order, and each step inherits the rounding of the one before: after 200 steps the root
@@ -83,27 +83,27 @@ def assert_similar(ours, theirs, order, within=1e-4):
     changed by one millionth at the start.
     """
     assert ours.step == theirs.step
-    assert psnr(ours) == pytest.approx(psnr(theirs), abs=within)
+    assert psnr(ours) == pytest.approx(psnr(theirs), abs=tolerance)
     start = parts(raise_sh_degree(new_training().model))
-    for name, numbers in parts(theirs.model).items():
-        moved = np.sqrt(np.mean((numbers - start[name]) ** 2))
-        assert np.sqrt(np.mean((parts(ours.model)[name] - numbers[order]) ** 2)) < within * moved, name
-    for mine, other in zip(ours.screen_gradients, theirs.screen_gradients, strict=True):
-        np.testing.assert_allclose(mine.cpu(), other[order], atol=within * float(other.max()))
-    np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * within)
+    for name, values in parts(theirs.model).items():
+        distance = np.sqrt(np.mean((values - start[name]) ** 2))
+        assert np.sqrt(np.mean((parts(ours.model)[name] - values[order]) ** 2)) < tolerance * distance, name
+    for own_rows, other_rows in zip(ours.screen_gradients, theirs.screen_gradients, strict=True):
+        np.testing.assert_allclose(own_rows.cpu(), other_rows[order], atol=tolerance * float(other_rows.max()))
+    np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * tolerance)
 
 
 @pytest.mark.parametrize("steps", [40, pytest.param(STEPS, marks=pytest.mark.slow)])
 def test_emulated_training_equals_that_of_the_cpu(steps, monkeypatch):
-    on_cpu, kernels = new_training(), EmulatedCuda()
-    before = psnr(on_cpu)
-    on_cpu.run(steps)
-    assert psnr(on_cpu) > before + 4
+    cpu_training, kernels = new_training(), EmulatedCuda()
+    before = psnr(cpu_training)
+    cpu_training.run(steps)
+    assert psnr(cpu_training) > before + 4
     monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
     training = new_training()
     order = kernels.morton_order(training.model.means).numpy()
     training.run(steps)
-    assert_similar(training, on_cpu, order)
+    assert_similar(training, cpu_training, order)
 
 
 class SynchronisationRecorder(TorchDispatchMode):
@@ -113,10 +113,10 @@ class SynchronisationRecorder(TorchDispatchMode):
         super().__init__()
         self.names = []
 
-    def __torch_dispatch__(self, function, types, given=(), options=None):
+    def __torch_dispatch__(self, function, types, arguments=(), options=None):
         if function.overloadpacket in (torch.ops.aten._local_scalar_dense, torch.ops.aten.nonzero):
             self.names.append(str(function))
-        return function(*given, **(options or {}))
+        return function(*arguments, **(options or {}))
 
 
 def test_a_step_synchronises_only_to_read_the_number_of_instances(monkeypatch):
@@ -129,7 +129,7 @@ def test_a_step_synchronises_only_to_read_the_number_of_instances(monkeypatch):
     assert counts[:2] == [0, 0] and counts[2] > 0
 
 
-class OnMeta(Emulator):
+class MetaEmulator(Emulator):
     """Launches nothing, but checks the arguments."""
 
     def launch(self, kernel, blocks, *arguments):
@@ -139,7 +139,7 @@ class OnMeta(Emulator):
 
 def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     """Tensors on the device `meta` have no values, and most operations refuse to mix them with those of the CPU."""
-    kernels = EmulatedCuda(emulator=OnMeta)
+    kernels = EmulatedCuda(emulator=MetaEmulator)
     monkeypatch.setattr(train, "kernels_of", lambda _: kernels)
     monkeypatch.setattr(torch.Tensor, "tolist", lambda tensor: [40, 100])  # number of drawn Gaussians and of instances
     for method in ("_check_model", "_check_convergence"):  # which read values
@@ -152,14 +152,14 @@ def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
 
 def test_reordering_includes_everything_that_belongs_to_the_gaussians():
     """A training in another order continues in the same way."""
-    plain, turned = new_training(), new_training()
+    original, reordered = new_training(), new_training()
     order = torch.from_numpy(np.random.default_rng(3).permutation(GAUSSIANS))
-    for training in (plain, turned):
+    for training in (original, reordered):
         training.run(10)
-    turned.reorder(order)
-    for training in (plain, turned):
+    reordered.reorder(order)
+    for training in (original, reordered):
         training.run(20)
-    assert_similar(turned, plain, order.numpy())
+    assert_similar(reordered, original, order.numpy())
 
 
 def test_models_are_loaded_to_the_requested_device(tmp_path, monkeypatch):
@@ -174,15 +174,15 @@ def test_models_are_loaded_to_the_requested_device(tmp_path, monkeypatch):
     assert training.model.sh.is_meta and training.optimizer.first.sh.is_meta and training.screen_gradients.views.is_meta
 
 
-def test_choice_of_the_device(monkeypatch):
+def test_the_device_is_chosen_by_availability(monkeypatch):
     """Without a GPU, with one on which no kernel runs, and with one."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for wanted in ("auto", "cpu"):
-        assert choose_device(wanted) == (torch.device("cpu"), None)
+    for setting in ("auto", "cpu"):
+        assert choose_device(setting) == (torch.device("cpu"), None)
     with check_error():
         choose_device("cuda")
 
-    def fails(error):
+    def raise_on_run(error):
         def run(device):
             raise error
 
@@ -191,17 +191,23 @@ def test_choice_of_the_device(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
-    missing, broken = MissingExtra("NVRTC", "cuda", "it is not installed"), RuntimeError("the driver is old\nat line 5")
-    for error, raised in [(missing, MissingExtra), (broken, InputError)]:
-        monkeypatch.setattr(devices, "_run_smallest_kernel", fails(error))
-        with check_error(raised):
+    missing_extra, driver_error = (
+        MissingExtra("NVRTC", "cuda", "it is not installed"),
+        RuntimeError("the driver is old\nat line 5"),
+    )
+    for error, error_type in [(missing_extra, MissingExtra), (driver_error, InputError)]:
+        monkeypatch.setattr(devices, "_run_smallest_kernel", raise_on_run(error))
+        with check_error(error_type):
             choose_device("cuda")
         device, note = choose_device("auto")
         assert device.type == "cpu"
         assert str(error).splitlines()[0] in check_text(note)
     monkeypatch.setattr(devices, "_run_smallest_kernel", lambda device: None)
-    for wanted in ("auto", "cuda"):
-        assert choose_device(wanted) == (torch.device("cuda:1"), "trained on GPU 1; set device=cpu to train on the CPU")
+    for setting in ("auto", "cuda"):
+        assert choose_device(setting) == (
+            torch.device("cuda:1"),
+            "trained on GPU 1; set device=cpu to train on the CPU",
+        )
     assert choose_device("cpu") == (torch.device("cpu"), None)
 
 
@@ -213,10 +219,10 @@ def test_without_a_gpu_no_work_is_started_on_one(monkeypatch, tmp_path):
 
 
 def test_running_out_of_gpu_memory_is_an_error_with_advice(monkeypatch, tmp_path):
-    def full(*_):
+    def raise_out_of_memory(*_):
         raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
 
-    monkeypatch.setattr(GaussianSplatting, "_reconstruct", full)
+    monkeypatch.setattr(GaussianSplatting, "_reconstruct", raise_out_of_memory)
     with check_error(ReconstructionError):
         GaussianSplatting().reconstruct([None] * 3, tmp_path)
 
@@ -229,17 +235,18 @@ def test_training_on_a_gpu_equals_that_on_the_cpu(tmp_path):
     from reconstructors.splat import cuda
 
     assert choose_device("auto").device.type == "cuda"
-    on_cpu, training = new_training(), new_training("cuda")
+    cpu_training, training = new_training(), new_training("cuda")
     order = cuda.morton_order(training.model.means).cpu().numpy()
-    on_cpu.run(STEPS)
+    cpu_training.run(STEPS)
     training.run(STEPS // 2)
     training.save(tmp_path / "half.pt", "key")
-    there, here = new_training("cuda"), new_training()
-    for other in (there, here):
-        assert other.load(tmp_path / "half.pt", "key")
-        assert other.model.means.device == other.photographs[0][0].color.device
-        other.run(STEPS)
-        assert_similar(other, on_cpu, order, within=0.02)  # exp() and others are rounded differently on a GPU
+    resumed_on_gpu, resumed_on_cpu = new_training("cuda"), new_training()
+    for resumed in (resumed_on_gpu, resumed_on_cpu):
+        assert resumed.load(tmp_path / "half.pt", "key")
+        assert resumed.model.means.device == resumed.photographs[0][0].color.device
+        resumed.run(STEPS)
+        # exp() and other functions are rounded differently on a GPU.
+        assert_similar(resumed, cpu_training, order, tolerance=0.02)
     training.run(STEPS)
-    for name, numbers in parts(training.model).items():  # a resumed run equals an uninterrupted one, bit for bit
-        np.testing.assert_array_equal(parts(there.model)[name], numbers)
+    for name, values in parts(training.model).items():  # a resumed run equals an uninterrupted one, bit for bit
+        np.testing.assert_array_equal(parts(resumed_on_gpu.model)[name], values)

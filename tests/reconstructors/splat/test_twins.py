@@ -23,9 +23,9 @@ reference = pytest.importorskip("reconstructors.splat.reference")
 REFERENCE = Engine(reference, "cpu")
 
 
-def disagreeing(ours, theirs, part, whole):
-    """Return the share of values that differ by more than `part` of themselves plus `whole` of the maximum."""
-    allowed = part * np.abs(theirs) + whole * np.abs(theirs).max(initial=0)
+def disagreeing_share(ours, theirs, rtol, relative_atol):
+    """Return the share of values that differ by more than `rtol` of themselves plus `relative_atol` of the maximum."""
+    allowed = rtol * np.abs(theirs) + relative_atol * np.abs(theirs).max(initial=0)
     return (np.abs(ours - theirs) > allowed).mean() if theirs.size else 0.0
 
 
@@ -40,9 +40,12 @@ def test_images_and_gradients_equal_those_of_the_reference(engine, kind):
     scene = make_scene(kind)
     image_gradients = random_image_gradients(scene)
     ours, theirs = run_pass(engine, scene, image_gradients), run_pass(REFERENCE, scene, image_gradients)
-    whole, flips = (1e-4, 1e-2) if kind is crowd else (1e-5, 1e-3)
-    off = {name: disagreeing(array, theirs.arrays()[name], 1e-3, whole) for name, array in ours.arrays().items()}
-    assert max(off.values()) <= flips, off
+    relative_atol, max_disagreeing = (1e-4, 1e-2) if kind is crowd else (1e-5, 1e-3)
+    shares = {
+        name: disagreeing_share(array, theirs.arrays()[name], 1e-3, relative_atol)
+        for name, array in ours.arrays().items()
+    }
+    assert max(shares.values()) <= max_disagreeing, shares
     # All visible Gaussians are drawn; of the others only those that pass the bounds of tiles, which are wider.
     assert ours.drawn[theirs.drawn].all()
     assert all(np.isfinite(array).all() for array in ours.arrays().values())
@@ -50,20 +53,20 @@ def test_images_and_gradients_equal_those_of_the_reference(engine, kind):
         assert all(array.any() for array in theirs.arrays().values())
 
 
-def test_planes_of_long_needles(engine):
+def test_images_of_long_needles_equal_those_of_the_reference(engine):
     """A hundred times as long as their distance and a thousandth as wide: depth grows along them, not across."""
     scene = make_scene(needles)
     scene.scales[np.arange(60), scene.scales.argmax(axis=1)] = 300
     ours, theirs = run_pass(engine, scene).images, run_pass(REFERENCE, scene).images
     for name, image in theirs.items():
-        assert disagreeing(ours[name], image, 0, 1e-5) <= 1e-3, name
+        assert disagreeing_share(ours[name], image, 0, 1e-5) <= 1e-3, name
 
 
 @pytest.mark.parametrize("kind", [scattered_cloud, tall_image])
 def test_without_geometry_colour_is_the_same(engine, kind):
     scene = make_scene(kind)
-    zero = random_image_gradients(scene)._replace(depth=None, normal=None)
-    full, plain = run_pass(engine, scene, zero), run_pass(engine, scene, zero, geometry=False)
+    image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+    full, plain = run_pass(engine, scene, image_gradients), run_pass(engine, scene, image_gradients, geometry=False)
     assert plain.images.keys() == {"color", "transmittance"}
     for name, array in plain.arrays().items():
         np.testing.assert_allclose(array, full.arrays()[name], rtol=0, atol=1e-6 * np.abs(array).max(), err_msg=name)
@@ -71,33 +74,33 @@ def test_without_geometry_colour_is_the_same(engine, kind):
 
 def test_a_missing_gradient_equals_zero(engine):
     scene = make_scene(scattered_cloud)
-    none = random_image_gradients(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
-    zeros = none._replace(**{name: np.zeros((22, 37), np.float32) for name in ("transmittance", "depth", "error")})
+    missing = random_image_gradients(scene)._replace(transmittance=None, depth=None, normal=None, error=None)
+    zeros = missing._replace(**{name: np.zeros((22, 37), np.float32) for name in ("transmittance", "depth", "error")})
     zeros = zeros._replace(normal=np.zeros((22, 37, 3), np.float32))
-    ours, theirs = run_pass(engine, scene, none), run_pass(engine, scene, zeros)
+    ours, theirs = run_pass(engine, scene, missing), run_pass(engine, scene, zeros)
     for name, array in ours.arrays().items():
         np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
     assert not ours.gradients["error"].any() and ours.gradients["weight"].any()
 
 
-def test_one_rasterizer_renders_one_view_after_another(engine):
+def test_a_reused_rasterizer_keeps_nothing_of_the_previous_view(engine):
     """With other sizes and numbers of Gaussians and harmonics: the buffers keep nothing of the view before."""
-    used = engine.kernels.Rasterizer()
+    rasterizer = engine.kernels.Rasterizer()
     for kind in (huge_gaussians, one_pixel_image, crowd, no_gaussians, tall_image, whole_tile_image, scattered_cloud):
         scene = make_scene(kind)
         image_gradients = random_image_gradients(scene)
-        again, fresh = run_pass(engine, scene, image_gradients, used), run_pass(engine, scene, image_gradients)
+        again, fresh = run_pass(engine, scene, image_gradients, rasterizer), run_pass(engine, scene, image_gradients)
         for name, array in fresh.arrays().items():
             np.testing.assert_array_equal(again.arrays()[name], array, err_msg=f"{kind.__name__} {name}")
 
 
 def test_the_gradient_can_be_computed_twice(engine):
     """Another gradient of the same image: the first one does not consume the stored data."""
-    scene, used = make_scene(scattered_cloud), engine.kernels.Rasterizer()
-    run_pass(engine, scene, random_image_gradients(scene, seed=8), used)
-    first = run_pass(engine, scene, random_image_gradients(scene), used)
-    by = [engine.tensor(image) for image in random_image_gradients(scene)]
-    for name, rows in zip(first.gradients, used.backward(*by)[1:], strict=True):
+    scene, rasterizer = make_scene(scattered_cloud), engine.kernels.Rasterizer()
+    run_pass(engine, scene, random_image_gradients(scene, seed=8), rasterizer)
+    first = run_pass(engine, scene, random_image_gradients(scene), rasterizer)
+    tensors = [engine.tensor(image) for image in random_image_gradients(scene)]
+    for name, rows in zip(first.gradients, rasterizer.backward(*tensors)[1:], strict=True):
         np.testing.assert_array_equal(rows.cpu().numpy(), first.gradients[name][first.drawn], err_msg=name)
 
 
@@ -117,7 +120,7 @@ def test_loss_of_an_image(engine, height, width, weight):
     ours, theirs = engine.kernels.image_loss(image, target, weight), reference.image_loss(image, target, weight)
     assert float(ours.l1) == pytest.approx(float(theirs.l1), rel=1e-6)
     assert float(ours.ssim) == pytest.approx(float(theirs.ssim), abs=1e-5)
-    assert disagreeing(ours.gradient.cpu().numpy(), theirs.gradient.cpu().numpy(), 0, 1e-4) == 0
+    assert disagreeing_share(ours.gradient.cpu().numpy(), theirs.gradient.cpu().numpy(), 0, 1e-4) == 0
 
 
 def test_the_loss_of_equal_images_is_zero(engine):
@@ -130,22 +133,22 @@ def test_the_loss_of_equal_images_is_zero(engine):
 
 
 @pytest.mark.parametrize("columns", [1, 3, 4, 48])
-def test_steps_of_adam(engine, columns):
+def test_adam_steps_equal_those_of_the_reference(engine, columns):
     """On the rows with a gradient, from the first step on, whose moments are zero."""
     rng = np.random.default_rng(6)
     tensors = [engine.tensor(rng.normal(size=(40, columns)).astype(np.float32)), *[None] * 2]
     tensors[1:] = [torch.zeros_like(tensors[0]) for _ in range(2)]
-    exact = [tensor.double() for tensor in tensors]
+    exact_tensors = [tensor.double() for tensor in tensors]
     start = tensors[0].clone()
     for step in range(1, 6):
         ids = np.flatnonzero(rng.random(30) < 0.6)  # the last ten rows never have a gradient
         gradient = (rng.normal(size=(len(ids), columns)) * 10.0 ** rng.integers(-8, 4, (len(ids), 1))).astype(
             np.float32
         )
-        given = engine.tensor(gradient), engine.tensor(ids)
-        engine.kernels.adam(*tensors, *given, 0.01, step)
-        reference.adam(*exact, given[0].double(), given[1], 0.01, step)
-    for ours, theirs in zip(tensors, exact, strict=True):
+        arguments = engine.tensor(gradient), engine.tensor(ids)
+        engine.kernels.adam(*tensors, *arguments, 0.01, step)
+        reference.adam(*exact_tensors, arguments[0].double(), arguments[1], 0.01, step)
+    for ours, theirs in zip(tensors, exact_tensors, strict=True):
         np.testing.assert_allclose(ours.cpu().numpy(), theirs.cpu().numpy(), rtol=2e-5, atol=1e-7)
     assert torch.equal(tensors[0][30:], start[30:]) and not torch.equal(tensors[0][:30], start[:30])
 
