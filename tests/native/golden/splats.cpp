@@ -39,11 +39,12 @@ void golden::splats() {
 
     std::vector<float> color_gradient, transmittance_gradient, depth_gradient, normal_gradient, pixel_errors;
     for (size_t pixel = 0; pixel < kPixels; ++pixel) {
-        for (int channel = 0; channel < 3; ++channel)
-            color_gradient.push_back(random.uniform_float(-1, 2)),
-                normal_gradient.push_back(random.uniform_float(-1, 2));
-        transmittance_gradient.push_back(random.uniform_float(-1, 2)),
-            depth_gradient.push_back(random.uniform_float(-1, 2));
+        for (int channel = 0; channel < 3; ++channel) {
+            color_gradient.push_back(random.uniform_float(-1, 2));
+            normal_gradient.push_back(random.uniform_float(-1, 2));
+        }
+        transmittance_gradient.push_back(random.uniform_float(-1, 2));
+        depth_gradient.push_back(random.uniform_float(-1, 2));
         pixel_errors.push_back(random.uniform_float(0, 1));
     }
     const size_t rows = rasterizer.drawn();
