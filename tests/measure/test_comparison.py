@@ -127,10 +127,8 @@ def test_area_weighting_equals_brute_force(pair):
 def test_a_utm_offset_changes_no_metric(pair, register):
     reference, candidate = map(round_to_grid, pair)
     settings = Settings(register=register, crop="quantile:0.9")
-    values, shifted_values = (
-        json_metrics_of(reference, candidate, settings),
-        json_metrics_of(reference + UTM, candidate + UTM, settings),
-    )
+    values = json_metrics_of(reference, candidate, settings)
+    shifted_values = json_metrics_of(reference + UTM, candidate + UTM, settings)
     assert values.keys() == shifted_values.keys()
     for path, value in values.items():
         assert shifted_values[path] == (None if value is None else pytest.approx(value, rel=1e-9)), path
@@ -184,11 +182,9 @@ def test_differences_between_candidates():
 
 def test_results_do_not_depend_on_other_candidates(pair):
     reference, candidate = pair
-    metrics = document(compare(reference, {"x": candidate}, NO_REGISTRATION))["candidates"][0]["metrics"]
-    metrics_with_another = document(compare(reference, {"y": candidate + 1, "x": candidate}, NO_REGISTRATION))[
-        "candidates"
-    ][1]["metrics"]
-    assert metrics == metrics_with_another
+    single = document(compare(reference, {"x": candidate}, NO_REGISTRATION))
+    several = document(compare(reference, {"y": candidate + 1, "x": candidate}, NO_REGISTRATION))
+    assert single["candidates"][0]["metrics"] == several["candidates"][1]["metrics"]
 
 
 def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):

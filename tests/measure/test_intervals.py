@@ -47,15 +47,15 @@ def test_the_variance_of_a_correlated_field_is_estimated(width, reach, independe
     assert 0.9 * variances[0] < np.mean([s.sigma**2 for s in estimates]) < 1.4 * variances[0]
     assert reach[0] <= np.median([s.reach for s in estimates]) <= reach[1]
     assert independent_regions[0] <= np.median([s.independent_regions for s in estimates]) <= independent_regions[1]
-    is_below = [
+    is_above_lower = [
         mean - student_t_quantile(s.degrees_of_freedom) * s.sigma <= 0
         for mean, s in zip(map(np.mean, fields), estimates, strict=True)
     ]
-    is_above = [
+    is_below_upper = [
         mean + student_t_quantile(s.degrees_of_freedom) * s.sigma >= 0
         for mean, s in zip(map(np.mean, fields), estimates, strict=True)
     ]
-    assert np.mean(np.logical_and(is_below, is_above)) >= 0.88
+    assert np.mean(np.logical_and(is_above_lower, is_below_upper)) >= 0.88
 
 
 def test_few_large_values_leave_few_degrees_of_freedom():

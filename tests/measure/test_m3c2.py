@@ -121,12 +121,8 @@ def test_invalid_texts_are_refused(text):
 
 def test_settings_survive_a_round_trip_through_text():
     settings = M3C2Settings.parse("radius=0.5, depth=2 ,cores=a, b.ply")
-    assert (settings.radius, settings.depth, settings.normal_radius, str(settings.cores)) == (
-        0.5,
-        2.0,
-        None,
-        "a, b.ply",
-    )
+    assert (settings.radius, settings.depth, settings.normal_radius) == (0.5, 2.0, None)
+    assert str(settings.cores) == "a, b.ply"
     assert M3C2Settings.parse(settings.text).text == settings.text
     assert Settings(m3c2="radius=1").maps == ("m3c2",)
     for value in (3, True, {"radius": 1}):

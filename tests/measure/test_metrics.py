@@ -65,9 +65,8 @@ def test_metrics_equal_brute_force(first, second):
 @given(GRID_CLOUDS, GRID_CLOUDS, st.tuples(GRID_COORDINATES, GRID_COORDINATES, GRID_COORDINATES))
 @settings(max_examples=40, deadline=None)
 def test_shifting_both_clouds_changes_nothing(first, second, shift):
-    assert all_metrics(*distances_both_ways(first + shift, second + shift)) == all_metrics(
-        *distances_both_ways(first, second)
-    )
+    shifted = distances_both_ways(first + shift, second + shift)
+    assert all_metrics(*shifted) == all_metrics(*distances_both_ways(first, second))
 
 
 @given(GRID_CLOUDS, GRID_CLOUDS)
@@ -81,10 +80,8 @@ def test_swapping_the_clouds_keeps_symmetric_metrics(first, second):
 @given(GRID_CLOUDS, GRID_CLOUDS, st.sampled_from([0.25, 2.0, 1024.0]))
 @settings(max_examples=40, deadline=None)
 def test_scaling_scales_lengths_and_squares(first, second, factor):
-    unscaled, scaled = (
-        all_metrics(*distances_both_ways(first, second)),
-        all_metrics(*distances_both_ways(factor * first, factor * second)),
-    )
+    unscaled = all_metrics(*distances_both_ways(first, second))
+    scaled = all_metrics(*distances_both_ways(factor * first, factor * second))
     for name, power in (("d1", 2), ("squared", 2), ("hausdorff", 1), ("unsquared", 1)):
         assert scaled[name] == pytest.approx(factor**power * unscaled[name], rel=1e-12)
 
@@ -95,9 +92,8 @@ def test_metrics_do_not_depend_on_the_order_of_points(cloud, random):
     order = list(range(len(cloud)))
     random.shuffle(order)
     other = cloud[::-1] * 0.5
-    assert all_metrics(*distances_both_ways(cloud[order], other)) == pytest.approx(
-        all_metrics(*distances_both_ways(cloud, other)), rel=1e-12
-    )
+    expected = all_metrics(*distances_both_ways(cloud, other))
+    assert all_metrics(*distances_both_ways(cloud[order], other)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_identical_clouds_have_no_error():
