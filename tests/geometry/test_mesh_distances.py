@@ -170,10 +170,10 @@ def test_results_are_bit_identical_across_batches_threads_and_runs():
     vertices, faces = spiky_sphere(4)
     points = np.random.default_rng(6).normal(size=(3000, 3))
     index = MeshIndex(Mesh(vertices, faces))
-    whole = index.query(points)
+    matches = index.query(points)
     for parts in ([points[:1], points[1:]], np.array_split(points, 37), [points[::-1]]):
         rows = [index.query(part) for part in parts]
-        for field, expected in zip(zip(*rows, strict=True), whole, strict=True):
+        for field, expected in zip(zip(*rows, strict=True), matches, strict=True):
             got = np.concatenate(field)
             np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
     script = (

@@ -144,8 +144,8 @@ def test_saved_settings_repeat_the_result_of_the_command_line(pair, tmp_path, ru
     assert (result["core_points"], result["valid"]) == (40, 39)
     settings = json.loads((tmp_path / "report" / "settings.json").read_text())
     assert settings["files"][0]["path"] == str(tmp_path / "cores.xyz")
-    again = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
-    assert again[0] == 0
+    code, _, _ = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
+    assert code == 0
     assert json.loads((tmp_path / "again.json").read_text())["candidates"][0]["deviation"]["m3c2"] == result
     for text, expected in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
         code, _, err = run("compare", *files, "--m3c2", text)

@@ -101,9 +101,9 @@ def sample_symmetric_hall(n, seed, noise=0.01):
     faces += [((-15, y, 8), (30, 0, 0), (0, -y, rise)) for y in (-6, 6)]
     corner, u, v = (np.array(part, dtype=float) for part in zip(*faces, strict=True))
     areas = np.linalg.norm(np.cross(u, v), axis=1)
-    which = rng.choice(len(faces), size=n, p=areas / areas.sum())
+    face_rows = rng.choice(len(faces), size=n, p=areas / areas.sum())
     s, t = rng.random((2, n, 1))
-    return corner[which] + s * u[which] + t * v[which] + rng.normal(0, noise, (n, 3))
+    return corner[face_rows] + s * u[face_rows] + t * v[face_rows] + rng.normal(0, noise, (n, 3))
 
 
 @needs_kiss

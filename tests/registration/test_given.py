@@ -34,7 +34,7 @@ def test_given_poses_are_used_unchanged(scene, tmp_path):
     assert unregistered.method == "none"
 
 
-def test_a_given_scale_was_not_solved(scene):
+def test_a_given_scale_is_kept_and_not_solved(scene):
     reference, candidate = scene
     result = register(reference, candidate / 40, Similarity(np.eye(3), np.zeros(3), 40.0))
     assert result.T_reference_candidate.scale == 40.0

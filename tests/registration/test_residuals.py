@@ -26,9 +26,9 @@ TRUE_POSE = motion(0.5, scale=1.5)
 
 
 def survey_pairs(**changes):
-    measured = np.concatenate([CONTROL_SQUARE, CHECK_POINTS])
-    surveyed = TRUE_POSE.apply(measured) - np.concatenate([SADDLE_OFFSETS @ TRUE_POSE.rotation.T, CHECK_OFFSETS])
-    return ControlPoints(measured, surveyed, NAMES, [False] * 4 + [True] * 2, **changes)
+    candidate = np.concatenate([CONTROL_SQUARE, CHECK_POINTS])
+    reference = TRUE_POSE.apply(candidate) - np.concatenate([SADDLE_OFFSETS @ TRUE_POSE.rotation.T, CHECK_OFFSETS])
+    return ControlPoints(candidate, reference, NAMES, [False] * 4 + [True] * 2, **changes)
 
 
 def write_pairs(path, points, head=""):
