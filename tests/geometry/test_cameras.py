@@ -7,7 +7,7 @@ from wording import check_error
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 
 
-def test_conventions():
+def test_projection_follows_the_axis_conventions():
     camera = Camera("a.png", Intrinsics.from_fov(640, 480, 90.0), look_at([0, -10, 0], [0, 0, 0]))
     np.testing.assert_allclose(camera.position, [0, -10, 0], atol=1e-14)
     np.testing.assert_allclose(camera.direction, [0, 1, 0], atol=1e-14)
@@ -16,8 +16,8 @@ def test_conventions():
     np.testing.assert_allclose(pixels[1], [560, 240], atol=1e-11)  # east is right
     np.testing.assert_allclose(pixels[2], [320, 0], atol=1e-11)  # up is up
     np.testing.assert_allclose(depth, [10, 10, 10, -10], atol=1e-13)
-    down = Camera("b.png", camera.intrinsics, look_at([0, 0, 50], [0, 0, 0]))
-    pixels, _ = down.project(np.array([[0, 5.0, 0], [5.0, 0, 0]]))
+    downward = Camera("b.png", camera.intrinsics, look_at([0, 0, 50], [0, 0, 0]))
+    pixels, _ = downward.project(np.array([[0, 5.0, 0], [5.0, 0, 0]]))
     assert pixels[0, 1] < 240  # north is up
     assert pixels[1, 0] > 320
 
@@ -50,15 +50,15 @@ def test_scaling_preserves_rays():
         lambda: look_at([1, 2, 3], [1, 2, 3]),
     ],
 )
-def test_refusals(make):
+def test_invalid_cameras_are_refused(make):
     with check_error():
         make()
 
 
-LENSES = [(0, 0, 0, 0), (0.08, 0, 0, 0), (-0.12, 0.02, 0.003, -0.002), (0.1, -0.05, 0.01, 0.02)]
+DISTORTIONS = [(0, 0, 0, 0), (0.08, 0, 0, 0), (-0.12, 0.02, 0.003, -0.002), (0.1, -0.05, 0.01, 0.02)]
 
 
-@pytest.mark.parametrize("distortion", LENSES)
+@pytest.mark.parametrize("distortion", DISTORTIONS)
 def test_directions_invert_projection(distortion):
     k = Intrinsics(320, 200, 210, 215, 155, 104, distortion)
     u, v = np.meshgrid(np.linspace(0, 320, 33), np.linspace(0, 200, 21))
@@ -67,8 +67,8 @@ def test_directions_invert_projection(distortion):
     np.testing.assert_array_equal(rays[:, 2], 1)
     projected = Camera("a.png", k, look_at([0, 0, 0], [0, 0, 1], up=[0, -1, 0])).project(7 * rays)[0]
     np.testing.assert_allclose(projected, pixels, atol=1e-9)  # pixels of about 300, Newton to 1e-10 of a focal length
-    inner = np.abs(rays[:, :2]).max(axis=0)
-    np.testing.assert_allclose(k.widest, inner, rtol=0.01)  # the extreme of the border lies between grid points
+    widest = np.abs(rays[:, :2]).max(axis=0)
+    np.testing.assert_allclose(k.widest, widest, rtol=0.01)  # the extreme of the border lies between grid points
 
 
 def test_folding_distortion_is_refused():

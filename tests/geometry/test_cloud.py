@@ -27,7 +27,7 @@ def full_cloud():
     )
 
 
-def test_keeps_float64_in_c_order():
+def test_points_are_float64_in_c_order():
     for array in (POINTS.astype(np.float32), POINTS.tolist(), np.asfortranarray(POINTS), POINTS.astype(">f8")):
         points = Cloud(array).points
         assert points.dtype == np.float64
@@ -36,7 +36,7 @@ def test_keeps_float64_in_c_order():
         assert (points == POINTS).all()
 
 
-def test_length_bounds_and_name():
+def test_length_bounds_and_representation():
     cloud = full_cloud()
     assert len(cloud) == 4
     assert [corner.tolist() for corner in cloud.bounds] == [[0, 1, 2], [9, 10, 11]]
@@ -44,14 +44,14 @@ def test_length_bounds_and_name():
     check_text(repr(Cloud(POINTS)), masked=False)
 
 
-def test_is_frozen():
+def test_clouds_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         full_cloud().points = POINTS
 
 
-@pytest.mark.parametrize("which", [np.array([True, False, False, True]), np.array([0, 3])])
-def test_select_applies_to_all_fields(which):
-    selected = full_cloud().select(which)
+@pytest.mark.parametrize("selection", [np.array([True, False, False, True]), np.array([0, 3])])
+def test_select_applies_to_all_fields(selection):
+    selected = full_cloud().select(selection)
     assert selected.points.tolist() == [[0, 1, 2], [9, 10, 11]]
     assert selected.normals.shape == (2, 3)
     assert selected.colors.tolist() == [[0, 1, 2], [9, 10, 11]]
@@ -63,13 +63,13 @@ def test_select_may_reorder_and_repeat():
     assert full_cloud().select(np.array([3, 3, 0])).attributes["intensity"].tolist() == [3, 3, 0]
 
 
-def test_select_of_a_bare_cloud():
+def test_select_of_a_cloud_without_attributes():
     selected = Cloud(POINTS).select(np.array([1]))
     assert selected.normals is None
     assert selected.colors is None
 
 
-def test_transformed():
+def test_transforms_apply_to_points_and_normals():
     cloud = full_cloud()
     moved = cloud.transformed(QUARTER_TURN)
     assert moved.points[1].tolist() == [10 - 2 * 4, 2 * 3, 2 * 5]
@@ -101,11 +101,11 @@ def test_overflowing_sums_raise_and_are_not_dropped_as_infinite(make):
 
 
 def test_from_finite_drops_rows_of_all_fields():
-    broken = POINTS.copy()
-    broken[1, 2], broken[2, 0] = np.nan, -np.inf
+    points = POINTS.copy()
+    points[1, 2], points[2, 0] = np.nan, -np.inf
     colors = np.arange(12).reshape(4, 3)
     cloud, dropped = Cloud.from_finite(
-        broken, normals=POINTS, colors=colors.tolist(), attributes={"a": [5, 6, 7, 8]}, unit="ft"
+        points, normals=POINTS, colors=colors.tolist(), attributes={"a": [5, 6, 7, 8]}, unit="ft"
     )
     assert dropped == 2
     assert cloud.points.tolist() == cloud.normals.tolist() == POINTS[[0, 3]].tolist()
@@ -153,15 +153,15 @@ ONE_NAN = np.vstack([POINTS[:3], NAN[:1]])
         lambda: as_cloud(np.zeros((2, 2))),
     ],
 )
-def test_refusals(make):
+def test_invalid_clouds_are_refused(make):
     with check_error() as caught:
         make()
     assert isinstance(caught.value, PcbenchError)
 
 
-def test_colors_of_other_types_with_whole_values():
-    for kind in (np.uint16, np.int64, np.float32):
-        colors = Cloud(POINTS, colors=np.full((4, 3), 255, kind)).colors
+def test_whole_colors_of_other_types_are_converted():
+    for dtype in (np.uint16, np.int64, np.float32):
+        colors = Cloud(POINTS, colors=np.full((4, 3), 255, dtype)).colors
         assert colors.dtype == np.uint8
         assert (colors == 255).all()
 
@@ -171,7 +171,7 @@ def test_clouds_do_not_change_with_the_callers_arrays():
     colors, intensity = np.zeros((4, 3), np.uint8), np.zeros(4)
     read_only_view = points[:]
     read_only_view.flags.writeable = False
-    clouds = [Cloud(given, normals, colors, {"intensity": intensity}) for given in (points, read_only_view)]
+    clouds = [Cloud(array, normals, colors, {"intensity": intensity}) for array in (points, read_only_view)]
     clouds.append(Cloud.from_finite(points, normals=normals, colors=colors, attributes={"intensity": intensity})[0])
     clouds.append(as_cloud(points))
     for array in (points, normals, colors, intensity):
@@ -194,9 +194,9 @@ def test_arrays_are_read_only_and_not_copied_again(tmp_path):
             if array is not None:
                 with pytest.raises(ValueError, match="read-only"):
                     array[0] = 0
-        again = dataclasses.replace(cloud, unit="ft")
-        assert again.points is cloud.points
-        assert all(again.attributes[name] is cloud.attributes[name] for name in cloud.attributes)
+        replaced = dataclasses.replace(cloud, unit="ft")
+        assert replaced.points is cloud.points
+        assert all(replaced.attributes[name] is cloud.attributes[name] for name in cloud.attributes)
 
 
 def test_open3d_round_trip():
@@ -219,12 +219,12 @@ def test_open3d_round_trip():
 
 def test_open3d_round_trip_preserves_every_colour():
     import_or_skip("open3d")
-    every = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-    cloud = Cloud(np.zeros((256, 3)), colors=every)
-    assert (Cloud.from_open3d(cloud.to_open3d()).colors == every).all()
-    floats = cloud.to_open3d_tensor()
-    floats.point["colors"] = floats.point["colors"].to(floats.point["positions"].dtype) / 255
-    assert (Cloud.from_open3d(floats).colors == every).all()
+    colors = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    cloud = Cloud(np.zeros((256, 3)), colors=colors)
+    assert (Cloud.from_open3d(cloud.to_open3d()).colors == colors).all()
+    tensor_cloud = cloud.to_open3d_tensor()
+    tensor_cloud.point["colors"] = tensor_cloud.point["colors"].to(tensor_cloud.point["positions"].dtype) / 255
+    assert (Cloud.from_open3d(tensor_cloud).colors == colors).all()
 
 
 def test_a_cloud_from_open3d_is_a_copy():
@@ -238,13 +238,13 @@ def test_a_cloud_from_open3d_is_a_copy():
         assert (cloud.points == POINTS).all()
 
 
-def test_other_types_than_open3d_clouds_are_refused():
+def test_only_nonempty_open3d_clouds_are_converted():
     with check_error():
         Cloud.from_open3d([1, 2])
     open3d = import_or_skip("open3d")
-    for empty in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
+    for empty_cloud in (open3d.geometry.PointCloud(), open3d.t.geometry.PointCloud()):
         with check_error():
-            Cloud.from_open3d(empty)
+            Cloud.from_open3d(empty_cloud)
 
 
 def test_from_trimesh():

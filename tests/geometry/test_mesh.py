@@ -11,15 +11,15 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.transform import Affine, Similarity
 
 
-def test_closed():
+def test_is_closed():
     vertices, faces = cube()
     assert Mesh(vertices, faces).is_closed
     assert Mesh(vertices, faces[:, [1, 2, 0]]).is_closed
     assert not Mesh(vertices, faces[1:]).is_closed
     assert not Mesh(vertices, np.concatenate([faces, faces[:1]])).is_closed
-    turned = faces.copy()
-    turned[0] = turned[0, ::-1]
-    assert not Mesh(vertices, turned).is_closed
+    flipped = faces.copy()
+    flipped[0] = flipped[0, ::-1]
+    assert not Mesh(vertices, flipped).is_closed
     assert not Mesh(*height_field(4)).is_closed
 
 
@@ -35,14 +35,14 @@ def test_area_and_normals():
 
 def test_transformed_and_shifted():
     mesh = Mesh(*tetrahedron(), crs="EPSG:32632", unit="m")
-    moved = mesh.shifted(-UTM)
-    np.testing.assert_array_equal(moved.vertices, mesh.vertices + UTM)
-    assert (moved.crs, moved.unit) == ("EPSG:32632", "m")
+    shifted = mesh.shifted(-UTM)
+    np.testing.assert_array_equal(shifted.vertices, mesh.vertices + UTM)
+    assert (shifted.crs, shifted.unit) == ("EPSG:32632", "m")
     scaled = mesh.transformed(Similarity(np.eye(3), np.ones(3), 2.0))
     assert scaled.area == pytest.approx(4 * mesh.area)
     mirrored = mesh.transformed(Affine(np.diag([-1.0, 1, 1]), np.zeros(3)))
-    away = mirrored.vertices[mirrored.faces].mean(axis=1) - mirrored.vertices.mean(axis=0)
-    assert (np.einsum("ni,ni->n", mirrored.normals(), away) > 0).all()
+    outward = mirrored.vertices[mirrored.faces].mean(axis=1) - mirrored.vertices.mean(axis=0)
+    assert (np.einsum("ni,ni->n", mirrored.normals(), outward) > 0).all()
 
 
 def test_sample_is_uniform_by_area():
@@ -57,18 +57,18 @@ def test_sample_is_uniform_by_area():
     mesh = Mesh(vertices, np.arange(63).reshape(3, 21).T)
     count = 40_000
     cloud = mesh.sample(count, seed=3)
-    owners = np.round(cloud.points[:, 2] / 3).astype(int)
-    observed, expected = np.bincount(owners, minlength=21)[1:], count * heights[1:] / heights.sum()
-    assert not (owners == 0).any()
+    face_rows = np.round(cloud.points[:, 2] / 3).astype(int)
+    observed, expected = np.bincount(face_rows, minlength=21)[1:], count * heights[1:] / heights.sum()
+    assert not (face_rows == 0).any()
     assert ((observed - expected) ** 2 / expected).sum() < chi2.ppf(0.999, 19)
     # Within a face: the four similar parts of a triangle get equally many points.
-    s, t = cloud.points[:, 0] - 3 * owners, cloud.points[:, 1] / heights[owners]
+    s, t = cloud.points[:, 0] - 3 * face_rows, cloud.points[:, 1] / heights[face_rows]
     part = np.select([s > 0.5, t > 0.5, s + t < 0.5], [0, 1, 2], 3)
     assert ((np.bincount(part) - count / 4) ** 2 / (count / 4)).sum() < chi2.ppf(0.999, 3)
     np.testing.assert_array_equal(cloud.normals, np.tile([0.0, 0, 1], (count, 1)))
 
 
-def test_sample_lies_on_the_mesh_and_repeats():
+def test_samples_lie_on_the_mesh_and_are_reproducible():
     mesh = Mesh(*spiky_sphere(2), crs="EPSG:32632", unit="m")
     cloud = mesh.sample(2000, seed=1)
     # A coordinate has five roundings, and the distance about as many.
@@ -82,7 +82,7 @@ def test_sample_lies_on_the_mesh_and_repeats():
 
 
 VERTICES, FACES = tetrahedron()
-REFUSED = {
+INVALID_MESHES = {
     "no faces": (VERTICES, np.empty((0, 3), int)),
     "quads": (VERTICES, [(0, 1, 2, 3)]),
     "floats": (VERTICES, FACES * 1.0),
@@ -96,8 +96,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_refusals(name):
-    vertices, faces = REFUSED[name]
+@pytest.mark.parametrize("name", INVALID_MESHES)
+def test_invalid_meshes_are_refused(name):
+    vertices, faces = INVALID_MESHES[name]
     with check_error():
         Mesh(vertices, faces)

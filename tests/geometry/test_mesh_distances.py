@@ -16,11 +16,13 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 # ---- oracles ----
 
 
-def brute(points, vertices, faces):
+def brute_force_distances(points, vertices, faces):
     """Distances (N,) and the lowest nearest face (N,): minimum over the plane (if inside the face) and the edges."""
     a, b, c = (vertices[faces[:, k]][None] for k in range(3))
     p = points[:, None, :]
-    squared = np.minimum.reduce([edge(p, a, b), edge(p, b, c), edge(p, c, a)])
+    squared = np.minimum.reduce(
+        [squared_edge_distances(p, a, b), squared_edge_distances(p, b, c), squared_edge_distances(p, c, a)]
+    )
     e1, e2, d = b - a, c - a, p - a
     g11, g12, g22 = (e1 * e1).sum(-1), (e1 * e2).sum(-1), (e2 * e2).sum(-1)
     r1, r2 = (d * e1).sum(-1), (d * e2).sum(-1)
@@ -30,18 +32,18 @@ def brute(points, vertices, faces):
         inside = (det > 1e-20 * g11 * g22) & (s > 0) & (t > 0) & (s + t < 1)
         offset = d - s[..., None] * e1 - t[..., None] * e2
     squared = np.where(inside, np.minimum(squared, np.where(inside, (offset**2).sum(-1), 0)), squared)
-    nearest = squared.argmin(axis=1)
-    return np.sqrt(squared[np.arange(len(points)), nearest]), nearest
+    nearest_faces = squared.argmin(axis=1)
+    return np.sqrt(squared[np.arange(len(points)), nearest_faces]), nearest_faces
 
 
-def edge(p, a, b):
+def squared_edge_distances(p, a, b):
     ab = b - a
     length = (ab * ab).sum(-1)
     t = np.clip(((p - a) * ab).sum(-1) / np.where(length > 0, length, 1), 0, 1)
     return ((p - a - t[..., None] * ab) ** 2).sum(-1)
 
 
-def winding(points, vertices, faces):
+def winding_numbers(points, vertices, faces):
     """Winding number of the mesh about each point (N,): Van Oosterom and Strackee 1983."""
     a, b, c = (vertices[faces[:, k]][None] - points[:, None] for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
@@ -91,7 +93,7 @@ def test_icosphere_against_the_sphere():
     assert mesh.is_closed
 
 
-def soup(seed, count=300):
+def degenerate_soup(seed, count=300):
     """Triangles of all sizes, a third of them degenerate: needles, three equal corners, corners on one line."""
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(count, 1, 3)) + rng.normal(size=(count, 3, 3)) * 10 ** rng.uniform(
@@ -108,10 +110,10 @@ def soup(seed, count=300):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM], ids=["near", "far"])
 def test_distances_equal_brute_force(seed, origin):
-    vertices, faces = soup(seed)
+    vertices, faces = degenerate_soup(seed)
     rng = np.random.default_rng(100 + seed)
     # The oracle's normal equations square the condition number of slender triangles: half the digits remain.
-    half_of_the_digits = np.sqrt(np.finfo(float).eps) * np.abs(vertices).max()
+    tolerance = np.sqrt(np.finfo(float).eps) * np.abs(vertices).max()
     vertices = vertices + origin
     points = np.concatenate([
         rng.normal(size=(300, 3)) * 3 + origin,
@@ -121,29 +123,31 @@ def test_distances_equal_brute_force(seed, origin):
         rng.normal(size=(20, 3)) * 1e4 + origin,
     ])  # fmt: skip
     matches = MeshIndex(Mesh(vertices, faces)).query(points)
-    distances, _ = brute(points - origin, vertices - origin, faces)
+    distances, _ = brute_force_distances(points - origin, vertices - origin, faces)
     # Subtracting the origin is exact up to rounding of 1e-9 at a distance of a few hundred metres.
-    np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=half_of_the_digits)
-    own = brute_one(points - origin, (vertices - origin)[faces[matches.faces]])
-    np.testing.assert_allclose(own, distances, rtol=1e-12, atol=half_of_the_digits)
+    np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=tolerance)
+    own_distances = distances_to_own_triangles(points - origin, (vertices - origin)[faces[matches.faces]])
+    np.testing.assert_allclose(own_distances, distances, rtol=1e-12, atol=tolerance)
     np.testing.assert_allclose(distance_to_closest(matches, points), matches.distances, rtol=1e-12, atol=3e-9)
 
 
-def brute_one(points, corners):
+def distances_to_own_triangles(points, corners):
     """Distance (N,) of each point to its own triangle (N, 3, 3)."""
-    each = [brute(p[None], c, np.array([[0, 1, 2]]))[0][0] for p, c in zip(points, corners, strict=True)]
-    return np.array(each)
+    distances = [
+        brute_force_distances(p[None], c, np.array([[0, 1, 2]]))[0][0] for p, c in zip(points, corners, strict=True)
+    ]
+    return np.array(distances)
 
 
 def test_points_on_a_large_mesh():
     vertices, faces = height_field(60)
     points = np.random.default_rng(3).uniform(-0.2, 1.2, (400, 3)) * [1, 1, 0.2]
     matches = MeshIndex(Mesh(vertices, faces)).query(points)
-    distances, _ = brute(points, vertices, faces)
+    distances, _ = brute_force_distances(points, vertices, faces)
     np.testing.assert_allclose(matches.distances, distances, rtol=1e-12, atol=1e-15)
-    on = MeshIndex(Mesh(vertices, faces)).query(vertices)
-    assert (on.distances == 0).all()
-    np.testing.assert_array_equal(on.closest, vertices)
+    vertex_matches = MeshIndex(Mesh(vertices, faces)).query(vertices)
+    assert (vertex_matches.distances == 0).all()
+    np.testing.assert_array_equal(vertex_matches.closest, vertices)
 
 
 def test_ties_go_to_the_lowest_face():
@@ -154,9 +158,9 @@ def test_ties_go_to_the_lowest_face():
     # Above a convex edge both faces give the same bits.
     ridge = Mesh([(0, 0, 0), (1.3, 0.7, 0.9), (-1, 1, -3), (2, -1, -3)], [(1, 0, 2), (0, 1, 3)])
     t = np.random.default_rng(4).uniform(0.1, 0.9, (200, 1))
-    above = t * ridge.vertices[1] + [0.0, 0.0, 0.2]
+    above_ridge = t * ridge.vertices[1] + [0.0, 0.0, 0.2]
     for faces in ([(1, 0, 2), (0, 1, 3)], [(0, 1, 3), (1, 0, 2)], [(3, 0, 1), (2, 1, 0)]):
-        assert (MeshIndex(Mesh(ridge.vertices, faces)).query(above).faces == 0).all()
+        assert (MeshIndex(Mesh(ridge.vertices, faces)).query(above_ridge).faces == 0).all()
     doubled = Mesh(vertices, np.concatenate([index.mesh.faces, index.mesh.faces]))
     points = np.random.default_rng(5).uniform(0, 1, (500, 3))
     assert (MeshIndex(doubled).query(points).faces < len(index)).all()
@@ -166,41 +170,41 @@ def test_results_are_bit_identical_across_batches_threads_and_runs():
     vertices, faces = spiky_sphere(4)
     points = np.random.default_rng(6).normal(size=(3000, 3))
     index = MeshIndex(Mesh(vertices, faces))
-    whole = index.query(points)
+    matches = index.query(points)
     for parts in ([points[:1], points[1:]], np.array_split(points, 37), [points[::-1]]):
         rows = [index.query(part) for part in parts]
-        for field, expected in zip(zip(*rows, strict=True), whole, strict=True):
+        for field, expected in zip(zip(*rows, strict=True), matches, strict=True):
             got = np.concatenate(field)
             np.testing.assert_array_equal(got[::-1] if len(parts) == 1 else got, expected)
-    code = (
+    script = (
         f"import sys\nsys.path.insert(0, {str(TESTS)!r})\n"
         "import hashlib, numpy as np\nfrom mesh_shapes import spiky_sphere\n"
         "from pcbench.geometry.mesh import Mesh, MeshIndex\n"
         "points = np.random.default_rng(6).normal(size=(3000, 3))\n"
-        "closest = MeshIndex(Mesh(*spiky_sphere(4))).query(points)\n"
-        "print(hashlib.sha256(b''.join(m.tobytes() for m in closest)).hexdigest())"
+        "matches = MeshIndex(Mesh(*spiky_sphere(4))).query(points)\n"
+        "print(hashlib.sha256(b''.join(m.tobytes() for m in matches)).hexdigest())"
     )
-    prints = {
-        subprocess.run([sys.executable, "-c", code], env={**os.environ, "OMP_NUM_THREADS": threads}, check=True,
+    outputs = {
+        subprocess.run([sys.executable, "-c", script], env={**os.environ, "OMP_NUM_THREADS": threads}, check=True,
                        capture_output=True).stdout
         for threads in ("1", "2", "3")
     }  # fmt: skip
-    assert len(prints) == 1
+    assert len(outputs) == 1
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-9, 1e12, 1e60])
-def test_scale_invariance(scale):
+def test_signed_distances_scale_with_the_mesh(scale):
     vertices, faces = spiky_sphere(2)
     points = np.random.default_rng(7).normal(size=(500, 3))
-    plain = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
+    unscaled = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
     scaled = MeshIndex(Mesh(vertices * scale, faces)).query(points * scale, signed=True)
-    np.testing.assert_allclose(scaled.distances, plain.distances * scale, rtol=1e-12)
+    np.testing.assert_allclose(scaled.distances, unscaled.distances * scale, rtol=1e-12)
 
 
 def test_queries_far_away_are_exact():
     mesh = Mesh(*cube())
-    away = np.array([(1e9, 0, 0), (0, -1e15, 0), (1e30, 0, 0), (0, 0, 1e100)])
-    np.testing.assert_array_equal(MeshIndex(mesh).query(away).distances, np.linalg.norm(away, axis=1) - 1)
+    points = np.array([(1e9, 0, 0), (0, -1e15, 0), (1e30, 0, 0), (0, 0, 1e100)])
+    np.testing.assert_array_equal(MeshIndex(mesh).query(points).distances, np.linalg.norm(points, axis=1) - 1)
 
 
 def test_thousands_of_identical_triangles():
@@ -211,7 +215,7 @@ def test_thousands_of_identical_triangles():
     np.testing.assert_array_equal(matches.faces, [0, 0])
 
 
-def test_no_queries():
+def test_no_queries_give_no_matches():
     assert [len(part) for part in MeshIndex(Mesh(*cube())).query(np.empty((0, 3)), signed=True)] == [0, 0, 0]
 
 
@@ -224,17 +228,17 @@ def test_signs_agree_with_the_winding_number(seed, origin):
     vertices, faces = spiky_sphere(2, seed)
     rng = np.random.default_rng(seed)
     edges = vertices[faces[:, 0]] + 0.4 * (vertices[faces[:, 1]] - vertices[faces[:, 0]])
-    around = np.concatenate([np.tile(vertices, (5, 1)), edges, vertices[faces].mean(axis=1)])
+    surface_points = np.concatenate([np.tile(vertices, (5, 1)), edges, vertices[faces].mean(axis=1)])
     points = np.concatenate([
         rng.normal(size=(1000, 3)),
-        around + rng.normal(size=around.shape) * 10 ** rng.uniform(-6, -1, (len(around), 1)),
+        surface_points + rng.normal(size=surface_points.shape) * 10 ** rng.uniform(-6, -1, (len(surface_points), 1)),
     ])  # fmt: skip
-    inside = winding(points, vertices, faces) > 0.5
+    inside = winding_numbers(points, vertices, faces) > 0.5
     mesh = Mesh(vertices + origin, faces)
     distances = MeshIndex(mesh).query(points + origin, signed=True).distances
-    far = np.abs(distances) > 1e-8  # accuracy of the winding number's arctangents, and coordinates rounded at 1e-9
-    np.testing.assert_array_equal(distances[far] < 0, inside[far])
-    assert inside.mean() > 0.2 and far.mean() > 0.99
+    off_surface = np.abs(distances) > 1e-8  # arctangents of the winding number, and coordinates rounded at 1e-9
+    np.testing.assert_array_equal(distances[off_surface] < 0, inside[off_surface])
+    assert inside.mean() > 0.2 and off_surface.mean() > 0.99
 
 
 def test_pseudo_normals_need_angle_weights():
@@ -251,16 +255,16 @@ def test_pseudo_normals_need_angle_weights():
     mesh = Mesh(vertices, faces)
     assert mesh.is_closed
     points = np.random.default_rng(8).normal(size=(4000, 3)) * 0.1
-    inside = winding(points, vertices, faces) > 0.5
+    inside = winding_numbers(points, vertices, faces) > 0.5
     np.testing.assert_array_equal(MeshIndex(mesh).query(points, signed=True).distances < 0, inside)
 
 
 def test_signs_do_not_depend_on_face_orientation():
     vertices, faces = cube()
     points = [(0, 0, 0), (0, 0, 3), (0.9, 0.9, 0.9)]
-    for turned in (faces, faces[:, ::-1]):
-        signed = MeshIndex(Mesh(vertices, turned)).query(points, signed=True).distances
-        np.testing.assert_allclose(signed, [-1, 2, -0.1], rtol=1e-14)
+    for oriented_faces in (faces, faces[:, ::-1]):
+        distances = MeshIndex(Mesh(vertices, oriented_faces)).query(points, signed=True).distances
+        np.testing.assert_allclose(distances, [-1, 2, -0.1], rtol=1e-14)
 
 
 def test_faces_with_a_repeated_vertex_are_ignored():
@@ -270,12 +274,12 @@ def test_faces_with_a_repeated_vertex_are_ignored():
     assert mesh.is_closed
     points = np.random.default_rng(9).normal(size=(2000, 3))
     with_needles = MeshIndex(mesh).query(points, signed=True)
-    without = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
+    without_needles = MeshIndex(Mesh(vertices, faces)).query(points, signed=True)
     assert (with_needles.faces < 40).any()
-    np.testing.assert_array_equal(with_needles.distances, without.distances)
+    np.testing.assert_array_equal(with_needles.distances, without_needles.distances)
 
 
-def test_signed_refusals():
+def test_signed_distances_of_unsuitable_meshes_are_refused():
     vertices, faces = cube()
     with check_error():
         MeshIndex(Mesh(vertices, faces[1:])).query([(0, 0, 0)], signed=True)
@@ -298,7 +302,7 @@ def test_signed_refusals():
 # ---- refusals ----
 
 
-def test_query_refusals():
+def test_invalid_queries_are_refused():
     index = MeshIndex(Mesh(*cube()))
     with check_error():
         index.query(np.zeros(3))

@@ -23,11 +23,11 @@ def test_rays_equal_brute_force(offset):
     expected = first_hits(origins, directions, vertices, faces)
     assert 50 < np.isfinite(expected).sum() < 400
     np.testing.assert_array_equal(np.isfinite(hits.distances), np.isfinite(expected))
-    met = np.isfinite(expected)
+    is_hit = np.isfinite(expected)
     # The oracle's 3x3 systems lose digits for triangles that are slender or seen edge-on.
-    np.testing.assert_allclose(hits.distances[met], expected[met], rtol=1e-6)
-    assert (hits.faces[~met] == -1).all()
-    assert (hits.faces[met] >= 0).all()
+    np.testing.assert_allclose(hits.distances[is_hit], expected[is_hit], rtol=1e-6)
+    assert (hits.faces[~is_hit] == -1).all()
+    assert (hits.faces[is_hit] >= 0).all()
 
 
 def test_hits_lie_in_the_plane_of_their_face():
@@ -36,9 +36,11 @@ def test_hits_lie_in_the_plane_of_their_face():
     index = MeshIndex(Mesh(vertices, faces))
     origins, directions = rng.normal(0, 0.1, (2000, 3)), rng.normal(size=(2000, 3))
     hits = index.cast(origins, directions)
-    at = origins + hits.distances[:, None] * directions
-    a, n = vertices[faces[hits.faces, 0]], index.mesh.normals()[hits.faces]
-    assert np.abs(np.einsum("ni,ni->n", at - a, n)).max() < 1e-14  # rounding of coordinates of about 1
+    positions = origins + hits.distances[:, None] * directions
+    corners, normals = vertices[faces[hits.faces, 0]], index.mesh.normals()[hits.faces]
+    assert (
+        np.abs(np.einsum("ni,ni->n", positions - corners, normals)).max() < 1e-14
+    )  # rounding of coordinates of about 1
     np.testing.assert_array_equal(index.is_occluded(origins, directions), np.ones(2000, dtype=bool))
 
 
@@ -55,7 +57,7 @@ def test_rays_are_watertight():
             np.testing.assert_allclose(hits.distances, 1, rtol=1e-12)
 
 
-def test_ray_limit():
+def test_occlusion_is_limited_to_a_distance():
     vertices, faces = cube()
     index = MeshIndex(Mesh(vertices, faces))
     low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
@@ -67,7 +69,7 @@ def test_ray_limit():
     assert not index.is_occluded(start, -up)[0]  # nothing behind the origin
 
 
-def test_ray_refusals():
+def test_invalid_rays_are_refused():
     index = MeshIndex(Mesh(*cube()))
     for origins, directions in (
         ([[0, 0, 0]], [[0, 0, 0]]),

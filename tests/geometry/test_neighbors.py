@@ -22,17 +22,17 @@ def squared_distances(queries, points):
     return (x * x + y * y) + z * z
 
 
-def brute_nearest(queries, points, k=1):
+def brute_force_nearest(queries, points, k=1):
     squared = squared_distances(queries, points)
     order = np.argsort(squared, axis=1, kind="stable")[:, :k]  # a stable sort resolves ties by index
     distances = np.sqrt(np.take_along_axis(squared, order, axis=1))
     return (distances[:, 0], order[:, 0]) if k == 1 else (distances, order)
 
 
-def assert_matches(found, expected):
-    np.testing.assert_array_equal(found.distances, expected[0])
-    np.testing.assert_array_equal(found.indices, expected[1])
-    assert found.distances.dtype == np.float64 and found.indices.dtype == np.int64
+def assert_matches(matches, expected):
+    np.testing.assert_array_equal(matches.distances, expected[0])
+    np.testing.assert_array_equal(matches.indices, expected[1])
+    assert matches.distances.dtype == np.float64 and matches.indices.dtype == np.int64
 
 
 @pytest.fixture(params=SHAPES, ids=lambda shape: shape.__name__)
@@ -42,13 +42,13 @@ def shape(request):
 
 def near_and_far_queries(rng, points, n):
     extent = np.ptp(points, axis=0).max() or 1.0
-    picked = points[rng.integers(0, len(points), n)]
+    samples = points[rng.integers(0, len(points), n)]
     return np.concatenate(
         [
-            picked,
-            picked + rng.normal(0, 0.01 * extent, picked.shape),
-            picked + rng.normal(0, 30 * extent, picked.shape),
-            picked[:5] + 1e9 * extent,
+            samples,
+            samples + rng.normal(0, 0.01 * extent, samples.shape),
+            samples + rng.normal(0, 30 * extent, samples.shape),
+            samples[:5] + 1e9 * extent,
         ]
     )
 
@@ -58,7 +58,7 @@ def test_nearest_equals_brute_force(shape, n):
     rng = np.random.default_rng(n)
     points = shape(rng, n)
     queries = near_and_far_queries(rng, points, 150)
-    assert_matches(Index(points).query(queries), brute_nearest(queries, points))
+    assert_matches(Index(points).query(queries), brute_force_nearest(queries, points))
 
 
 @pytest.mark.parametrize("k", [2, 5, 20, 200])
@@ -66,13 +66,13 @@ def test_k_nearest_equals_brute_force(shape, k):
     rng = np.random.default_rng(k)
     points = shape(rng, 1500)
     queries = near_and_far_queries(rng, points, 60)
-    assert_matches(Index(points).query(queries, k), brute_nearest(queries, points, k))
+    assert_matches(Index(points).query(queries, k), brute_force_nearest(queries, points, k))
 
 
 def test_k_may_equal_the_number_of_points(shape):
     rng = np.random.default_rng(3)
     points = shape(rng, 77)
-    assert_matches(Index(points).query(points, 77), brute_nearest(points, points, 77))
+    assert_matches(Index(points).query(points, 77), brute_force_nearest(points, points, 77))
 
 
 @settings(max_examples=150, deadline=None)
@@ -80,29 +80,29 @@ def test_k_may_equal_the_number_of_points(shape):
     points=hnp.arrays(np.float64, st.tuples(st.integers(1, 150), st.just(3)), elements=st.floats(-1e100, 1e100)),
     queries=hnp.arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=st.floats(-1e100, 1e100)),
 )
-def test_any_finite_coordinates(points, queries):
+def test_matches_of_any_finite_coordinates_equal_brute_force(points, queries):
     index = Index(points)
-    assert_matches(index.query(queries), brute_nearest(queries, points))
+    assert_matches(index.query(queries), brute_force_nearest(queries, points))
     if len(points) > 1:
-        assert_matches(index.query(queries, 2), brute_nearest(queries, points, 2))
+        assert_matches(index.query(queries, 2), brute_force_nearest(queries, points, 2))
 
 
 def test_a_million_points_agree_with_scipy():
     scipy_spatial = import_or_skip("scipy.spatial")
     rng = np.random.default_rng(11)
     points, queries = clustered_points(rng, 1_000_000), clustered_points(rng, 50_000)
-    found = Index(points).query(queries)
+    matches = Index(points).query(queries)
     _, expected = scipy_spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries, workers=-1)
     x, y, z = (queries - points[expected]).T
-    np.testing.assert_array_equal(found.distances, np.sqrt((x * x + y * y) + z * z))
-    np.testing.assert_array_equal(found.indices, expected)
+    np.testing.assert_array_equal(matches.distances, np.sqrt((x * x + y * y) + z * z))
+    np.testing.assert_array_equal(matches.indices, expected)
 
 
-def test_a_hint_never_changes_the_result(shape):
+def test_a_hint_does_not_change_the_result(shape):
     rng = np.random.default_rng(4)
     points = shape(rng, 700)
     queries = near_and_far_queries(rng, points, 100)
-    index, source, expected = Index(points), Index(queries), brute_nearest(queries, points)
+    index, source, expected = Index(points), Index(queries), brute_force_nearest(queries, points)
     for hint in (expected[1], rng.integers(0, 700, len(queries))):
         assert_matches(index.nearest_of_moved(source, np.eye(4), hint)[1], expected)
 
@@ -120,31 +120,31 @@ def test_matching_in_both_directions_equals_two_queries(shape):
     rng = np.random.default_rng(5)
     reference, candidate = shape(rng, 1100), shape(rng, 333)
     to_reference, to_candidate = match_both_directions(Index(reference), Index(candidate))
-    assert_matches(to_reference, brute_nearest(candidate, reference))
-    assert_matches(to_candidate, brute_nearest(reference, candidate))
+    assert_matches(to_reference, brute_force_nearest(candidate, reference))
+    assert_matches(to_candidate, brute_force_nearest(reference, candidate))
 
 
 def test_an_index_matched_with_itself_finds_every_point():
     index = Index(uniform_points(np.random.default_rng(6), 50))
-    for found in match_both_directions(index, index):
-        assert_matches(found, (np.zeros(50), np.arange(50)))
+    for matches in match_both_directions(index, index):
+        assert_matches(matches, (np.zeros(50), np.arange(50)))
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1e-30, 1e-8, 1e-3, 0.1, 10.0])
-def test_tied_equals_brute_force(shape, fraction):
+def test_ties_equal_brute_force(shape, fraction):
     rng = np.random.default_rng(15)
     points = shape(rng, 700)
     queries = near_and_far_queries(rng, points, 150)
     squared = squared_distances(queries, points)
-    nearest, every = squared.argmin(axis=1), np.arange(len(queries))
+    nearest, rows = squared.argmin(axis=1), np.arange(len(queries))
     slack = fraction * (np.ptp(points, axis=0).max() or 1.0) ** 2
-    others = squared - squared[every, nearest, None] < slack
-    others[every, nearest] = False
+    has_tie = squared - squared[rows, nearest, None] < slack
+    has_tie[rows, nearest] = False
     index, source = Index(points), Index(queries)
     matches, tied = index.query_index_with_ties(source, slack)
-    np.testing.assert_array_equal(tied, others.any(axis=1))
-    for found, expected in zip(matches, index.query_index(source), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(tied, has_tie.any(axis=1))
+    for got, expected in zip(matches, index.query_index(source), strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 def test_tie_slack_is_exact(shape):
@@ -167,7 +167,7 @@ def test_ties_of_many_duplicates_cost_no_more_than_matches():
         assert not matches.distances.any()
 
 
-def test_tied_counts_every_point_but_the_match():
+def test_every_point_but_the_match_counts_as_a_tie():
     points = grid_points(np.random.default_rng(17), 300)
     index = Index(points)
     duplicated = index.nearest_other().distances == 0
@@ -177,20 +177,20 @@ def test_tied_counts_every_point_but_the_match():
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.03, 0.3, 10.0])
-def test_radius_equals_brute_force(shape, fraction):
+def test_radius_search_equals_brute_force(shape, fraction):
     rng = np.random.default_rng(7)
     points = shape(rng, 400)
     queries = near_and_far_queries(rng, points, 40)
     radius = fraction * (np.ptp(points, axis=0).max() or 1.0)
     inside = squared_distances(queries, points) <= radius * radius
-    found = Index(points).query_radius(queries, radius)
-    np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
-    np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
-    np.testing.assert_array_equal(found.neighbors_of(3), np.nonzero(inside[3])[0])
+    neighborhoods = Index(points).query_radius(queries, radius)
+    np.testing.assert_array_equal(neighborhoods.counts, inside.sum(axis=1))
+    np.testing.assert_array_equal(neighborhoods.indices, np.nonzero(inside)[1])
+    np.testing.assert_array_equal(neighborhoods.neighbors_of(3), np.nonzero(inside[3])[0])
 
 
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])
-def test_cylinder_equals_brute_force(shape, radius, half_length):
+def test_cylinder_search_equals_brute_force(shape, radius, half_length):
     rng = np.random.default_rng(8)
     points = shape(rng, 600)
     extent = np.ptp(points, axis=0).max() or 1.0
@@ -204,40 +204,40 @@ def test_cylinder_equals_brute_force(shape, radius, half_length):
     along = (dx * ax + dy * ay) + dz * az
     ex, ey, ez = dx - along * ax, dy - along * ay, dz - along * az
     inside = (np.abs(along) <= half_length) & ((ex * ex + ey * ey) + ez * ez <= radius * radius)
-    found = Index(points).query_cylinder(origins, axes, radius, half_length)
-    np.testing.assert_array_equal(found.counts, inside.sum(axis=1))
-    np.testing.assert_array_equal(found.indices, np.nonzero(inside)[1])
+    neighborhoods = Index(points).query_cylinder(origins, axes, radius, half_length)
+    np.testing.assert_array_equal(neighborhoods.counts, inside.sum(axis=1))
+    np.testing.assert_array_equal(neighborhoods.indices, np.nonzero(inside)[1])
 
 
-def neighborhood_eigen(points, k):
+def neighborhood_eigenvectors(points, k):
     """Ascending eigenvalues (N, 3) and eigenvectors of the covariance of each point's k nearest points, from LAPACK."""
-    near = points[brute_nearest(points, points, k)[1]] - points[:, None]
-    near -= near.mean(axis=1, keepdims=True)
-    return np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
+    offsets = points[brute_force_nearest(points, points, k)[1]] - points[:, None]
+    offsets -= offsets.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
 
 
 @pytest.mark.parametrize("k", [3, 8, 20, 150])
 def test_local_planes_equal_lapack(shape, k):
     points = shape(np.random.default_rng(k), 600)
     fits = Index(points).local_planes(k)
-    values, vectors = neighborhood_eigen(points, k)
+    values, vectors = neighborhood_eigenvectors(points, k)
     total = values.sum(axis=1)
-    share = np.where(total > 0, np.maximum(values[:, 0], 0) / np.where(total > 0, total, 1), 0)
+    variation = np.where(total > 0, np.maximum(values[:, 0], 0) / np.where(total > 0, total, 1), 0)
     # Sums of up to 150 products, each rounded at 1e-16 of the spread of the points.
-    np.testing.assert_allclose(fits.variation, share, rtol=0, atol=3e-14)
+    np.testing.assert_allclose(fits.variation, variation, rtol=0, atol=3e-14)
     np.testing.assert_allclose(np.linalg.norm(fits.normals, axis=1), 1, atol=1e-15)
     separated = values[:, 1] - values[:, 0] > 1e-3 * values[:, 2]
     sine = np.linalg.norm(np.cross(fits.normals, vectors[:, :, 0]), axis=1)
     assert sine[separated].max(initial=0) < 1e-9
-    for found, expected in zip(fits.nearest_other, Index(points).nearest_other(), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    for got, expected in zip(fits.nearest_other, Index(points).nearest_other(), strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-9, 1e-6])
 def test_normals_of_nearly_flat_neighborhoods_are_accurate(noise):
     rng = np.random.default_rng(13)
     points = oblique_plane(rng, 2000) + rng.normal(0, noise, (2000, 3)) + np.array([5e5, 4.8e6, 100.0]) * (noise > 1e-9)
-    values, vectors = neighborhood_eigen(points, 12)
+    values, vectors = neighborhood_eigenvectors(points, 12)
     sine = np.linalg.norm(np.cross(Index(points).local_planes(12).normals, vectors[:, :, 0]), axis=1)
     assert sine[values[:, 1] > 1e-3 * values[:, 2]].max() < 1e-9
 
@@ -246,20 +246,20 @@ def test_normals_of_nearly_flat_neighborhoods_are_accurate(noise):
 def test_local_planes_of_selected_rows_are_bit_identical(shape, k, count):
     rng = np.random.default_rng(14)
     index = Index(shape(rng, 900))
-    every = index.local_planes(k)
+    all_planes = index.local_planes(k)
     for rows in (rng.integers(0, 900, count), rng.permutation(900)[:count], np.arange(900)[::-1][:count]):
-        some = index.local_planes(k, rows)
-        for found, expected in zip((*some[:2], *some[2]), (*every[:2], *every[2]), strict=True):
-            np.testing.assert_array_equal(found, expected[rows])
+        planes = index.local_planes(k, rows)
+        for got, expected in zip((*planes[:2], *planes[2]), (*all_planes[:2], *all_planes[2]), strict=True):
+            np.testing.assert_array_equal(got, expected[rows])
     assert index.local_planes(k, np.empty(0, np.int64)).normals.shape == (0, 3)
 
 
 def test_empty_queries_give_empty_results():
-    index, none = Index(np.zeros((3, 3))), np.empty((0, 3))
-    assert index.query(none).distances.shape == (0,)
-    assert index.query(none, 2).indices.shape == (0, 2)
-    assert index.query_radius(none, 1.0).counts.shape == (0,)
-    assert index.query_cylinder(none, none, 1.0, 1.0).offsets.tolist() == [0]
+    index, no_points = Index(np.zeros((3, 3))), np.empty((0, 3))
+    assert index.query(no_points).distances.shape == (0,)
+    assert index.query(no_points, 2).indices.shape == (0, 2)
+    assert index.query_radius(no_points, 1.0).counts.shape == (0,)
+    assert index.query_cylinder(no_points, no_points, 1.0, 1.0).offsets.tolist() == [0]
 
 
 def test_points_are_not_copied_and_read_only():
@@ -274,7 +274,7 @@ def test_memory_is_at_most_40_bytes_per_point():
     assert Index(uniform_points(np.random.default_rng(10), 500_000)).nbytes <= 40 * 500_000
 
 
-def moved_with_hint(hint):
+def query_with_hint(hint):
     return Index(np.zeros((3, 3))).nearest_of_moved(Index(np.zeros((1, 3))), np.eye(4), hint)
 
 
@@ -290,8 +290,8 @@ def moved_with_hint(hint):
         lambda: Index(np.zeros((3, 3))).query([0, 0, 0]),
         lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 4),
         lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0),
-        lambda: moved_with_hint([3]),
-        lambda: moved_with_hint([0, 1]),
+        lambda: query_with_hint([3]),
+        lambda: query_with_hint([0, 1]),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),
@@ -303,7 +303,7 @@ def moved_with_hint(hint):
         lambda: Index(np.zeros((1, 3))).nearest_other(),
     ],
 )
-def test_refusals(make):
+def test_invalid_arguments_are_refused(make):
     with check_error():
         make()
 
@@ -311,17 +311,17 @@ def test_refusals(make):
 def test_nearest_of_moved_equals_a_query_with_moved_points(shape):
     rng = np.random.default_rng(31)
     index, queries = Index(shape(rng, 700)), shape(rng, 333)
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    motion = np.hstack([1.3 * turn, rng.normal(size=(3, 1)) * np.ptp(queries)])
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    motion = np.hstack([1.3 * rotation, rng.normal(size=(3, 1)) * np.ptp(queries)])
     source = Index(queries)
     for hint in (None, rng.integers(0, 700, 333)):
-        moved, found = index.nearest_of_moved(source, motion, hint)
+        moved, matches = index.nearest_of_moved(source, motion, hint)
         scale = np.abs(queries).max() + np.abs(motion).max()
         np.testing.assert_allclose(moved, queries @ motion[:, :3].T + motion[:, 3], rtol=0, atol=1e-14 * scale)
-        for column, expected in zip(found, index.query(moved), strict=True):
+        for column, expected in zip(matches, index.query(moved), strict=True):
             np.testing.assert_array_equal(column, expected)
     with check_error():
-        index.nearest_of_moved(source, np.hstack([turn, np.full((3, 1), 1e200)]))
+        index.nearest_of_moved(source, np.hstack([rotation, np.full((3, 1), 1e200)]))
 
 
 def test_import_does_not_load_scipy():
@@ -336,15 +336,15 @@ def test_spacing_ignores_duplicates():
     nearest = oracles.leave_one_out(points)
     assert median_spacing(index) == median_spacing(index, index.nearest_other()) == np.median(nearest)
     # Every third point is duplicated, or all points occur seven times: positions and distances are the same.
-    some = Index(np.concatenate([points, points[::3]]))
+    partly_doubled = Index(np.concatenate([points, points[::3]]))
     expected = np.median(np.concatenate([nearest, nearest[::3]]))
-    assert median_spacing(some) == median_spacing(some, some.nearest_other()) == expected
+    assert median_spacing(partly_doubled) == median_spacing(partly_doubled, partly_doubled.nearest_other()) == expected
     copies = Index(np.repeat(points, 7, axis=0))
     assert median_spacing(copies) == median_spacing(copies, copies.nearest_other()) == np.median(nearest)
-    for nowhere in (points[:1], np.zeros((5, 3))):
-        alone = Index(nowhere)
-        assert median_spacing(alone) == 0
-    assert median_spacing(alone, alone.nearest_other()) == 0
+    for coincident in (points[:1], np.zeros((5, 3))):
+        coincident_index = Index(coincident)
+        assert median_spacing(coincident_index) == 0
+    assert median_spacing(coincident_index, coincident_index.nearest_other()) == 0
 
 
 def test_sampled_spacing_agrees_with_that_of_all_points():

@@ -16,38 +16,38 @@ def angles_deg(a, b):
     return np.degrees(np.arctan2(sine, np.abs((a * b).sum(axis=1))))
 
 
-def test_exact_on_a_tilted_plane_even_at_utm():
+def test_normals_of_a_tilted_plane_are_exact_also_at_utm():
     points = shapes.plane_samples(500) @ shapes.rotation([1, 2, 0], 35).T
     expected = np.tile(shapes.rotation([1, 2, 0], 35)[:, 2], (500, 1))
-    found = estimate_normals(Index(points), 12)
+    estimate = estimate_normals(Index(points), 12)
     # 1e-6 degrees: rounding of coordinates of size 10 over patches of size 1.
-    assert angles_deg(found.directions, expected).max() < 1e-6
-    assert found.variation.max() < 1e-12
-    far = estimate_normals(Index(np.round(points * 2**20) / 2**20 + [5e5, 4.8e6, 0.0]), 12)
+    assert angles_deg(estimate.directions, expected).max() < 1e-6
+    assert estimate.variation.max() < 1e-12
+    far_estimate = estimate_normals(Index(np.round(points * 2**20) / 2**20 + [5e5, 4.8e6, 0.0]), 12)
     # 2^-20 m of rounding over patches of half a metre: 1e-4 degrees.
-    assert angles_deg(far.directions, expected).max() < 1e-3
+    assert angles_deg(far_estimate.directions, expected).max() < 1e-3
 
 
-def test_sphere_within_its_curvature():
+def test_normals_of_a_sphere():
     points, normals = shapes.fibonacci_sphere(4000)
-    found = estimate_normals(Index(points), 12)
+    estimate = estimate_normals(Index(points), 12)
     # Half a spacing (sqrt(4 pi / 4000) rad), the largest offset of the centre of twelve neighbours from the point.
-    assert angles_deg(found.directions, normals).max() < 1.6
+    assert angles_deg(estimate.directions, normals).max() < 1.6
 
 
-def test_against_numpy_eigenvectors():
+def test_normals_equal_numpy_eigenvectors():
     points, _ = shapes.terrain(400)
     points += np.random.default_rng(3).normal(0, 0.05, points.shape)
-    found = estimate_normals(Index(points), 10)
-    assert angles_deg(found.directions, oracles.normals(points, 10)).max() < 1e-6
-    np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1, rtol=1e-14)
+    estimate = estimate_normals(Index(points), 10)
+    assert angles_deg(estimate.directions, oracles.normals(points, 10)).max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(estimate.directions, axis=1), 1, rtol=1e-14)
     _, neighbors = oracles.k_nearest(points, points, 10)
     values = [np.linalg.eigvalsh(np.cov(points[row].T)) for row in neighbors]
     expected = [v[0] / v.sum() for v in values]
-    np.testing.assert_allclose(found.variation, expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(estimate.variation, expected, rtol=1e-9, atol=1e-15)
 
 
-def test_signs():
+def test_signs_and_orientation_of_normals():
     grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
     for axis in range(3):  # upwards in z, or in y if z is 0, or in x
         flat = np.insert(grid, axis, 0.0, axis=1)
@@ -60,25 +60,25 @@ def test_signs():
 
 def test_surface_uses_given_normals_and_estimates_missing_ones():
     points = shapes.plane_grid(10)
-    given = np.tile([0, 3.0, 4.0], (100, 1))
-    given[7] = 0
-    normals = Surface(Index(points), given=given).normals(np.array([7, 8]))
+    input_normals = np.tile([0, 3.0, 4.0], (100, 1))
+    input_normals[7] = 0
+    normals = Surface(Index(points), given=input_normals).normals(np.array([7, 8]))
     np.testing.assert_allclose(normals, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-12)
 
 
-@pytest.mark.parametrize("given", [False, True])
-def test_uncomputed_rows_are_nan(given):
+@pytest.mark.parametrize("has_normals", [False, True])
+def test_uncomputed_rows_are_nan(has_normals):
     points = shapes.plane_grid(10)
-    normals = np.zeros((100, 3)) if given else None
-    surface = Surface(Index(points), given=normals)
-    some = surface.compute_normals(np.array([3, 50]))
-    np.testing.assert_allclose(some[[3, 50]], [[0, 0, 1]] * 2, atol=1e-12)
-    assert np.isnan(np.delete(some, [3, 50], axis=0)).all()
+    input_normals = np.zeros((100, 3)) if has_normals else None
+    surface = Surface(Index(points), given=input_normals)
+    normals = surface.compute_normals(np.array([3, 50]))
+    np.testing.assert_allclose(normals[[3, 50]], [[0, 0, 1]] * 2, atol=1e-12)
+    assert np.isnan(np.delete(normals, [3, 50], axis=0)).all()
     np.testing.assert_allclose(surface.compute_normals(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
 
 
-def test_duplicates_and_too_few():
-    same = np.zeros((10, 3))
-    assert np.isfinite(estimate_normals(Index(same), 5).directions).all()
+def test_duplicates_are_accepted_and_too_few_points_refused():
+    points = np.zeros((10, 3))
+    assert np.isfinite(estimate_normals(Index(points), 5).directions).all()
     with check_error():
-        estimate_normals(Index(same[:2]))
+        estimate_normals(Index(points[:2]))

@@ -15,7 +15,7 @@ from pcbench.geometry.poisson import poisson_mesh
 
 
 @pytest.fixture
-def library():
+def poisson_library():
     if import_problem("open3d"):
         import_or_skip("pymeshlab")
 
@@ -24,7 +24,7 @@ def cloud_with_normals(points, normals, **fields):
     return Cloud(points, normals=normals, **fields)
 
 
-@pytest.mark.usefixtures("library")
+@pytest.mark.usefixtures("poisson_library")
 def test_sphere_far_from_the_origin():
     points, normals = fibonacci_sphere(4000, 10.0)
     mesh = poisson_mesh(cloud_with_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
@@ -36,7 +36,7 @@ def test_sphere_far_from_the_origin():
     assert MeshIndex(mesh).query([UTM], signed=True).distances[0] == pytest.approx(-10, abs=0.1)
 
 
-@pytest.mark.usefixtures("library")
+@pytest.mark.usefixtures("poisson_library")
 def test_an_open_surface_ends_where_its_points_end():
     points, normals = fibonacci_sphere(6000, 10.0)
     half = points[:, 2] > 0
@@ -47,7 +47,7 @@ def test_an_open_surface_ends_where_its_points_end():
     assert MeshIndex(mesh).query(points[half]).distances.max() < spacing
 
 
-@pytest.mark.usefixtures("library")
+@pytest.mark.usefixtures("poisson_library")
 def test_reconstruction_is_reproducible():
     points, normals = fibonacci_sphere(3000)
     first, second = (poisson_mesh(cloud_with_normals(points, normals), depth=6) for _ in range(2))
@@ -55,7 +55,7 @@ def test_reconstruction_is_reproducible():
     np.testing.assert_array_equal(first.faces, second.faces)
 
 
-def test_refusals():
+def test_unsuitable_normals_and_depths_are_refused():
     points, normals = fibonacci_sphere(60)
     with check_error():
         poisson_mesh(Cloud(points))
@@ -66,7 +66,7 @@ def test_refusals():
         poisson_mesh(cloud_with_normals(points, normals))
 
 
-def test_without_a_library(monkeypatch, tmp_path):
+def test_a_missing_library_is_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "pymeshlab", None)
     break_library(monkeypatch, tmp_path, "open3d", None)
     cloud = cloud_with_normals(*fibonacci_sphere(60))
@@ -89,6 +89,6 @@ def test_orientation_is_consistent_over_a_sphere():
     import_or_skip("open3d")
     points, normals = fibonacci_sphere(5000)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], len(points))
-    found = poisson.orient_normals(Cloud(points, normals=signs[:, None] * normals)).normals
-    outward = (found * normals).sum(axis=1) > 0
+    oriented_normals = poisson.orient_normals(Cloud(points, normals=signs[:, None] * normals)).normals
+    outward = (oriented_normals * normals).sum(axis=1) > 0
     assert outward.all() or not outward.any()

@@ -32,16 +32,19 @@ def feature(geometry):
     return {"type": "Feature", "properties": {"name": "x"}, "geometry": geometry}
 
 
-THREE = [[*map(float, v), 7.0] for v in SQUARE]
-MULTI = geojson("MultiPolygon", [[SQUARE, HOLE], [SEPARATE_SQUARE]])
+SQUARE_3D = [[*map(float, v), 7.0] for v in SQUARE]
+MULTIPOLYGON = geojson("MultiPolygon", [[SQUARE, HOLE], [SEPARATE_SQUARE]])
 SAME_REGION = {
-    "multi.json": json.dumps(MULTI),
-    "bom.json": "\ufeff" + json.dumps(MULTI),
-    "feature.json": json.dumps(feature(MULTI)),
+    "multi.json": json.dumps(MULTIPOLYGON),
+    "bom.json": "\ufeff" + json.dumps(MULTIPOLYGON),
+    "feature.json": json.dumps(feature(MULTIPOLYGON)),
     "collection.json": json.dumps(
         {
             "type": "FeatureCollection",
-            "features": [feature(geojson("Polygon", [THREE, HOLE])), feature(geojson("Polygon", [SEPARATE_SQUARE]))],
+            "features": [
+                feature(geojson("Polygon", [SQUARE_3D, HOLE])),
+                feature(geojson("Polygon", [SEPARATE_SQUARE])),
+            ],
         }
     ),
     "plain.wkt": "MULTIPOLYGON (((0 0,4 0,4 4,0 4,0 0),(1 1,1 3,3 3,3 1,1 1)),((6 0,8 0,8 2,6 2,6 0)))\n",
@@ -61,14 +64,14 @@ def test_formats_agree(tmp_path, name):
 @pytest.mark.parametrize(
     "text", ["POLYGON((0 0,4 0,4 4))", "POLYGONZ ((0 0 1,4 0 1,4 4 1))", "polygon zm((0 0 1 1,4 0 1 1,4 4 1 1))"]
 )
-def test_wkt_polygon(tmp_path, text):
+def test_wkt_polygons_are_read(tmp_path, text):
     (tmp_path / "p.wkt").write_text(text)
     region = read_polygon(tmp_path / "p.wkt")
     assert isinstance(region, Polygon)
     assert region.rings[0].tolist() == [[0, 0], [4, 0], [4, 4]]
 
 
-def volume(**changes):
+def selection_volume(**changes):
     # Open3D writes the polygon's coordinate along the axis as 0.
     content = {
         "class_name": "SelectionPolygonVolume",
@@ -82,8 +85,8 @@ def volume(**changes):
     return {**content, **changes}
 
 
-def test_selection_volume(tmp_path):
-    (tmp_path / "barn.json").write_text(json.dumps(volume()))
+def test_selection_volumes_are_read(tmp_path):
+    (tmp_path / "barn.json").write_text(json.dumps(selection_volume()))
     region = parse_region(f"polygon:{tmp_path / 'barn.json'}", CLOUD)
     rows = points([3.5, 0, 0.5], [0.5, 0, 3.5], [3.5, -1.5, 0.5], [3.5, 2.6, 0.5])
     assert region.contains(rows).tolist() == [True, False, True, False]
@@ -92,8 +95,8 @@ def test_selection_volume(tmp_path):
 
 def test_autzen_selection():
     region = parse_region(f"polygon:{data_folder('autzen') / 'autzen-selection.json'}", CLOUD)
-    rings = [[636758.0, 850667.0], [637000.0, 851000.0], [636539.2, 851056.6], [636540.0, 850500.0]]
-    inside = region.contains(np.column_stack([rings, np.zeros(4)]))
+    corners = [[636758.0, 850667.0], [637000.0, 851000.0], [636539.2, 851056.6], [636540.0, 850500.0]]
+    inside = region.contains(np.column_stack([corners, np.zeros(4)]))
     # Two corners moved outwards, the middle, and the empty corner of the bounding box.
     assert inside.tolist() == [False, True, True, False]
     assert len(region.rings[0]) == 18
@@ -136,7 +139,7 @@ def test_the_text_of_a_polygon_is_its_file(tmp_path):
         geojson("Point", [1, 2]),
         geojson(["Polygon"], [SQUARE]),
         feature(None),
-        feature(feature(MULTI)),
+        feature(feature(MULTIPOLYGON)),
         {"type": "FeatureCollection"},
         {"type": "FeatureCollection", "features": []},
         {"type": "FeatureCollection", "features": [3]},
@@ -164,20 +167,20 @@ def test_the_text_of_a_polygon_is_its_file(tmp_path):
         b"POLYGON (())",
         b"POLYGON " + b"(" * 100_000,
         b"POLYGONS ((0 0, 1 0, 1 1))",
-        volume(class_name="Box"),
+        selection_volume(class_name="Box"),
         {"bounding_polygon": []},
-        volume(orthogonal_axis="xy"),
-        volume(orthogonal_axis=2),
-        volume(axis_min=None),
-        volume(axis_max=float("inf")),
-        volume(axis_min=3),
-        volume(bounding_polygon=SQUARE),
-        volume(bounding_polygon=[]),
-        volume(bounding_polygon=[[0, 0, 0], [4, 1, 0]]),
+        selection_volume(orthogonal_axis="xy"),
+        selection_volume(orthogonal_axis=2),
+        selection_volume(axis_min=None),
+        selection_volume(axis_max=float("inf")),
+        selection_volume(axis_min=3),
+        selection_volume(bounding_polygon=SQUARE),
+        selection_volume(bounding_polygon=[]),
+        selection_volume(bounding_polygon=[[0, 0, 0], [4, 1, 0]]),
     ],
     ids=lambda content: str(content)[:50],
 )
-def test_refused_files(tmp_path, content):
+def test_invalid_files_are_refused(tmp_path, content):
     path = tmp_path / "p"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     with check_error() as caught:
@@ -185,12 +188,12 @@ def test_refused_files(tmp_path, content):
     assert len(str(caught.value)) < len(str(path)) + 250
 
 
-def test_refused_endless_file():
+def test_an_endless_file_is_refused():
     with check_error():
         read_polygon("/dev/zero")
 
 
-json_like = st.recursive(
+json_values = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.sampled_from(["Polygon", "Feature", "X"]),
     lambda inner: (
         st.lists(inner, max_size=4)
@@ -200,7 +203,7 @@ json_like = st.recursive(
 
 
 @no_deadline
-@given(st.binary(max_size=60) | json_like.map(lambda value: json.dumps(value).encode()))
+@given(st.binary(max_size=60) | json_values.map(lambda value: json.dumps(value).encode()))
 def test_any_file_gives_a_region_or_a_one_line_error(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "any"
     path.write_bytes(content)

@@ -30,9 +30,9 @@ def test_as_region_accepts_objects_and_texts():
     box = Box([0, 0, 0], [1, 1, 1])
     assert as_region(box, CLOUD) is box
     assert as_region("box:0,0,0,1,1,1", CLOUD).text == box.text
-    for wrong in (None, 3, [0, 0, 0, 1, 1, 1]):
+    for value in (None, 3, [0, 0, 0, 1, 1, 1]):
         with check_error():
-            as_region(wrong, CLOUD)
+            as_region(value, CLOUD)
 
 
 # Clouds cropped to a region
@@ -42,12 +42,12 @@ def test_as_region_accepts_objects_and_texts():
 def test_a_crop_applies_to_all_fields(region):
     cloud = Cloud(CLOUD.points, normals=-CLOUD.points, attributes={"row": np.arange(500)}, unit="m")
     inside = np.flatnonzero((CLOUD.points**2).sum(axis=1) <= 1)
-    found = crop(cloud, region)
-    assert 30 < len(found) < 300
-    np.testing.assert_array_equal(found.attributes["row"], inside)
-    np.testing.assert_array_equal(found.normals, -CLOUD.points[inside])
-    assert found.unit == "m"
-    np.testing.assert_array_equal(crop(CLOUD.points, region).points, found.points)
+    result = crop(cloud, region)
+    assert 30 < len(result) < 300
+    np.testing.assert_array_equal(result.attributes["row"], inside)
+    np.testing.assert_array_equal(result.normals, -CLOUD.points[inside])
+    assert result.unit == "m"
+    np.testing.assert_array_equal(crop(CLOUD.points, region).points, result.points)
 
 
 def test_a_crop_that_contains_all_points_returns_the_cloud():
@@ -66,7 +66,7 @@ def test_a_crop_that_contains_all_points_returns_the_cloud():
         7,
     ],
 )
-def test_an_empty_crop_is_refused(region):
+def test_empty_and_invalid_crops_are_refused(region):
     with check_error():
         pcbench.crop(CLOUD, region)
 
@@ -103,12 +103,12 @@ def test_an_empty_crop_is_refused(region):
         "polygon:a\0b",
     ],
 )
-def test_refused_texts(text):
+def test_invalid_texts_are_refused(text):
     with check_error():
         parse_region(text, CLOUD)
 
 
-def test_refused_quantile_of_coincident_points():
+def test_a_quantile_of_coincident_points_is_refused():
     with check_error():
         parse_region("quantile:0.5", Cloud(np.vstack([np.zeros((9, 3)), np.ones((1, 3))])))
 

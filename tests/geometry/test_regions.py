@@ -59,7 +59,7 @@ def test_points_level_with_vertices():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_axis_of_a_prism(axis):
+def test_a_prism_extends_along_its_axis(axis):
     u, v = (other for other in range(3) if other != axis)
     rows = np.zeros((3, 3))
     rows[:, u], rows[:, v], rows[:, axis] = [3.5, 0.5, 3.5], [0.5, 3.5, 0.5], [9, 9, 11]
@@ -68,9 +68,9 @@ def test_axis_of_a_prism(axis):
 
 
 def test_one_ring_needs_no_list_of_rings():
-    for ring in (SQUARE, np.array(SQUARE), [np.array(vertex) for vertex in SQUARE], tuple(map(tuple, SQUARE))):
-        polygon = Polygon(ring, lower=0)
-        assert [len(found) for found in polygon.rings] == [4]
+    for vertices in (SQUARE, np.array(SQUARE), [np.array(vertex) for vertex in SQUARE], tuple(map(tuple, SQUARE))):
+        polygon = Polygon(vertices, lower=0)
+        assert [len(ring) for ring in polygon.rings] == [4]
         assert polygon.contains(points([1, 1, 1], [5, 1, 1], [1, 1, -1])).tolist() == [True, False, False]
 
 
@@ -116,7 +116,7 @@ def test_a_region_does_not_change_with_the_callers_array():
 
 
 @pytest.mark.parametrize(
-    ("region", "text", "short"),
+    ("region", "text", "representation"),
     [
         (Box([0, 0, 0], [1, 1, 1]), "box:0,0,0,1,1,1", "Box([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])"),
         (Box(-UTM, UTM + 0.1), None, None),
@@ -125,14 +125,14 @@ def test_a_region_does_not_change_with_the_callers_array():
     ],
     ids=["box", "far box", "sphere", "quantile"],
 )
-def test_text_round_trip(region, text, short):
-    again = parse_region(region.text, CLOUD)
+def test_text_round_trip(region, text, representation):
+    parsed = parse_region(region.text, CLOUD)
     # Every float64 has a shortest decimal that reads back exactly.
-    assert again.text == region.text
-    assert repr(again) == repr(region)
+    assert parsed.text == region.text
+    assert repr(parsed) == repr(region)
     if text is not None:
         assert region.text == text
-        assert repr(region) == short
+        assert repr(region) == representation
 
 
 def test_a_polygon_without_a_file_is_described():
@@ -143,7 +143,7 @@ def test_a_polygon_without_a_file_is_described():
     assert replace(polygon, upper=3).upper == 3
 
 
-def test_other_classes_with_the_same_methods_are_regions():
+def test_regions_satisfy_the_protocol():
     assert all(isinstance(region, Region) for region in (Box.around(CLOUD), Union(())))
     assert not isinstance("box:0,0,0,1,1,1", Region)
 
@@ -151,8 +151,8 @@ def test_other_classes_with_the_same_methods_are_regions():
 # Oracle
 
 
-def slow_inside(point, rings):
-    """Winding angle of the rings about the point, summed over edges: an odd number of turns is inside."""
+def is_inside_by_winding(point, rings):
+    """Whether the rings wind about the point an odd number of times; angles are summed over edges."""
     turns = 0
     for ring in rings:
         d = np.asarray(ring, dtype=float) - point
@@ -177,7 +177,7 @@ def test_polygons_agree_with_winding_numbers(seed, offset):
     outer, hole, island = (star(generator, 25, *radii, offset) for radii in ((0.6, 1), (0.3, 0.4), (0.1, 0.2)))
     rings = (outer, hole[::-1], island, star(generator, 12, 0.2, 0.5, np.add(offset, [2.0, 0.3])))
     xy = generator.uniform(-1.1, 2.6, (400, 2)) + offset
-    expected = [slow_inside(point, rings) for point in xy]
+    expected = [is_inside_by_winding(point, rings) for point in xy]
     assert 30 < sum(expected) < 370
     got = Polygon(rings).contains(np.column_stack([xy, np.zeros(400)]))
     assert got.tolist() == expected
@@ -186,9 +186,9 @@ def test_polygons_agree_with_winding_numbers(seed, offset):
 def test_chunk_size_does_not_matter(monkeypatch):
     generator = np.random.default_rng(5)
     ring, xyz = star(generator, 30, 0.3, 1, (0, 0)), generator.uniform(-1, 1, (1000, 3))
-    whole = Polygon((ring,)).contains(xyz)
+    expected = Polygon((ring,)).contains(xyz)
     monkeypatch.setattr("pcbench.geometry.regions._CHUNK_POINTS", 7)
-    assert (Polygon((ring,)).contains(xyz) == whole).all()
+    assert (Polygon((ring,)).contains(xyz) == expected).all()
 
 
 @pytest.mark.parametrize(
@@ -205,14 +205,14 @@ def test_shifted_regions_contain_the_same_points(region):
     xyz = np.random.default_rng(2).uniform(-0.2, 1.2, (5000, 3))
     expected = region.contains(xyz)
     assert 0 < expected.sum() < 5000
-    far = region.shifted(-UTM)
+    shifted = region.shifted(-UTM)
     # Coordinates at 5.6e6 round to 1e-9; none of the 5000 points lies that close to a border.
-    assert (far.contains(xyz + UTM) == expected).all()
-    assert (far.shifted(UTM).contains(xyz) == expected).all()
+    assert (shifted.contains(xyz + UTM) == expected).all()
+    assert (shifted.shifted(UTM).contains(xyz) == expected).all()
     assert (region.contains(xyz) == expected).all()
 
 
-def test_no_points():
+def test_empty_and_distant_points_are_outside():
     for region in (Box([0, 0, 0], [1, 1, 1]), Sphere([0, 0, 0], 1), Polygon((SQUARE,)), Union(())):
         assert region.contains(np.empty((0, 3))).shape == (0,)
         assert not region.contains(points([50, 50, 50])).any()
@@ -243,6 +243,6 @@ def test_no_points():
         lambda: Polygon((SQUARE,), lower=np.nan),
     ],
 )
-def test_refused_values(make):
+def test_invalid_values_are_refused(make):
     with check_error():
         make()

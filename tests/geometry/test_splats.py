@@ -21,26 +21,26 @@ def test_models_are_recognised_by_their_attributes(tmp_path, dimensions, degree)
 
 def test_opacities_from_0_to_1_are_not_logits():
     cloud = splat_models.make_gaussians()
-    plain = Cloud(cloud.points, attributes={**cloud.attributes, "opacity": np.linspace(0, 1, 5)})
-    np.testing.assert_array_equal(splat_model(plain).opacities, np.linspace(0, 1, 5))
+    with_opacities = Cloud(cloud.points, attributes={**cloud.attributes, "opacity": np.linspace(0, 1, 5)})
+    np.testing.assert_array_equal(splat_model(with_opacities).opacities, np.linspace(0, 1, 5))
 
 
-def test_other_clouds_are_not_models(tmp_path):
+def test_clouds_without_splat_attributes_are_not_models(tmp_path):
     assert splat_model(Cloud(np.zeros((2, 3)), attributes={"opacity": np.zeros(2)})) is None
 
 
-def test_filters_on_reading(tmp_path):
+def test_reading_filters_by_opacity_and_axis(tmp_path):
     file = tmp_path / "a.ply"
-    whole = splat_models.make_gaussians()
-    write_cloud(file, whole)
-    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.49).points, whole.points[2:])
-    np.testing.assert_array_equal(read_cloud(file, max_axis=0.061).points, whole.points[:2])
-    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.2, max_axis=0.1).points, whole.points[1:3])
-    assert read_cloud(file, min_opacity=0.2, max_axis=0.1).attributes.keys() == whole.attributes.keys()
+    cloud = splat_models.make_gaussians()
+    write_cloud(file, cloud)
+    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.49).points, cloud.points[2:])
+    np.testing.assert_array_equal(read_cloud(file, max_axis=0.061).points, cloud.points[:2])
+    np.testing.assert_array_equal(read_cloud(file, min_opacity=0.2, max_axis=0.1).points, cloud.points[1:3])
+    assert read_cloud(file, min_opacity=0.2, max_axis=0.1).attributes.keys() == cloud.attributes.keys()
     assert len(read_cloud(file, min_opacity=0)) == 5
 
 
-def test_refusals(tmp_path):
+def test_invalid_limits_are_refused(tmp_path):
     splats, cloud = tmp_path / "a.ply", tmp_path / "b.ply"
     write_cloud(splats, splat_models.make_gaussians())
     write_cloud(cloud, np.zeros((4, 3)))
@@ -60,19 +60,19 @@ def test_refusals(tmp_path):
 def test_a_comparison_filters_low_opacity_and_large_splats(tmp_path):
     rng = np.random.default_rng(0)
     plane = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
-    mist = rng.uniform(-1, 1, (300, 3))
+    floaters = rng.uniform(-1, 1, (300, 3))
     opacities, axes = np.full(1200, 0.9), np.full((1200, 3), 0.01)
     opacities[900:1050], axes[1050:] = 0.05, 2.0
-    splats = splat_models.model(np.concatenate([plane, mist]), opacities, axes)
+    splats = splat_models.model(np.concatenate([plane, floaters]), opacities, axes)
     write_cloud(tmp_path / "splats.ply", splats)
     limits = {"register": "none", "min_opacity": 0.5, "max_axis": 0.1}
     for candidate in (tmp_path / "splats.ply", splats):
-        found = pcbench.compare(plane, candidate, **limits)
-        assert next(iter(found)).points == 900
-        assert next(iter(found)).metrics.hausdorff.symmetric_max == 0
-    called = pcbench.compare(plane, {"the reference": splats}, **limits)
-    assert [(c.name, c.points) for c in called] == [("the reference", 900)]
-    assert called.reference.points == 900
+        comparison = pcbench.compare(plane, candidate, **limits)
+        assert next(iter(comparison)).points == 900
+        assert next(iter(comparison)).metrics.hausdorff.symmetric_max == 0
+    comparison = pcbench.compare(plane, {"the reference": splats}, **limits)
+    assert [(c.name, c.points) for c in comparison] == [("the reference", 900)]
+    assert comparison.reference.points == 900
     with check_error():
         pcbench.compare(plane, plane, **limits)
     with check_error():

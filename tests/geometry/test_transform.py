@@ -21,7 +21,7 @@ rigid_motions = st.builds(Similarity, rotations, coordinates)
 PROBES = np.random.default_rng(0).uniform(-10, 10, (20, 3))
 
 
-def close(got, expected, size=1.0):
+def assert_close(got, expected, size=1.0):
     # Coordinates up to `size`, a dozen roundings of 1e-16 each, and margin.
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 * size)
 
@@ -49,11 +49,11 @@ def test_identity_is_exact():
 def test_motion_recovers_axis_angle_and_scale(axis, angle, position, scale):
     transform = Similarity(shapes.rotation(axis, angle), [4, 5, 6], scale).about(position)
     motion = transform.motion_at(position)
-    close(motion.shift, [4, 5, 6], size=1e4)
+    assert_close(motion.shift, [4, 5, 6], size=1e4)
     assert motion.angle_deg == pytest.approx(angle, rel=1e-6, abs=1e-12)
     assert motion.scale == scale
     sign = np.sign(motion.axis @ axis) if angle > 180 - 1e-6 else 1  # a half turn has two opposite axes
-    close(motion.axis, sign * axis / np.linalg.norm(axis), size=1e7 if angle < 1e-3 else 1e3)
+    assert_close(motion.axis, sign * axis / np.linalg.norm(axis), size=1e7 if angle < 1e-3 else 1e3)
 
 
 def test_no_rotation_has_no_axis():
@@ -61,7 +61,7 @@ def test_no_rotation_has_no_axis():
     assert (motion.shift.tolist(), motion.angle_deg, motion.axis, motion.scale) == ([1, 0, 0], 0, None, 1)
 
 
-def test_affine():
+def test_affine_maps_points_and_inverts():
     transform = Affine([[2, 0, 0], [0, 1, 0], [0, 0, -1]], [1, 0, 0])
     assert transform.apply(np.array([[1.0, 2, 3]])).tolist() == [[3, 2, -3]]
     assert transform.inverse().apply(np.array([[3.0, 2, -3]])).tolist() == [[1, 2, 3]]
@@ -77,17 +77,17 @@ def test_affine_normals_stay_perpendicular_and_keep_their_length():
     assert (
         np.abs((moved * (along @ transform.linear.T)).sum(axis=1)).max() < 1e-12 * np.abs(transform.linear).max() * 100
     )
-    close(np.linalg.norm(moved, axis=1), np.linalg.norm(normals, axis=1), 10)
+    assert_close(np.linalg.norm(moved, axis=1), np.linalg.norm(normals, axis=1), 10)
     assert transform.apply_normals(np.zeros((1, 3))).tolist() == [[0, 0, 0]]  # zero vectors stay zero
 
 
 def test_composition_applies_the_right_operand_first():
-    turn, shift = Similarity(QUARTER_TURN, np.zeros(3)), Similarity(np.eye(3), [1, 0, 0])
+    rotation, shift = Similarity(QUARTER_TURN, np.zeros(3)), Similarity(np.eye(3), [1, 0, 0])
     point = np.array([[1.0, 0, 0]])
-    assert (turn @ shift).apply(point).tolist() == [[0, 2, 0]]
-    assert (shift @ turn).apply(point).tolist() == [[1, 1, 0]]
+    assert (rotation @ shift).apply(point).tolist() == [[0, 2, 0]]
+    assert (shift @ rotation).apply(point).tolist() == [[1, 1, 0]]
     stretch = Affine(np.diag([2.0, 1, 1]), np.zeros(3))
-    assert (stretch @ turn @ shift).apply(point).tolist() == [[0, 2, 0]]
+    assert (stretch @ rotation @ shift).apply(point).tolist() == [[0, 2, 0]]
     assert (stretch @ stretch).linear.tolist() == np.diag([4, 1, 1]).tolist()
 
 
@@ -98,17 +98,17 @@ def test_composition_applies_the_right_operand_first():
 @given(similarities)
 def test_inverse(transform):
     for identity in (transform @ transform.inverse(), transform.inverse() @ transform):
-        close(identity.rotation, np.eye(3))
+        assert_close(identity.rotation, np.eye(3))
         assert identity.scale == pytest.approx(1, rel=1e-15)
     # The translation is multiplied and divided by the scale (up to 100).
-    close(transform.inverse().apply(transform.apply(PROBES)), PROBES, 1e4)
+    assert_close(transform.inverse().apply(transform.apply(PROBES)), PROBES, 1e4)
 
 
 @no_deadline
 @given(similarities, similarities)
 def test_composition(first, second):
-    close((first @ second).apply(PROBES), first.apply(second.apply(PROBES)), 1e6)
-    close((first @ second).matrix, first.matrix @ second.matrix, 1e6)
+    assert_close((first @ second).apply(PROBES), first.apply(second.apply(PROBES)), 1e6)
+    assert_close((first @ second).matrix, first.matrix @ second.matrix, 1e6)
 
 
 def test_long_products_remain_rotations():
@@ -116,28 +116,28 @@ def test_long_products_remain_rotations():
     product = step
     for _ in range(3599):
         product = step @ product
-    close(product.rotation @ product.rotation.T, np.eye(3))
-    close(product.rotation, np.eye(3), 1e3)  # 3600 rotations of one degree, each with an error of 1e-16
+    assert_close(product.rotation @ product.rotation.T, np.eye(3))
+    assert_close(product.rotation, np.eye(3), 1e3)  # 3600 rotations of one degree, each with an error of 1e-16
 
 
 @no_deadline
 @given(similarities)
-def test_about_restores_the_origin(transform):
+def test_about_moves_the_origin_of_a_transform(transform):
     # Fitted to clouds after subtracting the origin, applied to the original clouds.
-    full = transform.about(UTM).apply(PROBES + UTM)
-    close(full, transform.apply(PROBES) + UTM, np.abs(UTM).max() * (1 + transform.scale))
+    positions = transform.about(UTM).apply(PROBES + UTM)
+    assert_close(positions, transform.apply(PROBES) + UTM, np.abs(UTM).max() * (1 + transform.scale))
 
 
 @no_deadline
 @given(similarities)
 def test_matrix_round_trip(transform):
-    again = Similarity.from_matrix(transform.matrix)
-    assert again.scale == pytest.approx(transform.scale, rel=1e-14)
-    close(again.rotation, transform.rotation)
-    assert (again.translation == transform.translation).all()
+    restored = Similarity.from_matrix(transform.matrix)
+    assert restored.scale == pytest.approx(transform.scale, rel=1e-14)
+    assert_close(restored.rotation, transform.rotation)
+    assert (restored.translation == transform.translation).all()
     affine = Affine(transform.linear, transform.translation)
-    close(affine.apply(PROBES), transform.apply(PROBES), 1e4)
-    close(affine.apply_normals(PROBES), transform.apply_normals(PROBES), 1e2)
+    assert_close(affine.apply(PROBES), transform.apply(PROBES), 1e4)
+    assert_close(affine.apply_normals(PROBES), transform.apply_normals(PROBES), 1e2)
 
 
 # Recovery
@@ -145,7 +145,7 @@ def test_matrix_round_trip(transform):
 
 @no_deadline
 @given(similarities, st.integers(3, 30), st.integers(0, 2**32 - 1))
-def test_fit_similarity_recovers(transform, count, seed):
+def test_fit_similarity_recovers_exact_transforms(transform, count, seed):
     candidate = np.random.default_rng(seed).normal(size=(count, 3))
     fitted = fit_similarity(candidate, transform.apply(candidate))
     # Three random points may be nearly collinear, so the fit is tested and not its parameters.
@@ -156,7 +156,7 @@ def test_fit_similarity_recovers(transform, count, seed):
 def test_fit_similarity_of_planar_sets(count):
     """Fit 200 exact planar motions, which need the reflection correction and the translation after it."""
     generator = np.random.default_rng(count)
-    traps = 0
+    reflections = 0
     for _ in range(200):
         flat = np.column_stack([generator.normal(size=(count, 2)), np.zeros(count)])
         tilt = shapes.rotation(generator.normal(size=3), generator.uniform(0, 180))
@@ -167,7 +167,7 @@ def test_fit_similarity_of_planar_sets(count):
         reference = truth.apply(candidate)
         c, r = candidate - candidate.mean(axis=0), reference - reference.mean(axis=0)
         u, _, vt = np.linalg.svd(r.T @ c)
-        traps += np.linalg.det(u @ vt) < 0
+        reflections += np.linalg.det(u @ vt) < 0
         for with_scale in (False, True):
             fitted = fit_similarity(candidate, reference, with_scale=with_scale)
             assert np.linalg.det(fitted.rotation) == pytest.approx(1, abs=1e-12)
@@ -176,14 +176,14 @@ def test_fit_similarity_of_planar_sets(count):
             # The tilt of a thin triangle's plane is less well determined.
             np.testing.assert_allclose(fitted.rotation, truth.rotation, atol=1e-9)
             np.testing.assert_allclose(fitted.translation, truth.translation, atol=1e-7)
-    assert traps > 20  # the reflection correction was needed
+    assert reflections > 20  # the reflection correction was needed
 
 
 def test_fit_of_a_mirror_image_is_a_rotation():
     corners = np.stack(np.meshgrid([-3, 3], [-2, 2], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
     fitted = fit_similarity(corners, corners * [1, 1, -1])
-    # The flattest axis is sacrificed: any rotation that fits it costs more along the others.
-    close(fitted.rotation, np.eye(3))
+    # The flattest axis stays mirrored: a rotation that fits it would have larger errors along the others.
+    assert_close(fitted.rotation, np.eye(3))
     # Umeyama's scale: (9 + 4 - 1) / (9 + 4 + 1).
     assert fitted.scale == pytest.approx(12 / 14)
 
@@ -194,7 +194,7 @@ def test_fit_with_and_without_scale():
     assert fit_similarity(candidate, truth.apply(candidate)).scale == pytest.approx(1.03, rel=1e-13)
     rigid = fit_similarity(candidate, truth.apply(candidate), with_scale=False)
     assert rigid.scale == 1
-    close(rigid.rotation, truth.rotation, 10)
+    assert_close(rigid.rotation, truth.rotation, 10)
 
 
 def test_fit_far_from_the_origin():
@@ -215,11 +215,11 @@ def test_fit_is_the_least_squares_optimum():
 
     best = fit_similarity(candidate, reference)
     for _ in range(100):
-        turn = shapes.rotation(generator.normal(size=3), 0.1)
-        nudged = Similarity(
-            turn @ best.rotation, best.translation + generator.normal(size=3) * 1e-3, best.scale * 1.001
+        rotation = shapes.rotation(generator.normal(size=3), 0.1)
+        perturbed = Similarity(
+            rotation @ best.rotation, best.translation + generator.normal(size=3) * 1e-3, best.scale * 1.001
         )
-        assert cost(nudged) > cost(best)
+        assert cost(perturbed) > cost(best)
 
 
 def test_weights_equal_repetitions():
@@ -228,23 +228,23 @@ def test_weights_equal_repetitions():
     repeats = generator.integers(0, 4, 10)
     weighted = fit_similarity(candidate, reference, weights=repeats.astype(float))
     repeated = fit_similarity(np.repeat(candidate, repeats, axis=0), np.repeat(reference, repeats, axis=0))
-    close(weighted.matrix, repeated.matrix, 100)
+    assert_close(weighted.matrix, repeated.matrix, 100)
 
 
-def test_fit_affine_recovers():
+def test_fit_affine_recovers_an_exact_map():
     generator = np.random.default_rng(6)
     candidate = generator.normal(size=(30, 3))
     truth = Affine(generator.normal(size=(3, 3)), [1, 2, 3])
     fitted = fit_affine(candidate, truth.apply(candidate))
-    close(fitted.matrix, truth.matrix, 100)
-    far = fit_affine(candidate + UTM, truth.apply(candidate) + UTM)
-    np.testing.assert_allclose(far.linear, truth.linear, atol=1e-8)  # coordinates round to 1e-9
+    assert_close(fitted.matrix, truth.matrix, 100)
+    shifted_fit = fit_affine(candidate + UTM, truth.apply(candidate) + UTM)
+    np.testing.assert_allclose(shifted_fit.linear, truth.linear, atol=1e-8)  # coordinates round to 1e-9
 
 
 def test_affine_inverse_of_strong_stretching():
     transform = Affine(np.diag([1.0, 1.0, 1e-9]), np.zeros(3))
-    close(transform.inverse().linear, np.diag([1, 1, 1e9]), 1e9)
-    close(transform.inverse().inverse().linear, transform.linear)
+    assert_close(transform.inverse().linear, np.diag([1, 1, 1e9]), 1e9)
+    assert_close(transform.inverse().inverse().linear, transform.linear)
 
 
 # Files
@@ -255,10 +255,10 @@ def test_affine_inverse_of_strong_stretching():
 def test_rigid_files_round_trip_exactly(tmp_path_factory, transform):
     path = tmp_path_factory.getbasetemp() / "rigid.txt"
     path.write_text(format_matrix(transform))
-    again = read_matrix(path)
-    assert (again.matrix == transform.matrix).all()
-    assert again.scale == 1
-    assert format_matrix(again) == format_matrix(transform)
+    restored = read_matrix(path)
+    assert (restored.matrix == transform.matrix).all()
+    assert restored.scale == 1
+    assert format_matrix(restored) == format_matrix(transform)
 
 
 @no_deadline
@@ -279,7 +279,7 @@ def test_scaled_files_round_trip_to_rounding(tmp_path_factory, transform):
         "# found by hand\n\n0,-1, 0,1 # x\n1,0,0,2\r\n0\t0\t1e0\t3\n\n",
     ],
 )
-def test_read_matrix(tmp_path, text):
+def test_matrix_formats_are_read(tmp_path, text):
     (tmp_path / "m.txt").write_text(text)
     transform = read_matrix(str(tmp_path / "m.txt"))
     assert (transform.rotation == QUARTER_TURN).all()
@@ -296,15 +296,15 @@ def test_printed_digits_restore_the_matrix(tmp_path):
 # Refusals
 
 
-def matrix(**changes):
+def matrix_with(**changes):
     result = np.eye(4)
     for key, value in changes.items():
         result[int(key[1]), int(key[2])] = value
     return result
 
 
-LINE = np.outer(np.arange(5.0), [1, 2, 3])
-BLOB = np.random.default_rng(7).normal(size=(5, 3))
+COLLINEAR_POINTS = np.outer(np.arange(5.0), [1, 2, 3])
+RANDOM_POINTS = np.random.default_rng(7).normal(size=(5, 3))
 
 
 @pytest.mark.parametrize(
@@ -322,29 +322,29 @@ BLOB = np.random.default_rng(7).normal(size=(5, 3))
         lambda: Similarity(2 * np.eye(3), np.zeros(3)),
         lambda: Similarity(np.diag([1, 1, -1]), np.zeros(3)),
         lambda: Similarity.from_matrix(np.eye(3)),
-        lambda: Similarity.from_matrix(matrix(m30=0.5)),
-        lambda: Similarity.from_matrix(matrix(m00=-1)),
-        lambda: Similarity.from_matrix(matrix(m00=0)),
-        lambda: Similarity.from_matrix(matrix(m01=0.1)),
-        lambda: Similarity.from_matrix(matrix(m00=np.nan)),
+        lambda: Similarity.from_matrix(matrix_with(m30=0.5)),
+        lambda: Similarity.from_matrix(matrix_with(m00=-1)),
+        lambda: Similarity.from_matrix(matrix_with(m00=0)),
+        lambda: Similarity.from_matrix(matrix_with(m01=0.1)),
+        lambda: Similarity.from_matrix(matrix_with(m00=np.nan)),
         lambda: Affine(np.eye(4), np.zeros(3)),
         lambda: Affine(np.eye(3), [np.inf, 0, 0]),
         lambda: Affine(np.diag([1, 1, 0]), np.zeros(3)),
         lambda: Affine(np.zeros((3, 3)), np.zeros(3)),
-        lambda: fit_similarity(BLOB, BLOB[:4]),
-        lambda: fit_similarity(BLOB[:, :2], BLOB[:, :2]),
-        lambda: fit_similarity(BLOB[:2], BLOB[:2]),
-        lambda: fit_similarity(LINE, BLOB),
-        lambda: fit_similarity(BLOB, LINE),
-        lambda: fit_similarity(LINE + UTM, LINE),
-        lambda: fit_similarity(np.ones((4, 3)), BLOB[:4]),
-        lambda: fit_similarity(BLOB, np.ones((5, 3))),
-        lambda: fit_affine(BLOB, BLOB[:4]),
-        lambda: fit_affine(BLOB[:3], BLOB[:3]),
-        lambda: fit_affine(BLOB * [1, 1, 0], BLOB),
+        lambda: fit_similarity(RANDOM_POINTS, RANDOM_POINTS[:4]),
+        lambda: fit_similarity(RANDOM_POINTS[:, :2], RANDOM_POINTS[:, :2]),
+        lambda: fit_similarity(RANDOM_POINTS[:2], RANDOM_POINTS[:2]),
+        lambda: fit_similarity(COLLINEAR_POINTS, RANDOM_POINTS),
+        lambda: fit_similarity(RANDOM_POINTS, COLLINEAR_POINTS),
+        lambda: fit_similarity(COLLINEAR_POINTS + UTM, COLLINEAR_POINTS),
+        lambda: fit_similarity(np.ones((4, 3)), RANDOM_POINTS[:4]),
+        lambda: fit_similarity(RANDOM_POINTS, np.ones((5, 3))),
+        lambda: fit_affine(RANDOM_POINTS, RANDOM_POINTS[:4]),
+        lambda: fit_affine(RANDOM_POINTS[:3], RANDOM_POINTS[:3]),
+        lambda: fit_affine(RANDOM_POINTS * [1, 1, 0], RANDOM_POINTS),
     ],
 )
-def test_refusals(make):
+def test_invalid_arguments_are_refused(make):
     with check_error():
         make()
 
@@ -363,7 +363,7 @@ def test_refusals(make):
         b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 2",
     ],
 )
-def test_refused_files(tmp_path, content):
+def test_invalid_files_are_refused(tmp_path, content):
     path = tmp_path / "m.txt"
     if content is not None:
         path.write_bytes(content)

@@ -7,12 +7,14 @@ from wording import check_error
 from pcbench.geometry.voxels import cell_means, cells, voxel_downsample, voxel_downsample_to
 
 
-def by_sorting(points, side, lower):
-    places = np.clip(np.floor((points - lower) / side), -(2**31), 2**31 - 1)
-    _, first, inverse, counts = np.unique(places, axis=0, return_index=True, return_inverse=True, return_counts=True)
+def group_by_sorting(points, side, lower):
+    cell_indices = np.clip(np.floor((points - lower) / side), -(2**31), 2**31 - 1)
+    _, first, inverse, counts = np.unique(
+        cell_indices, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
     order = np.argsort(first)  # cells are numbered by their first points
-    number = np.argsort(order)
-    return number[inverse.ravel()], first[order], counts[order]
+    rank = np.argsort(order)
+    return rank[inverse.ravel()], first[order], counts[order]
 
 
 @pytest.mark.parametrize("count, side", [(1, 1.0), (63, 0.3), (5000, 0.02), (5000, 5.0), (40_000, 0.1)])
@@ -20,8 +22,8 @@ def test_cells_agree_with_sorting(count, side):
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3)) * [3, 1, 0.2] + [5e5, 4e6, 0]
     for lower in (points.min(axis=0), points.min(axis=0) + 0.7):
-        for found, expected in zip(cells(points, side, lower), by_sorting(points, side, lower), strict=True):
-            np.testing.assert_array_equal(found, expected)
+        for got, expected in zip(cells(points, side, lower), group_by_sorting(points, side, lower), strict=True):
+            np.testing.assert_array_equal(got, expected)
     grid = cells(points, side)
     heights = [points[grid.of_point == cell, 2].mean() for cell in range(min(20, len(grid.first)))]
     np.testing.assert_allclose(grid.means(points[:, 2])[:20], heights, rtol=0, atol=1e-12)
@@ -38,7 +40,7 @@ def test_downsampling_keeps_the_first_point_of_each_cell():
     points = np.array([[0.1, 0, 0], [0.9, 0, 0], [1.1, 0, 0], [0.2, 0, 0], [5, 0, 0]])
     np.testing.assert_array_equal(voxel_downsample(points, 1.0), [0, 2, 4])
     np.testing.assert_allclose(cell_means(points, 1.0, np.zeros(3))[:, 0], [0.4, 1.1, 5])
-    many = np.random.default_rng(1).random((20_000, 3)) * [100, 100, 1]
-    which = voxel_downsample_to(many, 500, start=0.5)
-    assert 250 < len(which) <= 600
-    assert (np.diff(which) > 0).all()
+    cloud = np.random.default_rng(1).random((20_000, 3)) * [100, 100, 1]
+    rows = voxel_downsample_to(cloud, 500, start=0.5)
+    assert 250 < len(rows) <= 600
+    assert (np.diff(rows) > 0).all()

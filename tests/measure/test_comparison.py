@@ -21,33 +21,33 @@ from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDA
 from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
 
-NONE = Settings(register="none")
+NO_REGISTRATION = Settings(register="none")
 
 
-def on_grid(points):
+def round_to_grid(points):
     """Round to 2^-20: coordinates up to 8e6 are then exact."""
     return np.round(points * 2**20) / 2**20
 
 
-def metrics_of(reference, candidate, settings=NONE):
+def metrics_of(reference, candidate, settings=NO_REGISTRATION):
     return compare(reference, candidate, settings).candidates[0].metrics
 
 
-def numbers_of(reference, candidate, settings=NONE):
+def json_metrics_of(reference, candidate, settings=NO_REGISTRATION):
     """Return the metrics as in comparison.json, without the positions of the worst points."""
     values = document(compare(reference, candidate, settings))["candidates"][0]["metrics"]
     del values["hausdorff"]["worst_point"]
-    return dict(leaves(values))
+    return dict(flatten(values))
 
 
-def leaves(value, path=""):
+def flatten(value, path=""):
     """Return each number of nested JSON values by its path."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from leaves(item, f"{path}/{key}")
+            yield from flatten(item, f"{path}/{key}")
     elif isinstance(value, list | tuple):
         for number, item in enumerate(value):
-            yield from leaves(item, f"{path}/{number}")
+            yield from flatten(item, f"{path}/{number}")
     else:
         yield path, value
 
@@ -62,13 +62,13 @@ def pair():
 def test_shifted_plane_in_closed_form():
     plane = shapes.plane_grid(20)
     m = metrics_of(plane, plane + [0, 0, 0.25])
-    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-        assert m.d1_mse[way].value == m.d2_mse[way].value == 0.0625
-        assert m.d1_rms[way].value == 0.25
-        assert m.hausdorff[way].largest == m.mean_distance[way].value == 0.25
-        assert m.d1_mse[way].floor == 1.0  # the grid's spacing
-        assert m.d1_mse[way].interval == pytest.approx([0.0625, 0.0625])
-        assert m.d1_mse[way].area_weighted == pytest.approx(0.0625)
+    for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        assert m.d1_mse[direction].value == m.d2_mse[direction].value == 0.0625
+        assert m.d1_rms[direction].value == 0.25
+        assert m.hausdorff[direction].largest == m.mean_distance[direction].value == 0.25
+        assert m.d1_mse[direction].floor == 1.0  # the grid's spacing
+        assert m.d1_mse[direction].interval == pytest.approx([0.0625, 0.0625])
+        assert m.d1_mse[direction].area_weighted == pytest.approx(0.0625)
     assert m.chamfer.sum_unsquared.value == 0.5
     assert m.chamfer.sum_squared.value == 0.125
     assert [row.threshold for row in m.fscores] == [1.0, 2.0, 5.0]
@@ -77,7 +77,7 @@ def test_shifted_plane_in_closed_form():
 def test_deviation_of_the_shifted_plane_is_signed_upwards():
     plane = shapes.plane_grid(20)
     for shift in (0.25, -0.25):
-        deviation = compare(plane, plane + [0, 0, shift], NONE).candidates[0].deviation
+        deviation = compare(plane, plane + [0, 0, shift], NO_REGISTRATION).candidates[0].deviation
         np.testing.assert_allclose(deviation.scalars["plane_distance"], shift)
         np.testing.assert_allclose(deviation.scalars["distance"], 0.25)
 
@@ -91,29 +91,29 @@ def test_every_metric_equals_brute_force(pair):
     # 1e-9: normals of noisy patches agree to about 1e-8 degrees.
     assert m.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(oracles.d2(candidate, reference, normals), rel=1e-9)
     _, closest = oracles.nearest(reference, candidate)
-    back = ((reference - candidate[closest]) * normals).sum(axis=1)
-    assert m.d2_mse[REFERENCE_TO_CANDIDATE].value == pytest.approx(np.mean(back**2), rel=1e-9)
+    plane_distances = ((reference - candidate[closest]) * normals).sum(axis=1)
+    assert m.d2_mse[REFERENCE_TO_CANDIDATE].value == pytest.approx(np.mean(plane_distances**2), rel=1e-9)
     assert m.hausdorff.symmetric_max == pytest.approx(oracles.hausdorff(reference, candidate), rel=1e-12)
     assert m.chamfer.sum_unsquared.value == pytest.approx(oracles.chamfer_unsquared(reference, candidate), rel=1e-12)
     assert m.chamfer.sum_squared.value == pytest.approx(oracles.chamfer_squared(reference, candidate), rel=1e-12)
     for row in m.fscores:
-        found = (row.precision.value, row.recall.value, row.fscore.value)
-        assert found == pytest.approx(oracles.fscore(candidate, reference, row.threshold))
+        scores = (row.precision.value, row.recall.value, row.fscore.value)
+        assert scores == pytest.approx(oracles.fscore(candidate, reference, row.threshold))
     floors = oracles.floor_distances(candidate, reference), oracles.floor_distances(reference, candidate)
     assert m.d1_mse[CANDIDATE_TO_REFERENCE].floor == pytest.approx(np.mean(floors[0] ** 2), rel=1e-12)
     assert m.mean_distance[CANDIDATE_TO_REFERENCE].floor == pytest.approx(np.mean(floors[0]), rel=1e-12)
     assert m.d1_mse[REFERENCE_TO_CANDIDATE].floor == pytest.approx(
         np.mean(floors[1] ** 2), rel=0.05
     )  # the candidate's noise is subtracted
-    worst = np.array(m.hausdorff[REFERENCE_TO_CANDIDATE].worst_point)
-    assert oracles.nearest(worst[None], candidate)[0][0] == pytest.approx(
+    worst_point = np.array(m.hausdorff[REFERENCE_TO_CANDIDATE].worst_point)
+    assert oracles.nearest(worst_point[None], candidate)[0][0] == pytest.approx(
         m.hausdorff[REFERENCE_TO_CANDIDATE].largest, rel=1e-9
     )
 
 
 def test_area_weighting_equals_brute_force(pair):
     reference, candidate = pair
-    comparison = compare(reference, candidate, NONE)
+    comparison = compare(reference, candidate, NO_REGISTRATION)
     distances, _ = oracles.nearest(candidate, reference)
     side, origin = comparison.reference.voxel_side, np.floor(0.5 * (reference.min(axis=0) + reference.max(axis=0)))
     lower = (reference - origin).min(axis=0)
@@ -125,27 +125,28 @@ def test_area_weighting_equals_brute_force(pair):
 
 @pytest.mark.parametrize("register", ["none", "icp"])
 def test_a_utm_offset_changes_no_metric(pair, register):
-    reference, candidate = map(on_grid, pair)
+    reference, candidate = map(round_to_grid, pair)
     settings = Settings(register=register, crop="quantile:0.9")
-    here, there = numbers_of(reference, candidate, settings), numbers_of(reference + UTM, candidate + UTM, settings)
-    assert here.keys() == there.keys()
-    for path, value in here.items():
-        assert there[path] == (None if value is None else pytest.approx(value, rel=1e-9)), path
+    values = json_metrics_of(reference, candidate, settings)
+    shifted_values = json_metrics_of(reference + UTM, candidate + UTM, settings)
+    assert values.keys() == shifted_values.keys()
+    for path, value in values.items():
+        assert shifted_values[path] == (None if value is None else pytest.approx(value, rel=1e-9)), path
 
 
 def test_swapping_the_clouds_swaps_the_directions(pair):
-    reference, candidate = map(on_grid, pair)  # subtracting the local origin is exact then
-    one, two = metrics_of(reference, candidate), metrics_of(candidate, reference)
-    for way, back in (
+    reference, candidate = map(round_to_grid, pair)  # subtracting the local origin is exact then
+    metrics, swapped_metrics = metrics_of(reference, candidate), metrics_of(candidate, reference)
+    for direction, opposite in (
         (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE),
         (REFERENCE_TO_CANDIDATE, CANDIDATE_TO_REFERENCE),
     ):
-        assert one.d1_mse[way].value == two.d1_mse[back].value
-        assert one.mean_distance[way].value == two.mean_distance[back].value
-        assert one.hausdorff[way].largest == two.hausdorff[back].largest
+        assert metrics.d1_mse[direction].value == swapped_metrics.d1_mse[opposite].value
+        assert metrics.mean_distance[direction].value == swapped_metrics.mean_distance[opposite].value
+        assert metrics.hausdorff[direction].largest == swapped_metrics.hausdorff[opposite].largest
 
 
-def test_crop_selects_queries_but_not_searched_points():
+def test_crop_applies_to_queries_and_not_to_searched_points():
     plane = shapes.plane_grid(21)
     shifted = plane + [0.4, 0, 0]
     m = metrics_of(plane, shifted, Settings(register="none", crop="box:4.9,-1,-1,10.1,30,1"))
@@ -155,23 +156,23 @@ def test_crop_selects_queries_but_not_searched_points():
 
 
 @pytest.mark.slow
-def test_intervals_cover_and_shrink():
-    """Nominal 95 % intervals of D1 cover the expectation in most of 40 scenes; larger differences are detected."""
+def test_intervals_of_d1_cover_the_expectation():
+    """Nominal 95 % intervals of D1 contain the expectation in most of 40 scenes."""
     rng = np.random.default_rng(7)
     grid = shapes.plane_grid(60)
-    covered = 0
+    covered_count = 0
     for _ in range(40):
         heights = rng.normal(0, 0.2, len(grid))
         low, high = metrics_of(grid, grid + heights[:, None] * [0, 0, 1]).d1_mse.accuracy.interval
-        covered += low <= 0.04 <= high
-    assert covered >= 33  # 95 % of 40 is 38; fewer than 33 has a probability below 0.003
+        covered_count += low <= 0.04 <= high
+    assert covered_count >= 33  # 95 % of 40 is 38; fewer than 33 has a probability below 0.003
 
 
 def test_differences_between_candidates():
     grid, rng = shapes.plane_grid(60), np.random.default_rng(8)
     up = np.array([0, 0, 1.0])
     good, same, bad = (grid + rng.normal(0, s, len(grid))[:, None] * up for s in (0.1, 0.1, 0.2))
-    rows = compare(grid, {"good": good, "same": same, "bad": bad}, NONE).differences
+    rows = compare(grid, {"good": good, "same": same, "bad": bad}, NO_REGISTRATION).differences
     d1 = {(r.a, r.b): r for r in rows if r.metric == f"d1_mse/{CANDIDATE_TO_REFERENCE}"}
     assert len(d1) == 3
     assert d1["good", "bad"].interval.high < 0
@@ -181,9 +182,9 @@ def test_differences_between_candidates():
 
 def test_results_do_not_depend_on_other_candidates(pair):
     reference, candidate = pair
-    alone = document(compare(reference, {"x": candidate}, NONE))["candidates"][0]["metrics"]
-    beside = document(compare(reference, {"y": candidate + 1, "x": candidate}, NONE))["candidates"][1]["metrics"]
-    assert alone == beside
+    single = document(compare(reference, {"x": candidate}, NO_REGISTRATION))
+    several = document(compare(reference, {"y": candidate + 1, "x": candidate}, NO_REGISTRATION))
+    assert single["candidates"][0]["metrics"] == several["candidates"][1]["metrics"]
 
 
 def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):
@@ -213,10 +214,10 @@ def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):
 
 def test_document_keys_and_null_instead_of_nan(pair):
     reference, candidate = pair
-    doc = json.loads(to_json(document(compare(reference, {"x": candidate, "copy": reference}, NONE))))
+    doc = json.loads(to_json(document(compare(reference, {"x": candidate, "copy": reference}, NO_REGISTRATION))))
     assert doc["schema"] == "pcbench.comparison/1"
-    expected = {"path", "points", "points_in_region", "spacing_median", "extent", "crs", "sha256"}
-    assert expected <= doc["reference"].keys()
+    reference_keys = {"path", "points", "points_in_region", "spacing_median", "extent", "crs", "sha256"}
+    assert reference_keys <= doc["reference"].keys()
     assert {"version", "commit", "seed", "machine", "command", "created"} <= doc["provenance"].keys()
     first, copy = doc["candidates"]
     assert {
@@ -258,7 +259,7 @@ def test_two_points_have_no_normals_and_no_d2():
     assert m.d1_mse[CANDIDATE_TO_REFERENCE].value == 0.25
 
 
-def test_one_point_each():
+def test_clouds_of_one_point_each():
     m = metrics_of(np.zeros((1, 3)), np.array([[0, 0, 3.0]]))
     assert m.d1_mse[CANDIDATE_TO_REFERENCE].value == 9
     assert m.d1_mse[CANDIDATE_TO_REFERENCE].floor is None
@@ -279,9 +280,9 @@ def test_invalid_inputs_are_refused(pair, monkeypatch):
             compare(reference, candidate, Settings(crop=crop))
     monkeypatch.setattr(advice, "has_global", lambda: True)  # the message does not depend on what is installed
     with check_error(RegistrationError, masked=True):
-        compare(reference, candidate + 1e4, NONE)
+        compare(reference, candidate + 1e4, NO_REGISTRATION)
     with check_error():
-        compare(reference, [], NONE)
+        compare(reference, [], NO_REGISTRATION)
     with check_error():
         Settings(thresholds=(0.0,))
     with check_error():
@@ -290,13 +291,13 @@ def test_invalid_inputs_are_refused(pair, monkeypatch):
 
 def test_different_coordinate_systems_are_warned_about(pair):
     reference, candidate = pair
-    for other, warned in (("EPSG:32618", True), ("EPSG:32617", False), (None, False)):
-        clouds = Cloud(reference, crs="EPSG:32617"), Cloud(candidate, crs=other)
-        warnings = compare(*clouds, NONE).candidates[0].warnings
-        assert [w.code for w in warnings] == (["other-crs"] if warned else [])
+    for candidate_crs, is_warned in (("EPSG:32618", True), ("EPSG:32617", False), (None, False)):
+        clouds = Cloud(reference, crs="EPSG:32617"), Cloud(candidate, crs=candidate_crs)
+        warnings = compare(*clouds, NO_REGISTRATION).candidates[0].warnings
+        assert [w.code for w in warnings] == (["other-crs"] if is_warned else [])
 
 
-def test_one_coordinate_system_under_two_names():
+def test_a_crs_equals_its_wkt():
     pyproj = import_or_skip("pyproj")
     from pcbench.geometry.crs import crs_name, same_crs
 
@@ -306,12 +307,12 @@ def test_one_coordinate_system_under_two_names():
     assert not same_crs("EPSG:32617", "nonsense")
 
 
-def test_a_mesh_as_the_reference():
+def test_a_mesh_may_be_the_reference():
     from pcbench.geometry.mesh import Mesh
 
     square = Mesh(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     candidate = np.random.default_rng(1).uniform([1, 1, 0.1], [9, 9, 0.1], (500, 3))
-    comparison = compare(square, candidate, NONE)
+    comparison = compare(square, candidate, NO_REGISTRATION)
     assert comparison.reference.faces == 2
     scalars = comparison.candidates[0].deviation.scalars
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
@@ -319,12 +320,12 @@ def test_a_mesh_as_the_reference():
     assert comparison.candidates[0].metrics.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(0.01)
 
 
-def test_a_cloud_that_was_merged_with_itself_keeps_its_spacing():
+def test_a_cloud_merged_with_itself_keeps_its_spacing():
     points, _ = shapes.fibonacci_sphere(2000)
     settings = Settings(register="none", maps=("m3c2",))
-    once, doubled = (compare(Cloud(p), Cloud(p + 1e-3), settings) for p in (points, np.repeat(points, 2, axis=0)))
-    assert doubled.reference.spacing_median == once.reference.spacing_median > 0
-    maps = [comparison.candidates[0].deviation.m3c2 for comparison in (once, doubled)]
+    single, doubled = (compare(Cloud(p), Cloud(p + 1e-3), settings) for p in (points, np.repeat(points, 2, axis=0)))
+    assert doubled.reference.spacing_median == single.reference.spacing_median > 0
+    maps = [comparison.candidates[0].deviation.m3c2 for comparison in (single, doubled)]
     assert maps[0].radius == maps[1].radius > 0
 
 
@@ -333,16 +334,16 @@ def test_poses_and_methods_may_be_objects_or_texts(pair, tmp_path):
     turn = Similarity.from_matrix([[0, -1, 0, 3], [1, 0, 0, 2], [0, 0, 1, 1], [0, 0, 0, 1]])
     moved = turn.inverse().apply(candidate)
     (tmp_path / "T.txt").write_text(format_matrix(turn))
-    by_file = numbers_of(reference, moved, Settings(register=f"matrix:{tmp_path / 'T.txt'}"))
+    by_file = json_metrics_of(reference, moved, Settings(register=f"matrix:{tmp_path / 'T.txt'}"))
     for pose in (turn, turn.matrix, turn.matrix.tolist()):
-        assert numbers_of(reference, moved, Settings(register=pose)) == by_file
+        assert json_metrics_of(reference, moved, Settings(register=pose)) == by_file
     by_icp = compare(reference, moved, Settings(register=IcpSettings(), initial=turn))["candidate_1"].registration
     assert by_icp.method == "icp"
     np.testing.assert_allclose(by_icp.T_reference_candidate.matrix, turn.matrix, atol=0.2)  # noise and sampling
     doc = document(compare(reference, moved, Settings(register=IcpSettings(), initial=turn.matrix)))
     assert doc["settings"]["register"] == "icp"
     np.testing.assert_array_equal(doc["settings"]["initial"], turn.matrix)
-    assert "initial" not in document(compare(reference, candidate, NONE))["settings"]
+    assert "initial" not in document(compare(reference, candidate, NO_REGISTRATION))["settings"]
     with check_error():
         Settings(register=np.diag([1.0, 2, 1, 1]))
     with check_error():
@@ -351,7 +352,7 @@ def test_poses_and_methods_may_be_objects_or_texts(pair, tmp_path):
 
 def test_access_by_name_and_iteration(pair, tmp_path):
     reference, candidate = pair
-    comparison = compare(reference, {"a": candidate, "<b>": candidate + 0.01}, NONE)
+    comparison = compare(reference, {"a": candidate, "<b>": candidate + 0.01}, NO_REGISTRATION)
     assert comparison["a"] is comparison.candidates[0]
     assert [c.name for c in comparison] == ["a", "<b>"]
     assert len(comparison) == 2
@@ -370,7 +371,7 @@ def test_access_by_name_and_iteration(pair, tmp_path):
 
 def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     reference, candidate = pair
-    comparison = compare(reference, {"a": candidate}, NONE)
+    comparison = compare(reference, {"a": candidate}, NO_REGISTRATION)
     comparison.save(tmp_path / "report", figures=False)
     saved = json.loads((tmp_path / "report/comparison.json").read_text())
     assert saved["candidates"] == json.loads(to_json(document(comparison)))["candidates"]
@@ -391,7 +392,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["../b", "a/b", "", "reference"])
 def test_names_that_are_no_file_names_are_not_saved(name, tmp_path):
     corners = np.eye(3)
-    comparison = compare(corners, {name: corners}, NONE)
+    comparison = compare(corners, {name: corners}, NO_REGISTRATION)
     with check_error():
         comparison.save(tmp_path / "report", figures=False)
     assert not any(tmp_path.iterdir())  # no file next to the report either
@@ -408,9 +409,9 @@ def test_regions_may_be_objects_or_texts(pair):
 
 
 def test_names_are_taken_from_any_iterable():
-    names = Settings(presets=(name for name in ("pdal",)), maps=(name for name in ("m3c2",)))
-    assert names.presets == ("gao2025", "mpeg", "pdal")
-    assert names.maps == ("m3c2",)
-    for wrong in ("pdal", None, 7):
+    settings = Settings(presets=(name for name in ("pdal",)), maps=(name for name in ("m3c2",)))
+    assert settings.presets == ("gao2025", "mpeg", "pdal")
+    assert settings.maps == ("m3c2",)
+    for value in ("pdal", None, 7):
         with check_error():
-            Settings(presets=wrong)
+            Settings(presets=value)

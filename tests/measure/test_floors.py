@@ -9,21 +9,21 @@ from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDA
 
 
 @pytest.mark.parametrize(("reference", "candidate"), [(20_000, 1_250), (5_000, 5_000), (1_250, 20_000)])
-def test_a_poisson_plane_has_its_closed_form(reference, candidate):
+def test_floors_of_a_poisson_plane_equal_the_closed_form(reference, candidate):
     """To a Poisson process of density d, E r^2 = 1 / (pi d) and E r = 1 / (2 sqrt d); edges are excluded."""
     rng = np.random.default_rng(reference)
-    found = []
+    runs = []
     for _ in range(5):
         clouds = [np.column_stack([rng.random((n, 2)), np.zeros(n)]) for n in (reference, candidate)]
         settings = Settings(register="none", crop="box:0.1,0.1,-1,0.9,0.9,1")
-        found.append(compare(*clouds, settings).candidates[0].metrics)
-    for way, density in ((CANDIDATE_TO_REFERENCE, reference), (REFERENCE_TO_CANDIDATE, candidate)):
-        d1 = np.mean([metrics.d1_mse[way].floor for metrics in found])
+        runs.append(compare(*clouds, settings).candidates[0].metrics)
+    for direction, density in ((CANDIDATE_TO_REFERENCE, reference), (REFERENCE_TO_CANDIDATE, candidate)):
+        d1 = np.mean([metrics.d1_mse[direction].floor for metrics in runs])
         assert d1 == pytest.approx(1 / (np.pi * density), rel=0.08)
-        assert np.mean([m.mean_distance[way].floor for m in found]) == pytest.approx(0.5 * density**-0.5, rel=0.04)
-        assert found[0].d2_mse[way].floor == pytest.approx(0, abs=1e-20)
-    sums = found[0].d1_mse[CANDIDATE_TO_REFERENCE].floor + found[0].d1_mse[REFERENCE_TO_CANDIDATE].floor
-    assert found[0].chamfer.sum_squared.floor == pytest.approx(sums, rel=1e-12)
+        assert np.mean([m.mean_distance[direction].floor for m in runs]) == pytest.approx(0.5 * density**-0.5, rel=0.04)
+        assert runs[0].d2_mse[direction].floor == pytest.approx(0, abs=1e-20)
+    sums = runs[0].d1_mse[CANDIDATE_TO_REFERENCE].floor + runs[0].d1_mse[REFERENCE_TO_CANDIDATE].floor
+    assert runs[0].chamfer.sum_squared.floor == pytest.approx(sums, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -37,30 +37,30 @@ def test_a_poisson_plane_has_its_closed_form(reference, candidate):
     ],
     ids=lambda case: f"{case.surface}-{case.reference}-{case.candidate}",
 )
-def test_error_free_samples_score_their_floors(case):
+def test_scores_of_error_free_samples_equal_their_floors(case):
     ratios = mean_floors(case, 12).ratios
     np.testing.assert_allclose(ratios[:, [0, 2]], 1, atol=0.1)  # D1 and the mean distance
     np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few points at edges dominate
 
 
 def test_floor_excludes_noise_of_the_candidate():
-    without, noisy = mean_floors(Case("torus", 3_000, 3_000), 3), mean_floors(Case("torus", 3_000, 3_000, noise=0.5), 3)
-    np.testing.assert_allclose(noisy.floors / without.floors, 1, atol=0.07)
+    clean, noisy = mean_floors(Case("torus", 3_000, 3_000), 3), mean_floors(Case("torus", 3_000, 3_000, noise=0.5), 3)
+    np.testing.assert_allclose(noisy.floors / clean.floors, 1, atol=0.07)
     assert (noisy.ratios[:, 0] > 1.15).all()
     assert (noisy.ratios[:, 1] > 20).all()
 
 
-def test_duplicates_are_not_neighbours():
+def test_duplicates_do_not_change_the_floor():
     rng = np.random.default_rng(3)
     clouds = [np.column_stack([rng.random((2_000, 2)), np.zeros(2_000)]) for _ in range(2)]
-    once, doubled = (
+    single, doubled = (
         compare(*(Cloud(np.tile(cloud, (times, 1))) for cloud in clouds), Settings(register="none"))[
             "candidate_1"
         ].metrics
         for times in (1, 2)
     )
-    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-        assert doubled.d1_mse[way].floor == pytest.approx(once.d1_mse[way].floor, rel=0.08)
+    for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        assert doubled.d1_mse[direction].floor == pytest.approx(single.d1_mse[direction].floor, rel=0.08)
 
 
 def test_floor_excludes_holes_of_the_candidate():
@@ -73,14 +73,14 @@ def test_floor_excludes_holes_of_the_candidate():
     assert d1[REFERENCE_TO_CANDIDATE].value > 30 * d1[REFERENCE_TO_CANDIDATE].floor
 
 
-def test_identical_points_have_no_floor():
+def test_floors_of_coincident_points_are_zero_and_finite():
     rng = np.random.default_rng(5)
     reference = np.column_stack([rng.random((50, 2)), np.zeros(50)])
     for clouds in ((reference, np.tile([0.5, 0.5, 0], (20, 1))), (np.tile(reference[:1], (9, 1)), reference)):
-        found = compare(*clouds, Settings(register="none"))["candidate_1"].metrics
-        assert 0 in (found.d1_mse[CANDIDATE_TO_REFERENCE].floor, found.d1_mse[REFERENCE_TO_CANDIDATE].floor)
+        metrics = compare(*clouds, Settings(register="none"))["candidate_1"].metrics
+        assert 0 in (metrics.d1_mse[CANDIDATE_TO_REFERENCE].floor, metrics.d1_mse[REFERENCE_TO_CANDIDATE].floor)
         assert all(
-            np.isfinite(found.directed[name][way].floor or 0)
-            for name in found.directed
-            for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
+            np.isfinite(metrics.directed[name][direction].floor or 0)
+            for name in metrics.directed
+            for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
         )

@@ -19,7 +19,7 @@ from pcbench.measure.intervals import (
 
 SIDE = 24
 CELLS = CorrelationCells(np.arange(SIDE * SIDE), (SIDE, SIDE, 1), 0.5)
-EVEN = np.full(SIDE * SIDE, 1 / SIDE**2)
+EQUAL_WEIGHTS = np.full(SIDE * SIDE, 1 / SIDE**2)
 
 
 def moving_average(rng, width):
@@ -32,53 +32,53 @@ def moving_average(rng, width):
 
 def spread_of(field):
     influence = (field - field.mean()) / field.size
-    return spreads({"x": LinearizedScore(1.0, influence)}, CELLS, EVEN)["x"]
+    return spreads({"x": LinearizedScore(1.0, influence)}, CELLS, EQUAL_WEIGHTS)["x"]
 
 
 @pytest.mark.parametrize(
     ("width", "reach", "independent_regions"),
     [(1, (0, 1), (300, 576)), (3, (1, 3), (40, 110)), (5, (1.5, 5), (12, 50))],
 )
-def test_the_variance_of_a_correlated_field(width, reach, independent_regions):
+def test_the_variance_of_a_correlated_field_is_estimated(width, reach, independent_regions):
     rng = np.random.default_rng(width)
-    fields, truths = zip(*(moving_average(rng, width) for _ in range(60)), strict=True)
-    found = [spread_of(field) for field in fields]
+    fields, variances = zip(*(moving_average(rng, width) for _ in range(60)), strict=True)
+    estimates = [spread_of(field) for field in fields]
     # Products that correlate by chance increase the estimate, which is conservative.
-    assert 0.9 * truths[0] < np.mean([s.sigma**2 for s in found]) < 1.4 * truths[0]
-    assert reach[0] <= np.median([s.reach for s in found]) <= reach[1]
-    assert independent_regions[0] <= np.median([s.independent_regions for s in found]) <= independent_regions[1]
-    low = [
+    assert 0.9 * variances[0] < np.mean([s.sigma**2 for s in estimates]) < 1.4 * variances[0]
+    assert reach[0] <= np.median([s.reach for s in estimates]) <= reach[1]
+    assert independent_regions[0] <= np.median([s.independent_regions for s in estimates]) <= independent_regions[1]
+    is_above_lower = [
         mean - student_t_quantile(s.degrees_of_freedom) * s.sigma <= 0
-        for mean, s in zip(map(np.mean, fields), found, strict=True)
+        for mean, s in zip(map(np.mean, fields), estimates, strict=True)
     ]
-    high = [
+    is_below_upper = [
         mean + student_t_quantile(s.degrees_of_freedom) * s.sigma >= 0
-        for mean, s in zip(map(np.mean, fields), found, strict=True)
+        for mean, s in zip(map(np.mean, fields), estimates, strict=True)
     ]
-    assert np.mean(np.logical_and(low, high)) >= 0.88
+    assert np.mean(np.logical_and(is_above_lower, is_below_upper)) >= 0.88
 
 
 def test_few_large_values_leave_few_degrees_of_freedom():
     rng = np.random.default_rng(0)
-    even = rng.normal(size=SIDE * SIDE)
-    peaked = even.copy()
-    peaked[rng.choice(SIDE * SIDE, 4, replace=False)] += 60
-    assert spread_of(even).degrees_of_freedom > 60
-    assert spread_of(peaked).degrees_of_freedom < 6
+    field = rng.normal(size=SIDE * SIDE)
+    field_with_peaks = field.copy()
+    field_with_peaks[rng.choice(SIDE * SIDE, 4, replace=False)] += 60
+    assert spread_of(field).degrees_of_freedom > 60
+    assert spread_of(field_with_peaks).degrees_of_freedom < 6
 
 
-def test_quantiles_are_those_of_student():
+def test_quantiles_equal_those_of_scipy():
     for degrees_of_freedom in (2, 3, 5, 10, 30, 1e6):
         assert student_t_quantile(degrees_of_freedom) == pytest.approx(t.ppf(0.975, degrees_of_freedom), rel=0.008)
 
 
 def test_intervals_of_bounded_scores_stay_within_bounds():
     spread = ScoreUncertainty(0.4, 3.0, 20.0, 1.0)
-    low, high = interval(LinearizedScore(0.5, EVEN), spread)
+    low, high = interval(LinearizedScore(0.5, EQUAL_WEIGHTS), spread)
     assert 0 < low < 0.5 < high
-    low, high = interval(LinearizedScore(0.95, EVEN, 1.0), spread)
+    low, high = interval(LinearizedScore(0.95, EQUAL_WEIGHTS, 1.0), spread)
     assert 0 < low < 0.95 < high < 1
-    assert interval(LinearizedScore(1.0, EVEN, 1.0), spread) == Interval(1.0, 1.0)
+    assert interval(LinearizedScore(1.0, EQUAL_WEIGHTS, 1.0), spread) == Interval(1.0, 1.0)
     assert difference(-0.5, ScoreUncertainty(0.0, np.inf, np.inf, 0.0)) == Interval(-0.5, -0.5)
     low, high = difference(-0.5, spread)
     assert low < -1 < 0 < high
@@ -96,14 +96,14 @@ def test_isolated_points_form_no_cells():
 @pytest.mark.parametrize("case", [Case("torus", "none", 1_500, 1_500), Case("boxes", "L/10", 1_500, 1_500)])
 def test_intervals_contain_the_expectation(case):
     """A short version of tests/bench/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
-    found = coverage(case, 60)
-    assert (found.shares >= 0.85).all()
-    assert (found.widths < 1.9).all()
+    result = coverage(case, 60)
+    assert (result.shares >= 0.85).all()
+    assert (result.widths < 1.9).all()
 
 
 def test_noise_correlated_over_a_third_of_the_scene_gives_a_warning():
-    def warned(noise):
+    def runs_with_warning(noise):
         return ["few-pieces" in [notice.code for notice in draw(Case("plane", noise), run)[1]] for run in range(8)]
 
-    assert sum(warned("L/2")) >= 6
-    assert not any(warned("white"))
+    assert sum(runs_with_warning("L/2")) >= 6
+    assert not any(runs_with_warning("white"))

@@ -12,7 +12,7 @@ from wording import check_error, check_text
 
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
 
-GIVEN = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
+PARAMETERS = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
 
 
 @pytest.fixture(scope="module")
@@ -24,64 +24,66 @@ def pair():
     return reference, candidate + [0, 0, 0.15], cores
 
 
-def check(found, expected):
-    np.testing.assert_array_equal(found.counts_reference, expected["counts"][:, 0])
-    np.testing.assert_array_equal(found.counts_candidate, expected["counts"][:, 1])
-    np.testing.assert_allclose(found.distances, expected["distances"], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.lod, expected["lod"], rtol=0, atol=1e-9)
+def assert_m3c2_equals(result, expected):
+    np.testing.assert_array_equal(result.counts_reference, expected["counts"][:, 0])
+    np.testing.assert_array_equal(result.counts_candidate, expected["counts"][:, 1])
+    np.testing.assert_allclose(result.distances, expected["distances"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.lod, expected["lod"], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("origin", [0.0, 4e5])
-def test_explicit_settings_against_brute_force(pair, origin):
+def test_explicit_settings_equal_brute_force(pair, origin):
     reference, candidate, cores = (points + origin for points in pair)
-    normals = oracles.m3c2_normals(pair[0], pair[2], GIVEN["normal_radius"])
-    expected = oracles.m3c2(*pair, normals, GIVEN["radius"], GIVEN["depth"], GIVEN["registration_error"])
+    normals = oracles.m3c2_normals(pair[0], pair[2], PARAMETERS["normal_radius"])
+    expected = oracles.m3c2(*pair, normals, PARAMETERS["radius"], PARAMETERS["depth"], PARAMETERS["registration_error"])
     assert np.isnan(expected["distances"][-1])
     assert np.isfinite(expected["distances"][:-1]).all()
-    settings = Settings(register="none", m3c2=M3C2Settings(**GIVEN, cores=cores))
-    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
-    np.testing.assert_allclose(found.cores, cores)
+    settings = Settings(register="none", m3c2=M3C2Settings(**PARAMETERS, cores=cores))
+    result = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    np.testing.assert_allclose(result.cores, cores)
     if origin == 0:
-        check(found, expected)
+        assert_m3c2_equals(result, expected)
     else:  # coordinates of 4e5 are rounded to 6e-11, so a point on a cylinder's wall may change sides
-        np.testing.assert_allclose(found.distances, expected["distances"], atol=1e-3)
+        np.testing.assert_allclose(result.distances, expected["distances"], atol=1e-3)
 
 
 def test_normals_of_core_points_are_used_if_present(pair):
     reference, candidate, cores = pair
-    tilted = np.tile([0.6, 0.0, 0.8], (len(cores), 1))
-    tilted[3] = 0  # no normal
-    settings = Settings(register="none", m3c2=M3C2Settings(1.2, 1.5, cores=Cloud(cores, normals=2 * tilted)))
-    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
-    kept = np.arange(len(cores)) != 3
-    expected = oracles.m3c2(reference, candidate, cores[kept], tilted[kept], 1.2, 1.5, found.registration_error)
-    np.testing.assert_allclose(found.distances[kept], expected["distances"], rtol=0, atol=1e-9)
-    assert np.isnan([found.distances[3], found.lod[3], *found.normals[3]]).all()
+    normals = np.tile([0.6, 0.0, 0.8], (len(cores), 1))
+    normals[3] = 0  # no normal
+    settings = Settings(register="none", m3c2=M3C2Settings(1.2, 1.5, cores=Cloud(cores, normals=2 * normals)))
+    result = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    has_normal = np.arange(len(cores)) != 3
+    expected = oracles.m3c2(
+        reference, candidate, cores[has_normal], normals[has_normal], 1.2, 1.5, result.registration_error
+    )
+    np.testing.assert_allclose(result.distances[has_normal], expected["distances"], rtol=0, atol=1e-9)
+    assert np.isnan([result.distances[3], result.lod[3], *result.normals[3]]).all()
 
 
-def test_cloudcompares_core_points_and_normals_through_compare():
+def test_compare_equals_cloudcompare_at_its_core_points():
     folder = data_folder("autzen")
     reference, candidate = (read_cloud(folder / f"autzen-bmx-{year}.las").points for year in (2010, 2023))
-    column = oracles.cloudcompare_columns(folder / "autzen-bmx-cc.txt")
+    columns = oracles.cloudcompare_columns(folder / "autzen-bmx-cc.txt")
     cores, normals = (
-        np.stack([column[name] for name in group], axis=1) for group in ("XYZ", ("NormalX", "NormalY", "NormalZ"))
+        np.stack([columns[name] for name in group], axis=1) for group in ("XYZ", ("NormalX", "NormalY", "NormalZ"))
     )
-    how = M3C2Settings(2.890432, 5.5, cores=Cloud(cores, normals=normals), registration_error=0)
-    found = compare(reference, candidate, Settings(register="none", m3c2=how))["candidate_1"].deviation.m3c2
+    settings = M3C2Settings(2.890432, 5.5, cores=Cloud(cores, normals=normals), registration_error=0)
+    result = compare(reference, candidate, Settings(register="none", m3c2=settings))["candidate_1"].deviation.m3c2
     valid = np.linalg.norm(normals, axis=1) > 0.5
-    np.testing.assert_array_equal(found.counts_candidate[valid], column["Npoints_cloud2"][valid])
+    np.testing.assert_array_equal(result.counts_candidate[valid], columns["Npoints_cloud2"][valid])
     # The file has three decimals; NaN occurs in the same rows.
-    np.testing.assert_allclose(found.distances[valid], column["M3C2 distance"][valid], atol=1e-3)
-    np.testing.assert_allclose(found.lod[valid], column["distance uncertainty"][valid], atol=1e-3)
+    np.testing.assert_allclose(result.distances[valid], columns["M3C2 distance"][valid], atol=1e-3)
+    np.testing.assert_allclose(result.lod[valid], columns["distance uncertainty"][valid], atol=1e-3)
 
 
 def test_unset_parameters_have_defaults(pair):
     reference, candidate, _ = pair
-    plain = compare(reference, candidate, Settings(register="none", maps=("m3c2",)))["candidate_1"].deviation.m3c2
-    halved = compare(reference, candidate, Settings(register="none", m3c2=f"depth={plain.radius / 2}"))
+    default = compare(reference, candidate, Settings(register="none", maps=("m3c2",)))["candidate_1"].deviation.m3c2
+    halved = compare(reference, candidate, Settings(register="none", m3c2=f"depth={default.radius / 2}"))
     halved = halved["candidate_1"].deviation.m3c2
-    np.testing.assert_array_equal(halved.cores, plain.cores)
-    assert (halved.radius, halved.half_length) == (plain.radius, plain.radius / 2)
+    np.testing.assert_array_equal(halved.cores, default.cores)
+    assert (halved.radius, halved.half_length) == (default.radius, default.radius / 2)
 
 
 def test_core_points_outside_the_region_are_left_out(pair):
@@ -89,9 +91,9 @@ def test_core_points_outside_the_region_are_left_out(pair):
     low, high = np.median(cores[:, 0]), cores[:-1].max(axis=0) + 1
     box = f"box:{low},-1000,-1000,{high[0]},1000,1000"
     settings = Settings(register="none", crop=box, m3c2=M3C2Settings(1.2, cores=cores))
-    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    result = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
     inside = cores[(cores[:, 0] >= low) & (cores[:, 2] < 1000)]
-    np.testing.assert_allclose(found.cores, inside)
+    np.testing.assert_allclose(result.cores, inside)
     with check_error():
         compare(reference, candidate, Settings(register="none", m3c2=M3C2Settings(1.2, cores=cores[-1:]), crop=box))
 
@@ -118,46 +120,47 @@ def test_invalid_texts_are_refused(text):
 
 
 def test_settings_survive_a_round_trip_through_text():
-    how = M3C2Settings.parse("radius=0.5, depth=2 ,cores=a, b.ply")
-    assert (how.radius, how.depth, how.normal_radius, str(how.cores)) == (0.5, 2.0, None, "a, b.ply")
-    assert M3C2Settings.parse(how.text).text == how.text
+    settings = M3C2Settings.parse("radius=0.5, depth=2 ,cores=a, b.ply")
+    assert (settings.radius, settings.depth, settings.normal_radius) == (0.5, 2.0, None)
+    assert str(settings.cores) == "a, b.ply"
+    assert M3C2Settings.parse(settings.text).text == settings.text
     assert Settings(m3c2="radius=1").maps == ("m3c2",)
-    for wrong in (3, True, {"radius": 1}):
+    for value in (3, True, {"radius": 1}):
         with check_error():
-            Settings(m3c2=wrong)
+            Settings(m3c2=value)
     with check_error():
         M3C2Settings("0.5")
 
 
-def test_from_the_command_line_and_again(pair, tmp_path, run):
+def test_saved_settings_repeat_the_result_of_the_command_line(pair, tmp_path, run):
     for name, points in zip(("r.ply", "c.ply", "cores.xyz"), pair, strict=True):
         write_cloud(tmp_path / name, Cloud(points))
     files = [tmp_path / "r.ply", tmp_path / "c.ply"]
-    how = f"radius=1.2,depth=1.5,normal_radius=1.5,cores={tmp_path / 'cores.xyz'},registration_error=0.02"
-    options = ["--register", "none", "--m3c2", how]
+    m3c2_text = f"radius=1.2,depth=1.5,normal_radius=1.5,cores={tmp_path / 'cores.xyz'},registration_error=0.02"
+    options = ["--register", "none", "--m3c2", m3c2_text]
     assert run("compare", *files, *options, "--out", tmp_path / "report")[0] == 0
-    found = json.loads((tmp_path / "report" / "comparison.json").read_text())["candidates"][0]["deviation"]["m3c2"]
-    assert (found["radius"], found["half_length"], found["registration_error"]) == (1.2, 1.5, 0.02)
-    assert (found["core_points"], found["valid"]) == (40, 39)
+    result = json.loads((tmp_path / "report" / "comparison.json").read_text())["candidates"][0]["deviation"]["m3c2"]
+    assert (result["radius"], result["half_length"], result["registration_error"]) == (1.2, 1.5, 0.02)
+    assert (result["core_points"], result["valid"]) == (40, 39)
     settings = json.loads((tmp_path / "report" / "settings.json").read_text())
     assert settings["files"][0]["path"] == str(tmp_path / "cores.xyz")
-    again = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
-    assert again[0] == 0
-    assert json.loads((tmp_path / "again.json").read_text())["candidates"][0]["deviation"]["m3c2"] == found
-    for wrong, named in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
-        code, _, err = run("compare", *files, "--m3c2", wrong)
+    code, _, _ = run("compare", "--settings", tmp_path / "report" / "settings.json", "--json", tmp_path / "again.json")
+    assert code == 0
+    assert json.loads((tmp_path / "again.json").read_text())["candidates"][0]["deviation"]["m3c2"] == result
+    for text, expected in ((f"cores={tmp_path / 'no.ply'}", "no.ply"), ("diameter=1", "diameter=1")):
+        code, _, err = run("compare", *files, "--m3c2", text)
         assert code == 2
         assert is_one_line(err)
-        assert named in err
+        assert expected in err
 
 
 def test_cylinders_with_too_few_points_give_a_warning(pair):
     reference, candidate, _ = pair
 
-    def warned(text):
-        found = compare(reference, candidate, register="none", m3c2=text).candidates[0]
-        return [str(notice) for notice in found.warnings if notice.code == "empty-m3c2"]
+    def empty_cylinder_warnings(text):
+        result = compare(reference, candidate, register="none", m3c2=text).candidates[0]
+        return [str(notice) for notice in result.warnings if notice.code == "empty-m3c2"]
 
-    assert warned("radius=1.2") == []
-    (text,) = warned("radius=1e-9")
+    assert empty_cylinder_warnings("radius=1.2") == []
+    (text,) = empty_cylinder_warnings("radius=1e-9")
     check_text(text, masked=False)

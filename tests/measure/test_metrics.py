@@ -15,19 +15,19 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import cells
 
 # Coordinates on a 2^-10 grid: shifts and powers of two are exact, so that equality can be exact.
-GRID = st.integers(-(2**14), 2**14).map(lambda v: v / 1024)
-CLOUDS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=GRID)
+GRID_COORDINATES = st.integers(-(2**14), 2**14).map(lambda v: v / 1024)
+GRID_CLOUDS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=GRID_COORDINATES)
 
 
-def one_way(queries, points):
+def directed_distances(queries, points):
     return Index(np.ascontiguousarray(points)).query(np.ascontiguousarray(queries)).distances
 
 
-def both(first, second):
-    return one_way(first, second), one_way(second, first)
+def distances_both_ways(first, second):
+    return directed_distances(first, second), directed_distances(second, first)
 
 
-def every(a, b):
+def all_metrics(a, b):
     return {
         "d1": metrics.mean_square(a),
         "hausdorff": metrics.hausdorff(a, b),
@@ -40,7 +40,7 @@ def every(a, b):
 def test_closed_form_of_two_parallel_grids():
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     lower = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)
-    a, b = both(lower + [0, 0, 0.5], lower)
+    a, b = distances_both_ways(lower + [0, 0, 0.5], lower)
     assert metrics.mean_square(a) == 0.25
     assert metrics.hausdorff(a, b) == 0.5
     assert metrics.chamfer_unsquared(a, b) == 1.0
@@ -50,10 +50,10 @@ def test_closed_form_of_two_parallel_grids():
     assert np.all(metrics.plane_distances(lower + [3, 4, 0.5], lower, np.tile([0, 0, 1.0], (25, 1))) == 0.5)
 
 
-@given(CLOUDS, CLOUDS)
+@given(GRID_CLOUDS, GRID_CLOUDS)
 @settings(max_examples=40, deadline=None)
-def test_against_brute_force(first, second):
-    a, b = both(first, second)
+def test_metrics_equal_brute_force(first, second):
+    a, b = distances_both_ways(first, second)
     # 1e-12: sums of at most 40 terms in another order.
     assert metrics.mean_square(a) == pytest.approx(oracles.d1(first, second), rel=1e-12, abs=1e-300)
     assert metrics.hausdorff(a, b) == pytest.approx(oracles.hausdorff(first, second), rel=1e-12)
@@ -62,41 +62,44 @@ def test_against_brute_force(first, second):
     assert metrics.fscore(a, b, 0.7).fscore == pytest.approx(oracles.fscore(first, second, 0.7)[2])
 
 
-@given(CLOUDS, CLOUDS, st.tuples(GRID, GRID, GRID))
+@given(GRID_CLOUDS, GRID_CLOUDS, st.tuples(GRID_COORDINATES, GRID_COORDINATES, GRID_COORDINATES))
 @settings(max_examples=40, deadline=None)
 def test_shifting_both_clouds_changes_nothing(first, second, shift):
-    assert every(*both(first + shift, second + shift)) == every(*both(first, second))
+    shifted = distances_both_ways(first + shift, second + shift)
+    assert all_metrics(*shifted) == all_metrics(*distances_both_ways(first, second))
 
 
-@given(CLOUDS, CLOUDS)
+@given(GRID_CLOUDS, GRID_CLOUDS)
 @settings(max_examples=40, deadline=None)
 def test_swapping_the_clouds_keeps_symmetric_metrics(first, second):
-    a, b = both(first, second)
+    a, b = distances_both_ways(first, second)
     for name in ("hausdorff", "unsquared", "squared", "fscore"):
-        assert every(a, b)[name] == every(b, a)[name]
+        assert all_metrics(a, b)[name] == all_metrics(b, a)[name]
 
 
-@given(CLOUDS, CLOUDS, st.sampled_from([0.25, 2.0, 1024.0]))
+@given(GRID_CLOUDS, GRID_CLOUDS, st.sampled_from([0.25, 2.0, 1024.0]))
 @settings(max_examples=40, deadline=None)
 def test_scaling_scales_lengths_and_squares(first, second, factor):
-    before, after = every(*both(first, second)), every(*both(factor * first, factor * second))
+    unscaled = all_metrics(*distances_both_ways(first, second))
+    scaled = all_metrics(*distances_both_ways(factor * first, factor * second))
     for name, power in (("d1", 2), ("squared", 2), ("hausdorff", 1), ("unsquared", 1)):
-        assert after[name] == pytest.approx(factor**power * before[name], rel=1e-12)
+        assert scaled[name] == pytest.approx(factor**power * unscaled[name], rel=1e-12)
 
 
-@given(CLOUDS, st.randoms(use_true_random=False))
+@given(GRID_CLOUDS, st.randoms(use_true_random=False))
 @settings(max_examples=25, deadline=None)
-def test_order_of_points_does_not_matter(cloud, random):
+def test_metrics_do_not_depend_on_the_order_of_points(cloud, random):
     order = list(range(len(cloud)))
     random.shuffle(order)
     other = cloud[::-1] * 0.5
-    assert every(*both(cloud[order], other)) == pytest.approx(every(*both(cloud, other)), rel=1e-12)
+    expected = all_metrics(*distances_both_ways(cloud, other))
+    assert all_metrics(*distances_both_ways(cloud[order], other)) == pytest.approx(expected, rel=1e-12)
 
 
-def test_identical_clouds():
+def test_identical_clouds_have_no_error():
     cloud = np.random.default_rng(0).random((50, 3))
-    a, b = both(cloud, cloud)
-    assert every(a, b) == {"d1": 0, "hausdorff": 0, "unsquared": 0, "squared": 0, "fscore": 1}
+    a, b = distances_both_ways(cloud, cloud)
+    assert all_metrics(a, b) == {"d1": 0, "hausdorff": 0, "unsquared": 0, "squared": 0, "fscore": 1}
     assert metrics.psnr(0.0, 1.0) is None
 
 
@@ -104,14 +107,14 @@ def test_percentiles_of_a_ramp():
     assert metrics.percentiles(np.arange(101.0), (5, 50, 99)) == {"p5": 5, "p50": 50, "p99": 99}
 
 
-def test_plane_distances_by_rows_are_those_of_copies():
+def test_plane_distances_by_rows_equal_those_of_copied_rows():
     rng = np.random.default_rng(5)
     queries, closest, normals = rng.normal(size=(3, 50, 3))
     rows = dict(zip(("query_rows", "closest_rows", "normal_rows"), rng.integers(0, 50, (3, 700)), strict=True))
-    copies = [array[which] for array, which in zip((queries, closest, normals), rows.values(), strict=True)]
-    found = metrics.plane_distances(queries, closest, normals, **rows)
-    np.testing.assert_array_equal(found, metrics.plane_distances(*copies))
-    np.testing.assert_allclose(found, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
+    copies = [array[selection] for array, selection in zip((queries, closest, normals), rows.values(), strict=True)]
+    distances = metrics.plane_distances(queries, closest, normals, **rows)
+    np.testing.assert_array_equal(distances, metrics.plane_distances(*copies))
+    np.testing.assert_allclose(distances, ((copies[0] - copies[1]) * copies[2]).sum(axis=1), rtol=0, atol=1e-14)
     with check_error(IndexError):
         metrics.plane_distances(queries, closest, normals, closest_rows=np.full(50, 50))
 
@@ -122,12 +125,12 @@ def test_area_weighting_counts_voxels_not_points():
     assert metrics.area_weighted_mean(values, cells(points, 1.0)) == 2.0
 
 
-def test_psnr_of_mpeg():
+def test_psnr_follows_mpeg():
     assert metrics.psnr(0.03, 1.0) == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(
-    "call",
+    "compute",
     [
         lambda e: metrics.mean_square(e),
         lambda e: metrics.hausdorff(e, e),
@@ -136,9 +139,9 @@ def test_psnr_of_mpeg():
         lambda e: metrics.percentiles(e),
     ],
 )
-def test_no_distances_are_refused(call):
+def test_empty_distances_are_refused(compute):
     with check_error():
-        call(np.empty(0))
+        compute(np.empty(0))
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, np.nan])
@@ -153,15 +156,15 @@ BOTH_WAYS = ("hausdorff", "chamfer_unsquared", "chamfer_squared", "fscore")
 
 @pytest.mark.parametrize("name", ONE_WAY + BOTH_WAYS)
 def test_points_instead_of_distances_are_refused_with_the_right_call(name):
-    points, further = np.zeros((7, 3)), [1.0] if name == "fscore" else []
+    points, extra_arguments = np.zeros((7, 3)), [1.0] if name == "fscore" else []
     arguments = [points] if name in ONE_WAY else [points, points]
     with check_error() as caught:
-        getattr(metrics, name)(*arguments, *further)
-    named = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(caught.value))
-    assert getattr(metrics, named[1])(points, points, *further) is not None
+        getattr(metrics, name)(*arguments, *extra_arguments)
+    suggestion = re.search(r"for points, metrics\.(\w+)\(candidate, reference(, threshold)?\)$", str(caught.value))
+    assert getattr(metrics, suggestion[1])(points, points, *extra_arguments) is not None
     if name in BOTH_WAYS:
         with check_error():
-            getattr(metrics, name)(np.zeros(7), points, *further)
+            getattr(metrics, name)(np.zeros(7), points, *extra_arguments)
 
 
 def test_values_must_have_one_row_per_point():
@@ -180,23 +183,23 @@ def test_distances_may_be_a_list():
 
 @pytest.mark.parametrize("shift", [0.0, 5e6])
 @pytest.mark.parametrize("seed", range(3))
-def test_two_clouds_against_brute_force(seed, shift):
+def test_metrics_between_clouds_equal_brute_force(seed, shift):
     rng = np.random.default_rng(seed)
     first, second = rng.normal(size=(150, 3)) + shift, rng.normal(size=(230, 3)) * [1, 2, 0.5] + shift
     a, b = metrics.distances_between(first, second)
     np.testing.assert_allclose(a, oracles.nearest(first, second)[0], rtol=1e-12)
     np.testing.assert_allclose(b, oracles.nearest(second, first)[0], rtol=1e-12)
-    same = {"rel": 1e-12}
-    assert metrics.mean_square_between(first, second) == pytest.approx(oracles.d1(first, second), **same)
-    assert metrics.one_way_hausdorff_between(second, first) == pytest.approx(b.max(), **same)
-    assert metrics.percentiles_between(first, second, (50,))["p50"] == pytest.approx(np.median(a), **same)
+    tolerance = {"rel": 1e-12}
+    assert metrics.mean_square_between(first, second) == pytest.approx(oracles.d1(first, second), **tolerance)
+    assert metrics.one_way_hausdorff_between(second, first) == pytest.approx(b.max(), **tolerance)
+    assert metrics.percentiles_between(first, second, (50,))["p50"] == pytest.approx(np.median(a), **tolerance)
     for name in ("hausdorff", "chamfer_unsquared", "chamfer_squared"):
         expected = getattr(oracles, name)(first, second)
-        assert getattr(metrics, f"{name}_between")(first, second) == pytest.approx(expected, **same), name
+        assert getattr(metrics, f"{name}_between")(first, second) == pytest.approx(expected, **tolerance), name
     assert metrics.fscore_between(first, second, 0.5)[1:] == pytest.approx(oracles.fscore(first, second, 0.5))
 
 
-def test_two_clouds_may_be_clouds_or_files(tmp_path):
+def test_clouds_may_be_objects_arrays_or_files(tmp_path):
     rng = np.random.default_rng(4)
     first, second = rng.random((40, 3)), rng.random((50, 3))
     expected = metrics.hausdorff_between(first, second)
@@ -211,7 +214,7 @@ def test_two_clouds_may_be_clouds_or_files(tmp_path):
 
 @pytest.mark.parametrize("name", ["chamfer_unsquared", "hausdorff", "fscore"])
 def test_signed_distances_are_refused_if_they_would_cancel(name):
-    further = [0.1] if name == "fscore" else []
+    extra_arguments = [0.1] if name == "fscore" else []
     with check_error():
-        getattr(metrics, name)([1.0, -1.0], [1.0], *further)
+        getattr(metrics, name)([1.0, -1.0], [1.0], *extra_arguments)
     assert metrics.mean_square([1.0, -1.0]) == 1.0  # squares do not depend on the sign

@@ -27,7 +27,7 @@ def test_mpeg_equals_the_printed_output(case):
         assert got[key] == pytest.approx(value, rel=1e-8 if key.startswith("mse") and "point" in key else 1e-6), key
 
 
-def test_mpeg_averages_ties():
+def test_mpeg_averages_over_ties():
     # The query in the middle has two nearest points: the squared plane distance is 0 to one and 1 to the other.
     a = np.array([[0.0, 0, 0], [10, 0, 0]])
     up, along = [0.0, 0, 1], [1.0, 0, 0]
@@ -62,11 +62,13 @@ def test_neighbours_on_a_grid():
 def test_chunk_size_does_not_change_results(monkeypatch):
     rng = np.random.default_rng(0)
     queries, points = rng.normal(size=(50, 3)), rng.normal(size=(40, 3))
-    whole = oracles.k_nearest(queries, points, 4), oracles.nearest(queries, points), oracles.leave_one_out(points)
+    expected = oracles.k_nearest(queries, points, 4), oracles.nearest(queries, points), oracles.leave_one_out(points)
     monkeypatch.setattr(oracles, "_PAIRS_AT_ONCE", 130)
-    parts = oracles.k_nearest(queries, points, 4), oracles.nearest(queries, points), oracles.leave_one_out(points)
-    for one, other in zip((*whole[0], *whole[1], whole[2]), (*parts[0], *parts[1], parts[2]), strict=True):
-        assert (one == other).all()
+    chunked = oracles.k_nearest(queries, points, 4), oracles.nearest(queries, points), oracles.leave_one_out(points)
+    for expected_array, array in zip(
+        (*expected[0], *expected[1], expected[2]), (*chunked[0], *chunked[1], chunked[2]), strict=True
+    ):
+        assert (expected_array == array).all()
 
 
 def test_metrics_of_two_shifted_grids():
@@ -119,14 +121,14 @@ def test_terrain_normals_are_the_gradient():
 
 
 def test_city_points_lie_on_their_faces():
-    points, up, which = shapes.city(2000, seed=1)
+    points, up, face_rows = shapes.city(2000, seed=1)
     corners = np.array([face[0] for face in shapes.city_faces()])
-    assert np.abs(((points - corners[which]) * up).sum(axis=1)).max() < 1e-12
+    assert np.abs(((points - corners[face_rows]) * up).sum(axis=1)).max() < 1e-12
     for corner, first, second, normal in shapes.city_faces():
         assert normal @ first == normal @ second == 0
         assert (corner >= 0).all()
     noisy, _, _ = shapes.city(2000, noise=0.1, seed=1)
-    assert ((noisy - corners[which]) * up).sum(axis=1).std() == pytest.approx(0.1, rel=0.1)  # 1 sigma: 1.6 %
+    assert ((noisy - corners[face_rows]) * up).sum(axis=1).std() == pytest.approx(0.1, rel=0.1)  # 1 sigma: 1.6 %
 
 
 def test_spheres_have_their_radius():

@@ -13,12 +13,12 @@ from wording import check_error
 from pcbench import Cloud, Settings, compare, read_cloud
 
 
-def preset(name, reference, candidate, **settings):
+def compute_preset(name, reference, candidate, **settings):
     settings = Settings(register="none", presets=(name,), **settings)
     return compare(reference, candidate, settings).candidates[0].metrics.presets[name]
 
 
-def flat(m):
+def printed_values(m):
     return {
         "mse1 (p2point)": m.d1_mse.a_to_b,
         "mse2 (p2point)": m.d1_mse.b_to_a,
@@ -35,11 +35,13 @@ def flat(m):
 
 
 @pytest.mark.parametrize("case", ["wave", "outliers"])
-def test_mpeg_prints_what_pc_error_printed(case):
+def test_mpeg_equals_the_output_of_pc_error(case):
     folder = data_folder("dmetric")
     expected = json.loads((folder / "expected.json").read_text())["cases"][case]
-    found = flat(preset("mpeg", read_cloud(folder / f"{case}_a.ply"), read_cloud(folder / f"{case}_b.ply")))
-    for name, value in found.items():
+    values = printed_values(
+        compute_preset("mpeg", read_cloud(folder / f"{case}_a.ply"), read_cloud(folder / f"{case}_b.ply"))
+    )
+    for name, value in values.items():
         if name.startswith("mse") and "p2point" in name and "PSNR" not in name:
             assert f"{value:.9g}" == f"{expected[name]:.9g}", name  # to the printed digits
         else:
@@ -60,8 +62,8 @@ def test_mpeg_equals_the_oracle(kind):
     if kind == "far":
         a, b = np.round(a * 1024) / 1024 + [5e5, 4.8e6, 0], np.round(b * 1024) / 1024 + [5e5, 4.8e6, 0]
     expected = oracles.mpeg(a, normals, b)
-    found = flat(preset("mpeg", Cloud(a, normals=normals), b))
-    for name, value in found.items():
+    values = printed_values(compute_preset("mpeg", Cloud(a, normals=normals), b))
+    for name, value in values.items():
         # 1e-6: coordinate differences are rounded to float32, as pc_error does.
         assert value == pytest.approx(expected[name], rel=1e-6), name
 
@@ -69,95 +71,95 @@ def test_mpeg_equals_the_oracle(kind):
 def test_mpeg_does_not_normalise_normals():
     a, normals = shapes.terrain(400, seed=1)
     b = shapes.terrain(300, seed=2)[0]
-    found = flat(preset("mpeg", Cloud(a, normals=2 * normals), b))
-    assert found["mseF (p2plane)"] == pytest.approx(oracles.mpeg(a, 2 * normals, b)["mseF (p2plane)"], rel=1e-9)
+    values = printed_values(compute_preset("mpeg", Cloud(a, normals=2 * normals), b))
+    assert values["mseF (p2plane)"] == pytest.approx(oracles.mpeg(a, 2 * normals, b)["mseF (p2plane)"], rel=1e-9)
 
 
-def test_gao2025_against_brute_force_with_a_hard_crop():
+def test_gao2025_equals_brute_force_with_a_hard_crop():
     a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
     low, high = np.array([10.0, 10, -10]), np.array([25.0, 30, 10])
-    kept_a, kept_b = (c[((c >= low) & (c <= high)).all(axis=1)] for c in (a, b))
-    found = preset("gao2025", a, b, crop="box:10,10,-10,25,30,10")
-    assert found.d1_mse == pytest.approx(oracles.d1(kept_b, kept_a), rel=1e-12)
-    assert found.hausdorff == pytest.approx(oracles.hausdorff(kept_a, kept_b), rel=1e-12)
-    assert found.chamfer == pytest.approx(oracles.chamfer_squared(kept_a, kept_b), rel=1e-12)
-    assert found.d1_back_mse == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-12)
+    cropped_a, cropped_b = (c[((c >= low) & (c <= high)).all(axis=1)] for c in (a, b))
+    result = compute_preset("gao2025", a, b, crop="box:10,10,-10,25,30,10")
+    assert result.d1_mse == pytest.approx(oracles.d1(cropped_b, cropped_a), rel=1e-12)
+    assert result.hausdorff == pytest.approx(oracles.hausdorff(cropped_a, cropped_b), rel=1e-12)
+    assert result.chamfer == pytest.approx(oracles.chamfer_squared(cropped_a, cropped_b), rel=1e-12)
+    assert result.d1_back_mse == pytest.approx(oracles.d1(cropped_a, cropped_b), rel=1e-12)
     normals = oracles.normals(a, 20)[((a >= low) & (a <= high)).all(axis=1)]
-    assert found.d2_mse == pytest.approx(oracles.d2(kept_b, kept_a, normals), rel=1e-9)
-    mpeg = preset("mpeg", a, b, crop="box:10,10,-10,25,30,10")
-    assert mpeg.d1_mse.a_to_b == pytest.approx(oracles.d1(kept_a, kept_b), rel=1e-6)
-    assert mpeg.peak == pytest.approx(oracles.leave_one_out(kept_a).max(), rel=1e-12)
+    assert result.d2_mse == pytest.approx(oracles.d2(cropped_b, cropped_a, normals), rel=1e-9)
+    mpeg = compute_preset("mpeg", a, b, crop="box:10,10,-10,25,30,10")
+    assert mpeg.d1_mse.a_to_b == pytest.approx(oracles.d1(cropped_a, cropped_b), rel=1e-6)
+    assert mpeg.peak == pytest.approx(oracles.leave_one_out(cropped_a).max(), rel=1e-12)
 
 
-def test_open3d_against_open3d():
+def test_open3d_preset_equals_open3d():
     o3d = import_or_skip("open3d")
     a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
-    found = preset("open3d", a, b, thresholds=(0.3, 0.8))
+    result = compute_preset("open3d", a, b, thresholds=(0.3, 0.8))
 
-    def cloud(points):
+    def to_open3d(points):
         return o3d.t.geometry.PointCloud(o3d.core.Tensor(points.astype(np.float32)))
 
     metrics = o3d.t.geometry.Metric
     names = [metrics.ChamferDistance, metrics.HausdorffDistance, metrics.FScore]
     radii = o3d.t.geometry.MetricParameters(fscore_radius=[0.3, 0.8])
-    chamfer, hausdorff, *fscores = cloud(a).compute_metrics(cloud(b), names, radii).numpy()
+    chamfer, hausdorff, *fscores = to_open3d(a).compute_metrics(to_open3d(b), names, radii).numpy()
     # 1e-5: Open3D computes in float32.
-    assert found.chamfer == pytest.approx(chamfer, rel=1e-5)
-    assert found.hausdorff == pytest.approx(hausdorff, rel=1e-5)
-    assert [100 * row.fscore for row in found.fscore] == pytest.approx(fscores, rel=1e-5)
+    assert result.chamfer == pytest.approx(chamfer, rel=1e-5)
+    assert result.hausdorff == pytest.approx(hausdorff, rel=1e-5)
+    assert [100 * row.fscore for row in result.fscore] == pytest.approx(fscores, rel=1e-5)
 
 
 def test_identical_clouds_have_no_psnr():
     a = shapes.terrain(200)[0]
-    found = preset("mpeg", a, a)
-    assert found.d1_mse.symmetric == 0
-    assert found.d1_psnr is None
+    result = compute_preset("mpeg", a, a)
+    assert result.d1_mse.symmetric == 0
+    assert result.d1_psnr is None
 
 
-def test_unknown_preset():
+def test_an_unknown_preset_is_refused():
     with check_error():
         Settings(presets=("nonsense",))
 
 
-def test_pdal_prints_its_own_constants():
+def test_pdal_preset_equals_the_output_of_pdal():
     folder = data_folder("autzen")
     clouds = [read_cloud(folder / name) for name in ("autzen-thin.las", "autzen_trim.las")]
-    found = preset("pdal", *clouds)
-    assert found.chamfer == pytest.approx(5.907628766e10, rel=1e-9)
-    assert found.hausdorff == pytest.approx(4416.968175, rel=1e-9)
+    result = compute_preset("pdal", *clouds)
+    assert result.chamfer == pytest.approx(5.907628766e10, rel=1e-9)
+    assert result.hausdorff == pytest.approx(4416.968175, rel=1e-9)
 
 
-def test_pdal_against_brute_force():
+def test_pdal_preset_equals_brute_force():
     a, b = shapes.terrain(300, seed=3)[0], shapes.terrain(200, seed=4)[0]
-    assert preset("pdal", a, b).chamfer == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
+    assert compute_preset("pdal", a, b).chamfer == pytest.approx(oracles.chamfer_sum_of_squares(a, b), rel=1e-12)
 
 
-def test_tnt_against_open3ds_downsampling():
+def test_tnt_preset_equals_downsampling_by_open3d():
     o3d = import_or_skip("open3d")
     a, b = shapes.terrain(3000, seed=3)[0], shapes.terrain(2000, seed=4)[0] + [0, 0, 0.05]
     low, high = np.array([5.0, 5, -10]), np.array([35.0, 30, 10])
-    found = preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10").fscore
+    rows = compute_preset("tnt", a, b, thresholds=(0.5, 1.5), crop="box:5,5,-10,35,30,10").fscore
 
-    def downsampled(points, side):
+    def downsample(points, side):
         inside = points[((points >= low) & (points <= high)).all(axis=1)]
         return np.asarray(o3d.geometry.PointCloud(o3d.utility.Vector3dVector(inside)).voxel_down_sample(side).points)
 
-    for row in found:
-        expected = oracles.fscore(downsampled(b, row.threshold / 2), downsampled(a, row.threshold / 2), row.threshold)
+    for row in rows:
+        expected = oracles.fscore(downsample(b, row.threshold / 2), downsample(a, row.threshold / 2), row.threshold)
         assert (row.precision, row.recall, row.fscore) == pytest.approx(expected)
 
 
-def test_hausdorff_against_pymeshlab():
+def test_hausdorff_equals_pymeshlab():
     pymeshlab = import_or_skip("pymeshlab")
     a, b = shapes.terrain(900, seed=3)[0], shapes.terrain(700, seed=4)[0] + [0, 0, 0.1]
     meshes = pymeshlab.MeshSet()
     for points in (a, b):
         meshes.add_mesh(pymeshlab.Mesh(points))
-    one_way = meshes.get_hausdorff_distance(
+    expected = meshes.get_hausdorff_distance(
         sampledmesh=1, targetmesh=0, samplevert=True, sampleface=False, maxdist=pymeshlab.PercentageValue(100)
     )
     m = compare(a, b, Settings(register="none")).candidates[0].metrics
     # MeshLab works in float32.
-    assert m.hausdorff.accuracy.largest == pytest.approx(one_way["max"], rel=1e-5)
-    assert m.mean_distance.accuracy.value == pytest.approx(one_way["mean"], rel=1e-5)
-    assert m.d1_rms.accuracy.value == pytest.approx(one_way["RMS"], rel=1e-5)
+    assert m.hausdorff.accuracy.largest == pytest.approx(expected["max"], rel=1e-5)
+    assert m.mean_distance.accuracy.value == pytest.approx(expected["mean"], rel=1e-5)
+    assert m.d1_rms.accuracy.value == pytest.approx(expected["RMS"], rel=1e-5)

@@ -7,42 +7,42 @@ import sys
 import pytest
 from optional import import_or_skip
 
-PARENT = """
+FORKING_SCRIPT = """
 import os
 import numpy as np
 {loop}
-before = answer()
+expected = compute()
 child = os.fork()
 if child == 0:
-    os._exit(int(answer() != before))
+    os._exit(int(compute() != expected))
 raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
-NEIGHBORS = """
+NEIGHBOR_SEARCH = """
 from pcbench.geometry.neighbors import Index
 points = np.random.default_rng(0).random((50_000, 3))
-def answer():
+def compute():
     return Index(points).query(points, 4).distances.tobytes()
 """
-SPLATS = """
+RASTERIZATION = """
 import torch
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from reconstructors.splat import rasterize
 camera = Camera("view", Intrinsics.from_fov(64, 48, 60), look_at((0, -4, 0), (0, 0, 0)))
 gaussians = torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), torch.ones(1, 1, 3)
-def answer():
+def compute():
     return rasterize(*gaussians, camera).color.numpy().tobytes()
 """
 
 
-@pytest.mark.parametrize("loop", [NEIGHBORS, SPLATS], ids=["neighbors", "splats"])
+@pytest.mark.parametrize("loop", [NEIGHBOR_SEARCH, RASTERIZATION], ids=["neighbors", "splats"])
 def test_loops_run_in_a_forked_child(loop):
-    if loop is SPLATS:
+    if loop is RASTERIZATION:
         import_or_skip("torch")
     environment = {**os.environ, "OMP_NUM_THREADS": "2"}
-    script = PARENT.format(loop=loop)
-    done = subprocess.Popen([sys.executable, "-c", script], env=environment, start_new_session=True)
+    script = FORKING_SCRIPT.format(loop=loop)
+    process = subprocess.Popen([sys.executable, "-c", script], env=environment, start_new_session=True)
     try:
-        assert done.wait(timeout=60) == 0
+        assert process.wait(timeout=60) == 0
     finally:
-        if done.poll() is None:
-            os.killpg(done.pid, 9)
+        if process.poll() is None:
+            os.killpg(process.pid, 9)

@@ -34,17 +34,17 @@ def program(tmp_path_factory):
 
 
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
-def test_this_processor(program, expected, isa):
+def test_hashes_of_this_processor(program, expected, isa):
     if isa != "baseline" and not (is_x86() and is_supported(isa)):
         pytest.skip(f"this processor has no {isa}")
-    found = hashes(program, isa=isa)
-    print("\n".join(f"{isa:10}{name:20}{value}" for name, value in found.items()))
-    assert found == expected
+    computed = hashes(program, isa=isa)
+    print("\n".join(f"{isa:10}{name:20}{value}" for name, value in computed.items()))
+    assert computed == expected
 
 
 @pytest.mark.skipif(ARM_COMPILER is None, reason="needs a compiler for ARM: Debian's g++-aarch64-linux-gnu")
 @pytest.mark.skipif(ARM_EMULATOR is None, reason="needs an emulator of ARM: Debian's qemu-user")
-def test_arm(expected, tmp_path):
-    found = hashes(build(ARM_COMPILER, tmp_path, x86=False), emulator=ARM_EMULATOR)
-    print("\n".join(f"{'aarch64':10}{name:20}{value}" for name, value in found.items()))
-    assert found == expected
+def test_hashes_of_an_emulated_arm_processor(expected, tmp_path):
+    computed = hashes(build(ARM_COMPILER, tmp_path, x86=False), emulator=ARM_EMULATOR)
+    print("\n".join(f"{'aarch64':10}{name:20}{value}" for name, value in computed.items()))
+    assert computed == expected

@@ -23,12 +23,12 @@ COMPILER = shutil.which(os.environ.get("CXX", "c++"))
 
 RECONSTRUCTORS = ROOT / "reconstructors"
 # Folders and the namespaces of their loops.
-LOOPS = {
+NAMESPACES = {
     NATIVE / "points": "pcbench",
     RECONSTRUCTORS / "mvs" / "native": "pcbench::mvs",
     RECONSTRUCTORS / "splat" / "cpu": "pcbench::splat",
 }
-for_all_loops = pytest.mark.parametrize("folder", LOOPS, ids=["points", "patchmatch", "rasterizer"])
+for_all_loops = pytest.mark.parametrize("folder", NAMESPACES, ids=["points", "patchmatch", "rasterizer"])
 
 
 def compile_unit(folder, isa, *flags, out: Path):
@@ -60,17 +60,17 @@ def test_weak_symbols_name_their_instruction_set(folder, isa, tmp_path):
     Without optimisation, every inline function and template that a compiler might emit appears in the object. Each
     must name its instruction set, also those of the standard library, which is therefore hardly used there.
     """
-    built = compile_unit(folder, isa, "-O0", *FLAGS[isa], out=tmp_path / "unit.o")
-    assert built.returncode == 0, built.stderr
-    listed = subprocess.run(
+    compilation = compile_unit(folder, isa, "-O0", *FLAGS[isa], out=tmp_path / "unit.o")
+    assert compilation.returncode == 0, compilation.stderr
+    listing = subprocess.run(
         ["nm", "--demangle", "--defined-only", str(tmp_path / "unit.o")], capture_output=True, text=True
     )
-    assert listed.returncode == 0, listed.stderr
-    symbols = [line.split(maxsplit=2)[1:] for line in listed.stdout.splitlines()]
+    assert listing.returncode == 0, listing.stderr
+    symbols = [line.split(maxsplit=2)[1:] for line in listing.stdout.splitlines()]
     weak = [name for kind, name in symbols if kind == "W"]  # functions only: data are the same for all instruction sets
-    own = f"{LOOPS[folder]}::{isa}::"
-    assert any(own in name for name in weak)  # otherwise the test would be empty
-    assert [name for name in weak if own not in name] == []
+    namespace = f"{NAMESPACES[folder]}::{isa}::"
+    assert any(namespace in name for name in weak)  # otherwise the test would be empty
+    assert [name for name in weak if namespace not in name] == []
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
@@ -78,9 +78,9 @@ def test_weak_symbols_name_their_instruction_set(folder, isa, tmp_path):
 @for_all_loops
 def test_a_unit_compiled_without_its_flags_is_refused(folder, isa, tmp_path):
     """Without its flags the unit would be a second baseline under another name."""
-    built = compile_unit(folder, isa, "-fsyntax-only", out=tmp_path / "unit.o")
-    assert built.returncode != 0
-    assert "must be compiled with" in built.stderr
+    compilation = compile_unit(folder, isa, "-fsyntax-only", out=tmp_path / "unit.o")
+    assert compilation.returncode != 0
+    assert "must be compiled with" in compilation.stderr
 
 
 def cpu_flags():
@@ -97,13 +97,13 @@ def test_supported_instruction_sets_are_used(isa, flags):
     if not flags | {"bmi1", "bmi2", "popcnt"} <= cpu_flags():
         pytest.skip(f"this machine has no {isa}")
     script = "from pcbench.native import _core; print(_core.isa())"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, "PCBENCH_ISA": isa}, capture_output=True, text=True
     )
-    assert done.stdout == isa + "\n", done.stderr
+    assert process.stdout == isa + "\n", process.stderr
 
 
-QUERIES = """
+QUERY_SCRIPT = """
 import hashlib, json, sys
 import numpy as np
 sys.path[:0] = {path!r}
@@ -132,7 +132,7 @@ print(json.dumps([_core.isa(), digest.hexdigest()]))
 
 def run_queries(**environment):
     """Run many queries in a fresh process and return its output with a digest of the results."""
-    script = QUERIES.format(path=[str(TESTS)])
+    script = QUERY_SCRIPT.format(path=[str(TESTS)])
     return subprocess.run(
         [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
     )
@@ -140,38 +140,38 @@ def run_queries(**environment):
 
 @pytest.fixture(scope="module")
 def baseline_digest():
-    done = run_queries(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
-    assert done.returncode == 0, done.stderr
-    isa, digest = json.loads(done.stdout)
+    process = run_queries(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    assert process.returncode == 0, process.stderr
+    isa, digest = json.loads(process.stdout)
     assert isa == "baseline"
     return digest
 
 
 def test_results_do_not_depend_on_the_number_of_threads(baseline_digest):
     for threads in ("2", "3"):
-        done = run_queries(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
-        assert json.loads(done.stdout) == ["baseline", baseline_digest]
+        process = run_queries(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
+        assert json.loads(process.stdout) == ["baseline", baseline_digest]
 
 
 @pytest.mark.parametrize("isa", ["avx2", "avx512"])
 def test_results_do_not_depend_on_the_instruction_set(baseline_digest, isa):
-    done = run_queries(PCBENCH_ISA=isa, OMP_NUM_THREADS="2")
-    if "error: PCBENCH_ISA: " in done.stderr or "InputError: PCBENCH_ISA: " in done.stderr:
+    process = run_queries(PCBENCH_ISA=isa, OMP_NUM_THREADS="2")
+    if "error: PCBENCH_ISA: " in process.stderr or "InputError: PCBENCH_ISA: " in process.stderr:
         pytest.skip(f"this machine has no {isa}")
-    assert json.loads(done.stdout) == [isa, baseline_digest], done.stderr
+    assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr
 
 
 def test_an_unknown_instruction_set_is_refused():
-    done = run_queries(PCBENCH_ISA="sse9")
-    assert done.returncode != 0
-    assert "PCBENCH_ISA" in done.stderr and "'sse9'" in done.stderr
+    process = run_queries(PCBENCH_ISA="sse9")
+    assert process.returncode != 0
+    assert "PCBENCH_ISA" in process.stderr and "'sse9'" in process.stderr
 
 
 def test_a_command_reports_an_unknown_instruction_set_in_one_line(tmp_path):
     np.save(tmp_path / "a.npy", np.eye(3))
     command = [sys.executable, "-m", "pcbench.cli", "compare", "a.npy", "a.npy"]
-    done = subprocess.run(
+    process = subprocess.run(
         command, cwd=tmp_path, env={**os.environ, "PCBENCH_ISA": "sse9"}, capture_output=True, text=True
     )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1 and done.stderr.startswith("error: PCBENCH_ISA: ")
+    assert process.returncode == 2
+    assert process.stderr.count("\n") == 1 and process.stderr.startswith("error: PCBENCH_ISA: ")

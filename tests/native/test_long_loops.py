@@ -39,7 +39,7 @@ def test_ctrl_c_stops_a_search():
     np.testing.assert_array_equal(row, np.arange(9))
 
 
-def test_ctrl_c_stops_construction():
+def test_ctrl_c_stops_the_construction_of_a_mesh_index():
     tree = _core.MeshIndex.__new__(_core.MeshIndex)
     # Takes about a second; a twentieth of a second is enough.
     assert_ctrl_c_stops(partial(tree.__init__, *triangle_soup(500_000)))
@@ -53,7 +53,7 @@ def sphere_queries(count):
     return _core.MeshIndex(vertices, faces), np.zeros((count, 3))
 
 
-def test_ctrl_c_stops_closest_points():
+def test_ctrl_c_stops_closest_point_queries():
     tree, points = sphere_queries(20_000)  # takes many seconds
     faces = np.full(len(points), -1)
     outputs = np.empty(len(points)), np.empty_like(points), faces, np.empty(len(points), np.uint8)
@@ -64,7 +64,7 @@ def test_ctrl_c_stops_closest_points():
 
 
 @pytest.mark.parametrize("method", ["cast", "blocked"])
-def test_ctrl_c_stops_rays(method):
+def test_ctrl_c_stops_ray_casting(method):
     vertices, faces = triangle_soup(100_000)
     tree = _core.MeshIndex(vertices, faces)
     origins = np.full((1_000_000, 3), -10.0)
@@ -82,7 +82,7 @@ def test_ctrl_c_stops_rays(method):
         assert (flags == 7).any()
 
 
-LIMITED_MEMORY = """
+LIMITED_MEMORY_SCRIPT = """
 import resource, sys
 from pathlib import Path
 sys.path[:0] = {path!r}
@@ -92,20 +92,20 @@ from reconstructors.mvs.native import _patchmatch
 
 vertices, faces = triangle_soup(50_000)
 _core.MeshIndex(*triangle_soup(10))  # starts all threads
-failed, spare = 0, 0
+failures, spare_bytes = 0, 0
 _, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
 while True:
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + spare, hard_limit))
+    used_bytes = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used_bytes + spare_bytes, hard_limit))
     try:
         tree = _core.MeshIndex(vertices, faces)
         break
     except MemoryError:
-        failed += 1
+        failures += 1
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
-    spare += 1 << 18
-print(failed, len(tree))
+    spare_bytes += 1 << 18
+print(failures, len(tree))
 """
 
 
@@ -113,16 +113,16 @@ print(failed, len(tree))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_mesh_beyond_memory_raises_memory_error(threads):
     """Memory grows in small steps, so that each allocation of the construction fails once."""
-    code = LIMITED_MEMORY.format(path=[str(TESTS)])
-    done = subprocess.run(
-        [sys.executable, "-c", code],
+    script = LIMITED_MEMORY_SCRIPT.format(path=[str(TESTS)])
+    process = subprocess.run(
+        [sys.executable, "-c", script],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
-    failed, size = map(int, done.stdout.split())
-    assert failed > 3 and size == 50_000
+    assert process.returncode == 0, process.stderr
+    failures, face_count = map(int, process.stdout.split())
+    assert failures > 3 and face_count == 50_000
 
 
 def test_ctrl_c_stops_patchmatch():

@@ -13,13 +13,13 @@ from reconstructors.splat.cpu import _rasterizer
 
 @pytest.mark.parametrize("module", [_core, _patchmatch, _rasterizer], ids=["core", "patchmatch", "rasterizer"])
 def test_committed_stub_is_current(module, tmp_path):
-    out = tmp_path / "module.pyi"
+    generated = tmp_path / "module.pyi"
     subprocess.run(
-        [sys.executable, "-m", "nanobind.stubgen", "-m", module.__name__, "-o", str(out)],
+        [sys.executable, "-m", "nanobind.stubgen", "-m", module.__name__, "-o", str(generated)],
         check=True,
         capture_output=True,
     )
     committed = (ROOT / module.__name__.replace(".", "/")).with_suffix(".pyi")
-    assert out.read_text() == committed.read_text(), (
+    assert generated.read_text() == committed.read_text(), (
         f"copy the generated {committed.name} from the build folder over the committed one"
     )

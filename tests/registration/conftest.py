@@ -8,7 +8,7 @@ from pcbench.scenes.synthetic import city
 
 
 @pytest.fixture(autouse=True)
-def _advice_of_every_method(monkeypatch):
+def _all_methods_are_installed(monkeypatch):
     """Make advice independent of the installed libraries."""
     monkeypatch.setattr(advice, "has_global", lambda: True)
 

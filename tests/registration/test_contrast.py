@@ -13,82 +13,81 @@ from pcbench.registration.result import DOUBTFUL_POSE, LOW_OVERLAP, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
 
-def forest(count, seed):
+def sample_forest(count, seed):
     """Sample a forest of 60 m: rolling ground, and returns anywhere in 90 crowns. Different seeds share no point."""
-    rng, place = np.random.default_rng(seed), np.random.default_rng(99)
-    trees, heights = place.uniform(0, 60, (90, 2)), place.uniform(4, 14, 90)
-    which, arms = rng.integers(0, 90, count // 2), rng.normal(size=(count // 2, 3))
-    arms *= (rng.random(len(arms)) ** (1 / 3) / np.linalg.norm(arms, axis=1))[:, None] * [1.8, 1.8, 3.0]
-    crowns = np.column_stack([trees, heights])[which] + arms
+    rng, layout_rng = np.random.default_rng(seed), np.random.default_rng(99)
+    trees, heights = layout_rng.uniform(0, 60, (90, 2)), layout_rng.uniform(4, 14, 90)
+    crown_rows, offsets = rng.integers(0, 90, count // 2), rng.normal(size=(count // 2, 3))
+    offsets *= (rng.random(len(offsets)) ** (1 / 3) / np.linalg.norm(offsets, axis=1))[:, None] * [1.8, 1.8, 3.0]
+    crowns = np.column_stack([trees, heights])[crown_rows] + offsets
     xy = rng.uniform(0, 60, (count - len(crowns), 2))
     ground = np.column_stack([xy, np.sin(xy[:, 0] / 7) + np.cos(xy[:, 1] / 9)]) + rng.normal(0, 0.05, (len(xy), 3))
     points = np.concatenate([crowns, ground])
     return points[(points[:, :2] > 0).all(axis=1) & (points[:, :2] < 60).all(axis=1)]
 
 
-def bumpy(count, seed):
+def sample_bumpy_ball(count, seed):
     """Sample a wavy ball without any symmetry."""
-    rng, shape = np.random.default_rng(seed), np.random.default_rng(1)
-    out = rng.normal(size=(count, 3))
-    out /= np.linalg.norm(out, axis=1)[:, None]
-    waves = np.sin(out @ shape.normal(0, 2.5, (3, 10)) + shape.uniform(0, 6, 10)).sum(axis=1)
-    return out * (1 + 0.05 * waves)[:, None]
+    rng, shape_rng = np.random.default_rng(seed), np.random.default_rng(1)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    waves = np.sin(directions @ shape_rng.normal(0, 2.5, (3, 10)) + shape_rng.uniform(0, 6, 10)).sum(axis=1)
+    return directions * (1 + 0.05 * waves)[:, None]
 
 
-def houses(count, seed):
+def sample_city(count, seed):
     points = city(5).sample(4 * count, np.random.default_rng(seed))[0]
     return points[np.abs(points[:, :2]).max(axis=1) < 90]
 
 
-@pytest.mark.parametrize("scene", ["wood", "ball", "town"])
+@pytest.mark.parametrize("scene", ["forest", "ball", "city"])
 @pytest.mark.parametrize(("ratio", "noise"), [(1, 0.0), (4, 0.2), (0.25, 0.2), (1, 1.0)])
 def test_contrast_is_about_one_at_the_true_pose(scene, ratio, noise):
     """Candidates of equal, lower and higher density, one with noise as large as the spacing."""
-    make = {"wood": forest, "ball": bumpy, "town": houses}[scene]
-    reference, candidate = make(16_000, 0), make(int(16_000 / ratio), 1)
+    sample = {"forest": sample_forest, "ball": sample_bumpy_ball, "city": sample_city}[scene]
+    reference, candidate = sample(16_000, 0), sample(int(16_000 / ratio), 1)
     spacing = np.median(np.sort(np.linalg.norm(reference[:300, None] - reference[None], axis=2), axis=1)[:, 1])
     candidate = candidate + np.random.default_rng(7).normal(0, noise * spacing, candidate.shape)
-    found = register(reference, candidate, "none")
-    assert 0.8 < found.contrast < 1.6
-    assert not found.doubtful
+    registration = register(reference, candidate, "none")
+    assert 0.8 < registration.contrast < 1.6
+    assert not registration.doubtful
 
 
 @pytest.mark.parametrize("shift", [(7.0, 0, 0), (0, -5.0, 0), (4.0, 4.0, 0.3)])
 def test_a_shift_in_a_forest_is_doubtful(shift):
     """Points fill the crowns: most of the candidate still lies on the reference."""
-    reference, candidate = forest(16_000, 0), forest(16_000, 1) + np.array(shift)
-    found = register(reference, candidate, "none")
-    assert found.overlap > 0.55
-    assert DOUBTFUL_POSE in codes(found)
-    assert found.contrast < 0.6
-    (text,) = (notice.text for notice in found.warnings if notice.code == DOUBTFUL_POSE)
+    reference, candidate = sample_forest(16_000, 0), sample_forest(16_000, 1) + np.array(shift)
+    registration = register(reference, candidate, "none")
+    assert registration.overlap > 0.55
+    assert DOUBTFUL_POSE in codes(registration)
+    assert registration.contrast < 0.6
+    (text,) = (notice.text for notice in registration.warnings if notice.code == DOUBTFUL_POSE)
     check_text(text)
 
 
 def test_a_mirror_image_is_doubtful():
-    reference, candidate = bumpy(20_000, 0), bumpy(20_000, 1) * [-1, 1, 1]
+    reference, candidate = sample_bumpy_ball(20_000, 0), sample_bumpy_ball(20_000, 1) * [-1, 1, 1]
     for method in ("icp", "similarity"):
         assert register(reference, candidate, method).doubtful
 
 
 def test_a_wrong_rotation_is_doubtful():
-    reference, candidate = bumpy(20_000, 0), bumpy(10_000, 1)
-    turned = Similarity(shapes.rotation([1, 2, 3], 25), np.zeros(3)).apply(candidate)
-    found = register(reference, turned)
-    assert (
-        error(found.T_reference_candidate, Similarity(shapes.rotation([1, 2, 3], -25), np.zeros(3)), candidate) < 0.01
-    )
-    assert not found.warnings
-    lost = register(reference, Similarity(shapes.rotation([1, 2, 3], 100), np.zeros(3)).apply(candidate))
-    assert lost.doubtful
+    reference, candidate = sample_bumpy_ball(20_000, 0), sample_bumpy_ball(10_000, 1)
+    rotated = Similarity(shapes.rotation([1, 2, 3], 25), np.zeros(3)).apply(candidate)
+    registration = register(reference, rotated)
+    true_pose = Similarity(shapes.rotation([1, 2, 3], -25), np.zeros(3))
+    assert error(registration.T_reference_candidate, true_pose, candidate) < 0.01
+    assert not registration.warnings
+    far_registration = register(reference, Similarity(shapes.rotation([1, 2, 3], 100), np.zeros(3)).apply(candidate))
+    assert far_registration.doubtful
 
 
-def jug(count, seed):
+def sample_jug(count, seed):
     """Sample a body of revolution with a handle, which alone fixes its rotation."""
     rng = np.random.default_rng(seed)
-    height, turn = rng.uniform(0, 2, count), rng.uniform(0, 2 * np.pi, count)
+    height, angle = rng.uniform(0, 2, count), rng.uniform(0, 2 * np.pi, count)
     radius = 1 + 0.25 * np.sin(2.5 * height)
-    body = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
+    body = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
     along, around = rng.uniform(-1.2, 1.2, count // 8), rng.uniform(0, 2 * np.pi, count // 8)
     reach = 0.9 + 0.9 * np.cos(along) + 0.12 * np.cos(around)
     handle = np.column_stack([reach, 0.12 * np.sin(around), 1 + 0.8 * np.sin(along) * reach / 1.8])
@@ -97,28 +96,28 @@ def jug(count, seed):
 
 
 def test_a_round_body_rotated_about_its_axis_has_a_warning():
-    reference, candidate = jug(20_000, 0), jug(20_000, 1)
+    reference, candidate = sample_jug(20_000, 0), sample_jug(20_000, 1)
     assert not register(reference, candidate, "none").warnings
-    turned = Similarity(shapes.rotation([0, 0, 1], 90), np.zeros(3)).apply(candidate)
-    assert register(reference, turned, "none").warnings
+    rotated = Similarity(shapes.rotation([0, 0, 1], 90), np.zeros(3)).apply(candidate)
+    assert register(reference, rotated, "none").warnings
 
 
-def test_a_small_overlap_with_high_contrast_is_not_far_off():
-    reference, candidate = bumpy(40_000, 0), bumpy(40_000, 1)
+def test_a_small_overlap_with_high_contrast_is_not_doubtful():
+    reference, candidate = sample_bumpy_ball(40_000, 0), sample_bumpy_ball(40_000, 1)
     reference, candidate = reference[reference[:, 0] < 0.1], candidate[candidate[:, 0] > -0.1]
-    found = register(reference, candidate, "none")
-    assert found.overlap < 0.3
-    assert codes(found) == {LOW_OVERLAP}
-    assert not found.doubtful
+    registration = register(reference, candidate, "none")
+    assert registration.overlap < 0.3
+    assert codes(registration) == {LOW_OVERLAP}
+    assert not registration.doubtful
 
 
 def test_exact_copies_have_no_warnings():
-    points = bumpy(20_000, 0)
+    points = sample_bumpy_ball(20_000, 0)
     for scale in (1.0, 0.9):
-        true = Similarity(shapes.rotation([1, 0, 2], 3), np.array([0.02, 0, 0.01]), scale)
-        found = register(points, true.inverse().apply(points[::3]), "similarity")
-        assert found.rmse < 1e-12
-        assert not found.warnings
+        true_pose = Similarity(shapes.rotation([1, 0, 2], 3), np.array([0.02, 0, 0.01]), scale)
+        registration = register(points, true_pose.inverse().apply(points[::3]), "similarity")
+        assert registration.rmse < 1e-12
+        assert not registration.warnings
 
 
 def test_few_points_have_no_contrast():
@@ -134,49 +133,53 @@ def test_a_scan_of_uneven_density_is_observable():
         points = city(4).sample(500_000, np.random.default_rng(seed))[0]
         distance = np.linalg.norm(points - [5.0, 3, 2], axis=1)
         clouds.append(points[rng.random(len(points)) < np.minimum(1, (12 / distance) ** 2)])
-    found = register(*clouds)
-    assert not codes(found) & {UNOBSERVABLE, WEAKLY_OBSERVABLE}
+    registration = register(*clouds)
+    assert not codes(registration) & {UNOBSERVABLE, WEAKLY_OBSERVABLE}
 
 
-def scan_of_a_street(eye, lines, steps, noise, seed):
+def scan_street(eye, lines, steps, noise, seed):
     """Simulate a spinning scanner at `eye` (3,) in a street of houses, cars and poles."""
-    place, rng = np.random.default_rng(5), np.random.default_rng(seed)
+    layout_rng, rng = np.random.default_rng(5), np.random.default_rng(seed)
     boxes = []
     for side in (-1, 1):
         for x in np.arange(-60, 60, 12):
-            front = 8 + place.uniform(0, 2.5)
+            front = 8 + layout_rng.uniform(0, 2.5)
             low, high = sorted((side * front, side * 20))
-            boxes.append([x, low, -0.5, x + place.uniform(8, 12), high, place.uniform(5, 15)])
-        for x in place.uniform(-40, 40, 7):
+            boxes.append([x, low, -0.5, x + layout_rng.uniform(8, 12), high, layout_rng.uniform(5, 15)])
+        for x in layout_rng.uniform(-40, 40, 7):
             boxes.append([x, side * 5.5 - 0.9, 0, x + 4.2, side * 5.5 + 0.9, 1.5])
-        for x in place.uniform(-40, 40, 7):
+        for x in layout_rng.uniform(-40, 40, 7):
             boxes.append([x, side * 7 - 0.15, 0, x + 0.3, side * 7 + 0.15, 6])
-    rise, turn = np.meshgrid(np.radians(np.linspace(-25, 12, lines)), np.linspace(0, 2 * np.pi, steps) + rng.random())
-    rays = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1).reshape(-1, 3)
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(-25, 12, lines)), np.linspace(0, 2 * np.pi, steps) + rng.random()
+    )
+    rays = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    ).reshape(-1, 3)
     depth = np.where(rays[:, 2] < 0, -eye[2] / rays[:, 2], np.inf)
     for box in np.array(boxes):
-        ends = np.sort([(box[:3] - eye) / rays, (box[3:] - eye) / rays], axis=0)
-        enters, leaves = ends[0].max(axis=1), ends[1].min(axis=1)
-        depth = np.where((enters < leaves) & (enters > 0), np.minimum(depth, enters), depth)
-    seen = depth < 60
-    return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[seen]
+        distances = np.sort([(box[:3] - eye) / rays, (box[3:] - eye) / rays], axis=0)
+        enter, leave = distances[0].max(axis=1), distances[1].min(axis=1)
+        depth = np.where((enter < leave) & (enter > 0), np.minimum(depth, enter), depth)
+    in_range = depth < 60
+    return eye + (rays * (depth + rng.normal(0, noise, len(depth)))[:, None])[in_range]
 
 
 @pytest.mark.parametrize(("lines", "steps", "noise"), [(16, 900, 0.015), (32, 1800, 0.015), (64, 900, 0.03)])
 def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
     """Scan lines are up to a metre from those of the other scan; the spacing along them is 3 cm."""
-    reference = scan_of_a_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)
-    candidate = scan_of_a_street(np.array([-2.5, 1.5, 2.0]), lines, steps, noise, 2)
+    reference = scan_street(np.array([-6.0, 1.0, 2.0]), lines, steps, noise, 1)
+    candidate = scan_street(np.array([-2.5, 1.5, 2.0]), lines, steps, noise, 2)
     assert not register(reference, candidate, "none").doubtful
-    for wrong in ([2.0, 0, 0], [0, 3.0, 0]):
-        assert DOUBTFUL_POSE in codes(register(reference, candidate + wrong, "none"))
+    for shift in ([2.0, 0, 0], [0, 3.0, 0]):
+        assert DOUBTFUL_POSE in codes(register(reference, candidate + shift, "none"))
 
 
 def test_no_trial_fails_silently(monkeypatch, capsys):
     """The benchmark's quick form: generated scenes only, including mirror images."""
-    trials, scenes = _bench(monkeypatch)
-    chosen = {name: (scenes.TUNED | scenes.HELD_OUT)[name] for name in ("bumps", "rough ground")}
-    rows = trials.run(chosen, ["icp", "similarity"], range(2))
+    trials, scenes = _import_bench(monkeypatch)
+    selected_scenes = {name: (scenes.TUNED | scenes.HELD_OUT)[name] for name in ("bumps", "rough ground")}
+    rows = trials.run(selected_scenes, ["icp", "similarity"], range(2))
     kinds = [row["kind"] for row in rows]
     assert "silent" not in kinds
     assert kinds.count("right") >= 4
@@ -185,14 +188,14 @@ def test_no_trial_fails_silently(monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_no_trial_of_any_scene_fails_silently(monkeypatch):
-    trials, scenes = _bench(monkeypatch)
+    trials, scenes = _import_bench(monkeypatch)
     rows = trials.run(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
     kinds = [row["kind"] for row in rows]
     assert kinds.count("silent") <= 0.01 * len(kinds)
     assert kinds.count("right, warned") <= 0.06 * kinds.count("right")
 
 
-def _bench(monkeypatch):
+def _import_bench(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     import registration_scenes
     import registration_trials

@@ -12,24 +12,24 @@ from pcbench.registration import (
 from pcbench.registration.control_points import fit_pairs
 
 
-def test_control_and_check_points(scene, tmp_path):
+def test_control_and_check_points_from_a_file_and_from_arrays_agree(scene, tmp_path):
     reference, candidate = scene
-    true = motion(1.0, scale=1.5)
+    true_pose = motion(1.0, scale=1.5)
     targets = candidate[[10, 500, 4000, 9000, 15000]]
-    sources = true.inverse().apply(targets)
+    sources = true_pose.inverse().apply(targets)
     sources[4] += [0.1, 0, 0]  # a check point that is off by 0.1 of the candidate's unit
     names = ["a", "b", "c", "d", "check*"]
     numbers = np.hstack([sources, targets]).tolist()
     rows = [" ".join([name, *map(repr, row)]) for name, row in zip(names, numbers, strict=True)]
     (tmp_path / "pairs.txt").write_text("# name, candidate, reference\n" + "\n".join(rows))
-    result = register(reference, true.inverse().apply(candidate), f"points:{tmp_path / 'pairs.txt'}")
-    np.testing.assert_allclose(result.T_reference_candidate.matrix, true.matrix, atol=1e-9)
+    result = register(reference, true_pose.inverse().apply(candidate), f"points:{tmp_path / 'pairs.txt'}")
+    np.testing.assert_allclose(result.T_reference_candidate.matrix, true_pose.matrix, atol=1e-9)
     assert result.check_points[0].name == "check"
     assert result.check_points[0].error == pytest.approx(0.15, rel=1e-6)
     assert result.solved_scale
     assert result.method == f"points:{tmp_path / 'pairs.txt'}"
-    same = ControlPoints(sources, targets, names=["a", "b", "c", "d", "check"], is_check=[False] * 4 + [True])
-    by_object = register(reference, true.inverse().apply(candidate), same)
+    points = ControlPoints(sources, targets, names=["a", "b", "c", "d", "check"], is_check=[False] * 4 + [True])
+    by_object = register(reference, true_pose.inverse().apply(candidate), points)
     np.testing.assert_array_equal(by_object.T_reference_candidate.matrix, result.T_reference_candidate.matrix)
     assert by_object.check_points == result.check_points
     assert by_object.method == "points"
@@ -45,21 +45,21 @@ def test_control_and_check_points(scene, tmp_path):
         "",
     ],
 )
-def test_bad_pairs(scene, tmp_path, text):
+def test_invalid_files_of_pairs_are_refused(scene, tmp_path, text):
     (tmp_path / "pairs.txt").write_text(text)
     with check_error():
         register(*scene, f"points:{tmp_path / 'pairs.txt'}")
 
 
 def test_control_points_without_scale_are_rigid():
-    places = np.random.default_rng(1).uniform(-20, 20, (6, 3))
-    true = motion()
-    T, residuals = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places, with_scale=False))
+    targets = np.random.default_rng(1).uniform(-20, 20, (6, 3))
+    true_pose = motion()
+    T, residuals = fit_pairs(ControlPoints(true_pose.inverse().apply(targets) / 1.1, targets, with_scale=False))
     assert T.scale == 1.0
     assert residuals.check == ()
     # About the mean of the points a wrong scale does not turn: rounding only.
-    np.testing.assert_allclose(T.rotation, true.rotation, atol=1e-12)
-    T, _ = fit_pairs(ControlPoints(true.inverse().apply(places) / 1.1, places))
+    np.testing.assert_allclose(T.rotation, true_pose.rotation, atol=1e-12)
+    T, _ = fit_pairs(ControlPoints(true_pose.inverse().apply(targets) / 1.1, targets))
     assert T.scale == pytest.approx(1.1, rel=1e-12)
 
 
@@ -75,6 +75,6 @@ def test_control_points_without_scale_are_rigid():
         (np.zeros((4, 3)), np.zeros((4, 3))),
     ],
 )
-def test_control_points_that_are_none(arguments):
+def test_invalid_control_points_are_refused(arguments):
     with check_error():
         ControlPoints(*arguments)

@@ -17,8 +17,8 @@ from pcbench.scenes.synthetic import city
 @pytest.mark.parametrize("correlation_length", [0.0, 3.0])
 def test_repeated_registrations_scatter_as_predicted(correlation_length):
     """White noise of 2 cm plus 2 cm of noise correlated over `correlation_length` metres."""
-    town, true = city(3), motion(1.0, (0.3, -0.2, 0.1))
-    motions, predicted = [], []
+    town, true_pose = city(3), motion(1.0, (0.3, -0.2, 0.1))
+    deviations, predicted_sigmas = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
         clouds = []
@@ -30,25 +30,25 @@ def test_repeated_registrations_scatter_as_predicted(correlation_length):
                 waves, phases = rng.normal(0, 1 / correlation_length, (3, 200)), rng.uniform(0, 2 * np.pi, 200)
                 noise += 0.02 * np.sqrt(2 / 200) * np.cos(points @ waves + phases) @ rng.normal(size=(200, 3))
             clouds.append(points + noise)
-        result = register(clouds[0], true.inverse().apply(clouds[1]))
-        left = result.T_reference_candidate @ true.inverse()
+        result = register(clouds[0], true_pose.inverse().apply(clouds[1]))
+        deviation = result.T_reference_candidate @ true_pose.inverse()
         center = clouds[1].mean(axis=0)
         radius = np.sqrt(np.square(clouds[1] - center).sum(axis=1).mean())
-        axial = (left.rotation - left.rotation.T)[[2, 0, 1], [1, 2, 0]] / 2
-        motions.append([*(radius * axial), *(left.apply(center[None])[0] - center)])
-        predicted.append(result.weakest_sigma)
-    actual = np.sqrt(np.linalg.eigvalsh(np.cov(np.transpose(motions)))[-1])
+        axial = (deviation.rotation - deviation.rotation.T)[[2, 0, 1], [1, 2, 0]] / 2
+        deviations.append([*(radius * axial), *(deviation.apply(center[None])[0] - center)])
+        predicted_sigmas.append(result.weakest_sigma)
+    actual_sigma = np.sqrt(np.linalg.eigvalsh(np.cov(np.transpose(deviations)))[-1])
     # The largest of six variances from 20 samples is high by chance; measured: 1.05 and 1.28.
-    assert 0.75 < actual / np.median(predicted) < 1.7
+    assert 0.75 < actual_sigma / np.median(predicted_sigmas) < 1.7
 
 
 def test_a_missing_scale_is_reported(scene):
     reference, candidate = scene
     for scale in (1.002, 1.0):
         result = register(reference, motion(scale=scale).inverse().apply(candidate))
-        asked = [notice.text for notice in result.warnings if notice.code == SCALE_MISSING]
-        assert len(asked) == (scale != 1)
-        for text in asked:
+        texts = [notice.text for notice in result.warnings if notice.code == SCALE_MISSING]
+        assert len(texts) == (scale != 1)
+        for text in texts:
             check_text(text)
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
 
@@ -56,18 +56,20 @@ def test_a_missing_scale_is_reported(scene):
 def test_unobservable_motions_are_reported():
     rng = np.random.default_rng(6)
 
-    def noisy(points):
+    def add_noise(points):
         return points + rng.normal(0, 0.02, points.shape)
 
-    flat = register(noisy(shapes.plane_samples(40_000, 40, seed=1)), noisy(shapes.plane_samples(8000, 40, seed=2)))
-    assert flat.weakest_sigma is None
-    assert flat.warnings[0].code == UNOBSERVABLE
+    plane_registration = register(
+        add_noise(shapes.plane_samples(40_000, 40, seed=1)), add_noise(shapes.plane_samples(8000, 40, seed=2))
+    )
+    assert plane_registration.weakest_sigma is None
+    assert plane_registration.warnings[0].code == UNOBSERVABLE
 
-    def cylinder(n):
+    def sample_cylinder(n):
         angle, z = rng.uniform(0, 2 * np.pi, n), rng.uniform(0, 20, n)
-        return noisy(np.stack([5 * np.cos(angle), 5 * np.sin(angle), z], axis=1))
+        return add_noise(np.stack([5 * np.cos(angle), 5 * np.sin(angle), z], axis=1))
 
-    pipe = register(cylinder(40_000), cylinder(8000))
-    assert pipe.weakest_sigma is None
-    assert pipe.warnings[0].code == UNOBSERVABLE
-    assert "(+0.00, +0.00, +1.00)" in check_text(pipe.warnings[0].text)
+    cylinder_registration = register(sample_cylinder(40_000), sample_cylinder(8000))
+    assert cylinder_registration.weakest_sigma is None
+    assert cylinder_registration.warnings[0].code == UNOBSERVABLE
+    assert "(+0.00, +0.00, +1.00)" in check_text(cylinder_registration.warnings[0].text)

@@ -23,10 +23,10 @@ from pcbench.registration.correspondences import FeaturePairs, likely_poses
 from pcbench.registration.result import AMBIGUOUS, UNOBSERVABLE
 from pcbench.scenes.synthetic import city
 
-needs_kiss = pytest.mark.skipif(bool(missing := import_problem("kiss_matcher")), reason=str(missing))
+needs_kiss = pytest.mark.skipif(bool(problem := import_problem("kiss_matcher")), reason=str(problem))
 
 
-def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
+def sample_windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
     """Sample two windows of a 400 m city along x with 2 cm noise; they overlap by the share `overlap`."""
     rng, width = np.random.default_rng(seed), 400 / (2 - overlap)
     town, second = city(seed), city(seed if other is None else other)
@@ -35,7 +35,7 @@ def windows(seed, overlap, *, counts=(150_000, 60_000), other=None):
     return (cloud + rng.normal(0, 0.02, cloud.shape) for cloud in (reference, candidate))
 
 
-def pose(seed, scale=1.0):
+def random_pose(seed, scale=1.0):
     """Return a random rotation of 45 to 180 degrees with a shift of up to 100 m per axis."""
     rng = np.random.default_rng(seed)
     return Similarity(shapes.rotation(rng.normal(size=3), rng.uniform(45, 180)), rng.uniform(-100, 100, 3), scale)
@@ -52,11 +52,11 @@ def pose(seed, scale=1.0):
         pytest.param("global-similarity", 5, 0.5, 10.0, marks=pytest.mark.slow),
     ],
 )
-def test_finds_any_pose(method, seed, overlap, scale):
-    reference, candidate = windows(seed, overlap)
-    true = pose(seed, scale)
-    result = register(reference, true.inverse().apply(candidate), method)
-    assert error(result.T_reference_candidate, true, candidate) < 0.01
+def test_global_methods_find_any_pose(method, seed, overlap, scale):
+    reference, candidate = sample_windows(seed, overlap)
+    true_pose = random_pose(seed, scale)
+    result = register(reference, true_pose.inverse().apply(candidate), method)
+    assert error(result.T_reference_candidate, true_pose, candidate) < 0.01
     assert result.method == method
     assert result.converged
     assert result.solved_scale == (method == "global-similarity")
@@ -68,30 +68,30 @@ def test_finds_any_pose(method, seed, overlap, scale):
 @needs_kiss
 @pytest.mark.slow
 def test_outliers_do_not_hide_the_pose():
-    reference, candidate = windows(2, 1.0)
-    rng, true = np.random.default_rng(6), pose(6)
-    strays = rng.uniform(candidate.min(axis=0), candidate.max(axis=0), (len(candidate) // 2, 3))
-    result = register(reference, true.inverse().apply(np.concatenate([candidate, strays])), "global")
-    assert error(result.T_reference_candidate, true, candidate) < 0.01
+    reference, candidate = sample_windows(2, 1.0)
+    rng, true_pose = np.random.default_rng(6), random_pose(6)
+    outliers = rng.uniform(candidate.min(axis=0), candidate.max(axis=0), (len(candidate) // 2, 3))
+    result = register(reference, true_pose.inverse().apply(np.concatenate([candidate, outliers])), "global")
+    assert error(result.T_reference_candidate, true_pose, candidate) < 0.01
 
 
 @needs_kiss
 @pytest.mark.parametrize("method", ["global", pytest.param("global-similarity", marks=pytest.mark.slow)])
-def test_refuses_unrelated_clouds(method):
+def test_unrelated_clouds_are_refused(method):
     """Another city with the same terrain and street grid, of which three quarters fit the first."""
-    reference, candidate = windows(1, 1.0, other=9)
+    reference, candidate = sample_windows(1, 1.0, other=9)
     with check_error(RegistrationError, masked=True):
-        register(reference, pose(1).inverse().apply(candidate), method)
+        register(reference, random_pose(1).inverse().apply(candidate), method)
 
 
 @needs_kiss
-def test_refuses_noise():
+def test_noise_is_refused():
     rng = np.random.default_rng(7)
     with check_error(RegistrationError, masked=True):
         register(rng.normal(size=(5000, 3)), rng.normal(size=(5000, 3)), "global")
 
 
-def symmetric(n, seed, noise=0.01):
+def sample_symmetric_hall(n, seed, noise=0.01):
     """Sample a gabled hall of 30 m x 12 m on a square, symmetric under a half turn about the vertical."""
     rng = np.random.default_rng(seed)
     ground, rise = 40.0, 4.0
@@ -101,29 +101,29 @@ def symmetric(n, seed, noise=0.01):
     faces += [((-15, y, 8), (30, 0, 0), (0, -y, rise)) for y in (-6, 6)]
     corner, u, v = (np.array(part, dtype=float) for part in zip(*faces, strict=True))
     areas = np.linalg.norm(np.cross(u, v), axis=1)
-    which = rng.choice(len(faces), size=n, p=areas / areas.sum())
+    face_rows = rng.choice(len(faces), size=n, p=areas / areas.sum())
     s, t = rng.random((2, n, 1))
-    return corner[which] + s * u[which] + t * v[which] + rng.normal(0, noise, (n, 3))
+    return corner[face_rows] + s * u[face_rows] + t * v[face_rows] + rng.normal(0, noise, (n, 3))
 
 
 @needs_kiss
 def test_a_symmetric_scene_is_ambiguous():
-    true = pose(8)
-    candidate = symmetric(20_000, 2)
-    result = register(symmetric(40_000, 1), true.inverse().apply(candidate), "global")
+    true_pose = random_pose(8)
+    candidate = sample_symmetric_hall(20_000, 2)
+    result = register(sample_symmetric_hall(40_000, 1), true_pose.inverse().apply(candidate), "global")
     assert AMBIGUOUS in codes(result)
-    turned = Similarity(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ true
-    errors = [error(result.T_reference_candidate, truth, candidate) for truth in (true, turned)]
+    half_turned_pose = Similarity(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ true_pose
+    errors = [error(result.T_reference_candidate, expected, candidate) for expected in (true_pose, half_turned_pose)]
     # One of the two is right, and they are 60 m apart; quarter turns of the square ground are not among them.
     assert min(errors) < 0.5
 
 
 @needs_kiss
-def test_a_plane_is_never_confident():
+def test_a_plane_is_refused_or_has_a_warning():
     rng = np.random.default_rng(9)
     reference, candidate = (shapes.plane_samples(n, 40, seed=n) + rng.normal(0, 0.01, (n, 3)) for n in (20_000, 8_000))
     try:
-        result = register(reference, pose(9).inverse().apply(candidate), "global")
+        result = register(reference, random_pose(9).inverse().apply(candidate), "global")
     except RegistrationError:
         return
     assert codes(result) & {UNOBSERVABLE, AMBIGUOUS}
@@ -132,23 +132,23 @@ def test_a_plane_is_never_confident():
 @needs_kiss
 @pytest.mark.slow
 def test_far_coordinates_and_other_processes_change_nothing(tmp_path):
-    reference, candidate = (np.round(c * 2**20) / 2**20 for c in windows(2, 1.0, counts=(40_000, 20_000)))
-    candidate = np.round(pose(2).inverse().apply(candidate) * 2**20) / 2**20
-    here, there = register(reference, candidate, "global"), register(reference + UTM, candidate - UTM, "global")
+    reference, candidate = (np.round(c * 2**20) / 2**20 for c in sample_windows(2, 1.0, counts=(40_000, 20_000)))
+    candidate = np.round(random_pose(2).inverse().apply(candidate) * 2**20) / 2**20
+    near, far = register(reference, candidate, "global"), register(reference + UTM, candidate - UTM, "global")
     # 1e-7: the pose of coordinates of 1e7 in float64.
-    moved = there.T_reference_candidate.apply(candidate - UTM) - UTM
-    np.testing.assert_allclose(moved, here.T_reference_candidate.apply(candidate), atol=1e-7)
+    moved = far.T_reference_candidate.apply(candidate - UTM) - UTM
+    np.testing.assert_allclose(moved, near.T_reference_candidate.apply(candidate), atol=1e-7)
     np.savez(tmp_path / "clouds.npz", reference, candidate)
-    code = (
+    script = (
         "import sys, numpy as np; from pcbench import register; clouds = np.load(sys.argv[1]);"
         "print(register(*clouds.values(), 'global').T_reference_candidate.matrix.tobytes().hex())"
     )
     command, environment = (
-        [sys.executable, "-c", code, str(tmp_path / "clouds.npz")],
+        [sys.executable, "-c", script, str(tmp_path / "clouds.npz")],
         {**os.environ, "OMP_NUM_THREADS": "1"},
     )
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == here.T_reference_candidate.matrix.tobytes().hex()
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == near.T_reference_candidate.matrix.tobytes().hex()
 
 
 @needs_kiss
@@ -156,12 +156,14 @@ def test_far_coordinates_and_other_processes_change_nothing(tmp_path):
 def test_real_lidar_pair_from_any_pose():
     folder = data_folder("small_gicp")
     reference, candidate = read_cloud(folder / "target.ply"), read_cloud(folder / "source.ply")
-    true = Similarity.from_matrix(np.loadtxt(folder / "T_target_source.txt"))
-    away = pose(11)
-    result = register(reference, candidate.transformed(away), "global")
-    near = candidate.points[np.linalg.norm(candidate.points, axis=1) < 30]
+    true_pose = Similarity.from_matrix(np.loadtxt(folder / "T_target_source.txt"))
+    initial_pose = random_pose(11)
+    result = register(reference, candidate.transformed(initial_pose), "global")
+    nearby_points = candidate.points[np.linalg.norm(candidate.points, axis=1) < 30]
+    estimated_pose = result.T_reference_candidate @ initial_pose
+    difference = estimated_pose.apply(nearby_points) - true_pose.apply(nearby_points)
     # The file's transform is good to 2-8 cm itself.
-    assert np.sqrt(np.square((result.T_reference_candidate @ away).apply(near) - true.apply(near)).sum(1).mean()) < 0.1
+    assert np.sqrt(np.square(difference).sum(axis=1).mean()) < 0.1
 
 
 @needs_kiss
@@ -170,32 +172,32 @@ def test_real_aerial_cloud_from_any_pose():
     """Aerial cloud of streets, roofs and trees in feet: two disjoint halves, one of them rotated."""
     points = read_cloud(data_folder("autzen") / "autzen_trim.las").points
     points = points - np.floor(points.mean(axis=0))
-    true = pose(12)
-    result = register(points[::2], true.inverse().apply(points[1::2]), "global")
-    assert error(result.T_reference_candidate, true, points) < 1  # feet; half the points' spacing
+    true_pose = random_pose(12)
+    result = register(points[::2], true_pose.inverse().apply(points[1::2]), "global")
+    assert error(result.T_reference_candidate, true_pose, points) < 1  # feet; half the points' spacing
 
 
 def test_a_missing_library_is_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "kiss_matcher", None)
-    reference, candidate = windows(1, 1.0, counts=(5000, 5000))
+    reference, candidate = sample_windows(1, 1.0, counts=(5000, 5000))
     with check_error(MissingExtra):
         register(reference, candidate, "global")
 
 
-def test_too_few_points_and_other_names():
+def test_too_few_points_and_unknown_methods_are_refused():
     with check_error(RegistrationError, masked=True):
         register(np.random.default_rng(0).normal(size=(500, 3)), np.eye(3).repeat(7, axis=0)[:20], "global")
     with check_error():
         register(np.eye(3), np.eye(3), "global:x")
 
 
-def test_poses_from_mostly_wrong_pairs():
-    rng, true = np.random.default_rng(13), pose(13, scale=1.1)
+def test_likely_poses_of_mostly_wrong_pairs():
+    rng, true_pose = np.random.default_rng(13), random_pose(13, scale=1.1)
     candidate = rng.uniform(-50, 50, (1000, 3))
-    reference = true.apply(candidate)
+    reference = true_pose.apply(candidate)
     reference[60:] = rng.uniform(-50, 50, (940, 3))  # 6 % are right
-    found = likely_poses(FeaturePairs(candidate, reference), 3, with_scale=True)
-    np.testing.assert_allclose(found[0].matrix, true.matrix, atol=0.5)
+    poses = likely_poses(FeaturePairs(candidate, reference), 3, with_scale=True)
+    np.testing.assert_allclose(poses[0].matrix, true_pose.matrix, atol=0.5)
     assert likely_poses(FeaturePairs(candidate[:2], reference[:2]), 3, with_scale=True) == []
     line = np.linspace(0, 100, 50)[:, None] * [1.0, 0, 0]
     assert len(likely_poses(FeaturePairs(line, line), 3, with_scale=False)) <= 3
@@ -203,12 +205,12 @@ def test_poses_from_mostly_wrong_pairs():
 
 @needs_kiss
 @pytest.mark.slow
-def test_the_command_line(tmp_path, monkeypatch, capsys):
+def test_the_command_line_writes_the_pose(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    true = pose(14)
+    true_pose = random_pose(14)
     write_cloud("ref.ply", Cloud(shapes.city(40_000, noise=0.01, seed=1)[0]))
     points = shapes.city(20_000, noise=0.01, seed=2)[0]
-    write_cloud("cand.ply", Cloud(true.inverse().apply(points)))
+    write_cloud("cand.ply", Cloud(true_pose.inverse().apply(points)))
     cli.app(["register", "ref.ply", "cand.ply", "--register", "global", "--matrix", "T.txt"], standalone_mode=False)
-    assert error(read_matrix("T.txt"), true, points) < 0.01
+    assert error(read_matrix("T.txt"), true_pose, points) < 0.01
     assert "# global: rmse" in capsys.readouterr().out

@@ -14,33 +14,34 @@ from pcbench.registration import (
 )
 
 
-def test_matrix_and_none(scene, tmp_path):
+def test_given_poses_are_used_unchanged(scene, tmp_path):
     reference, candidate = scene
-    true = motion(0.5)
-    (tmp_path / "T.txt").write_text(format_matrix(true))
-    assert np.array_equal(read_matrix(tmp_path / "T.txt").matrix, true.matrix)
-    result = register(reference, true.inverse().apply(candidate), f"matrix:{tmp_path / 'T.txt'}")
-    np.testing.assert_array_equal(result.T_reference_candidate.matrix, true.matrix)
+    true_pose = motion(0.5)
+    (tmp_path / "T.txt").write_text(format_matrix(true_pose))
+    assert np.array_equal(read_matrix(tmp_path / "T.txt").matrix, true_pose.matrix)
+    result = register(reference, true_pose.inverse().apply(candidate), f"matrix:{tmp_path / 'T.txt'}")
+    np.testing.assert_array_equal(result.T_reference_candidate.matrix, true_pose.matrix)
     assert result.converged is None
     assert result.rmse < 0.04
     assert result.method == f"matrix:{tmp_path / 'T.txt'}"
-    for given in (true, true.matrix, true.matrix.tolist(), GivenPose(true)):
-        same = register(reference, true.inverse().apply(candidate), given)
-        np.testing.assert_array_equal(same.T_reference_candidate.matrix, true.matrix)
-        assert (same.rmse, same.weakest_sigma, same.method) == (result.rmse, result.weakest_sigma, "matrix")
-    none = register(reference, candidate, "none")
-    assert none.T_reference_candidate.scale == 1.0
-    assert none.method == "none"
+    for pose in (true_pose, true_pose.matrix, true_pose.matrix.tolist(), GivenPose(true_pose)):
+        by_object = register(reference, true_pose.inverse().apply(candidate), pose)
+        np.testing.assert_array_equal(by_object.T_reference_candidate.matrix, true_pose.matrix)
+        assert (by_object.rmse, by_object.weakest_sigma) == (result.rmse, result.weakest_sigma)
+        assert by_object.method == "matrix"
+    unregistered = register(reference, candidate, "none")
+    assert unregistered.T_reference_candidate.scale == 1.0
+    assert unregistered.method == "none"
 
 
-def test_a_given_scale_was_not_solved(scene):
+def test_a_given_scale_is_kept_and_not_solved(scene):
     reference, candidate = scene
     result = register(reference, candidate / 40, Similarity(np.eye(3), np.zeros(3), 40.0))
     assert result.T_reference_candidate.scale == 40.0
     assert not result.solved_scale
 
 
-NO_SIMILARITIES = {
+INVALID_SIMILARITIES = {
     "reflection": np.diag([1.0, 1.0, -1.0, 1.0]),
     "shear": np.array([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
     "stretch": np.diag([1.0, 1.0, 1.1, 1.0]),
@@ -53,9 +54,9 @@ NO_SIMILARITIES = {
 }
 
 
-@pytest.mark.parametrize("name", NO_SIMILARITIES)
+@pytest.mark.parametrize("name", INVALID_SIMILARITIES)
 def test_invalid_similarities_are_refused(name):
-    array = NO_SIMILARITIES[name]
+    array = INVALID_SIMILARITIES[name]
     cloud = shapes.plane_grid(4)
     with check_error():
         register(cloud, cloud, array)

@@ -27,7 +27,7 @@ from pcbench.registration import (
 from pcbench.registration.result import NO_CONVERGENCE, UNIT_MISMATCH, UNOBSERVABLE
 
 
-def test_refusals(scene):
+def test_invalid_methods_and_distant_clouds_are_refused(scene):
     reference, candidate = scene
     with check_error():
         register(reference, candidate, "magic")
@@ -40,7 +40,7 @@ def test_refusals(scene):
         register(np.zeros((100, 3)), candidate)
 
 
-def test_suspected_units(scene):
+def test_a_suspected_unit_is_a_warning(scene):
     reference, candidate = scene
     in_feet = register(reference, candidate / 0.3048, "none")
     assert UNIT_MISMATCH in codes(in_feet)
@@ -48,7 +48,7 @@ def test_suspected_units(scene):
     assert not register(reference, candidate, "none").warnings
 
 
-def test_clouds_and_tiny_clouds():
+def test_tiny_clouds_are_registered():
     grid = shapes.plane_grid(4)
     result = register(Cloud(grid), Cloud(grid[:5]), "none")
     assert result.rmse == 0.0
@@ -65,7 +65,7 @@ def test_clouds_and_tiny_clouds():
         ("global-similarity", FeatureSettings(with_scale=True), True),
     ],
 )
-def test_texts_and_objects_are_the_same(text, method, solves_scale):
+def test_texts_and_objects_are_equal_methods(text, method, solves_scale):
     assert parse_method(text) == as_method(text) == as_method(method) == method
     assert method.text == text
     assert method.with_scale == solves_scale
@@ -78,21 +78,21 @@ def test_the_text_shows_changed_settings():
     )
 
 
-def test_files_are_read_as_the_text_is_parsed(tmp_path):
+def test_files_are_read_when_the_text_is_parsed(tmp_path):
     (tmp_path / "T.txt").write_text(format_matrix(motion()))
-    found = parse_method(f"matrix:{tmp_path / 'T.txt'}")
-    assert isinstance(found, GivenPose)
-    assert found.text == f"matrix:{tmp_path / 'T.txt'}"
+    method = parse_method(f"matrix:{tmp_path / 'T.txt'}")
+    assert isinstance(method, GivenPose)
+    assert method.text == f"matrix:{tmp_path / 'T.txt'}"
     assert parse_method("none").text == "none"
     for text in ("matrix", "matrix:", "points", "points:", "icp:", "none:x", "ICP", ""):
         with check_error():
             parse_method(text)
 
 
-@pytest.mark.parametrize("wrong", [None, 3, {"method": "icp"}, object()])
-def test_invalid_methods_are_refused(wrong):
+@pytest.mark.parametrize("method", [None, 3, {"method": "icp"}, object()])
+def test_invalid_methods_are_refused(method):
     with check_error():
-        register(np.eye(3), np.eye(3), wrong)
+        register(np.eye(3), np.eye(3), method)
 
 
 def test_only_icp_takes_an_initial_pose():
@@ -103,20 +103,20 @@ def test_only_icp_takes_an_initial_pose():
 
 def test_a_target_of_another_reference_is_refused(scene):
     reference, candidate = (Cloud(points) for points in scene)
-    alone = register(reference, candidate)
+    without_target = register(reference, candidate)
     with_target = register(reference, candidate, target=Target.of(reference))
-    np.testing.assert_array_equal(with_target.T_local.matrix, alone.T_local.matrix)
+    np.testing.assert_array_equal(with_target.T_local.matrix, without_target.T_local.matrix)
     points, origin = reference.points, local_origin(reference)
     moved = points.copy()
     moved[-1, 2] += 1e-6
-    for surface in (
+    for target_points in (
         points[1:] - origin,
         points,
         points - origin - [1, 0, 0],
         moved - origin,
     ):
         with check_error():
-            register(reference, candidate, target=Target(Surface(Index(surface))))
+            register(reference, candidate, target=Target(Surface(Index(target_points))))
     with check_error():
         register(Cloud(moved), candidate, target=Target.of(reference))
 
@@ -125,18 +125,18 @@ def test_warnings_of_a_wrong_pose_make_it_doubtful(scene):
     reference, candidate = scene
     assert not register(reference, candidate, "none").doubtful
     assert register(reference, candidate / 0.3048, "none").doubtful
-    pole = register(reference[:, :2] @ [[1.0, 0, 0], [0, 1, 0]], candidate[:, :2] @ [[1.0, 0, 0], [0, 1, 0]])
-    assert codes(pole) == {UNOBSERVABLE}  # the pose is right where it is known
-    assert not pole.doubtful
-    wanders, stopped = Notice(UNOBSERVABLE, ""), Notice(NO_CONVERGENCE, "")
-    assert not replace(pole, warnings=(wanders, stopped)).doubtful
-    assert replace(pole, warnings=(stopped,)).doubtful
+    flattened = register(reference[:, :2] @ [[1.0, 0, 0], [0, 1, 0]], candidate[:, :2] @ [[1.0, 0, 0], [0, 1, 0]])
+    assert codes(flattened) == {UNOBSERVABLE}  # the pose is right where it is known
+    assert not flattened.doubtful
+    unobservable, not_converged = Notice(UNOBSERVABLE, ""), Notice(NO_CONVERGENCE, "")
+    assert not replace(flattened, warnings=(unobservable, not_converged)).doubtful
+    assert replace(flattened, warnings=(not_converged,)).doubtful
 
 
 def test_the_representation_is_one_line(scene):
     reference, candidate = scene
-    told = repr(register(reference, motion().inverse().apply(candidate), "similarity"))
-    assert "\n" not in check_text(told)
+    representation = repr(register(reference, motion().inverse().apply(candidate), "similarity"))
+    assert "\n" not in check_text(representation)
     check_text(repr(register(reference, candidate / 0.3048, "none")))
 
 
@@ -145,7 +145,7 @@ def check_failure(reference, candidate, method="icp"):
         register(reference, candidate, method)
 
 
-def test_stated_differences_precede_the_failure(scene):
+def test_failures_report_stated_differences_first(scene):
     reference, candidate = (cloud[:6000] for cloud in scene)
     check_failure(Cloud(reference, unit="m"), Cloud(1000 * candidate + 1e6, unit="mm"))
     check_failure(
@@ -156,7 +156,7 @@ def test_stated_differences_precede_the_failure(scene):
 
 
 @pytest.mark.parametrize(
-    ("factor", "told"),
+    ("factor", "message"),
     [
         (1000, "1000: "),
         (0.001, "1000: "),
@@ -166,11 +166,11 @@ def test_stated_differences_precede_the_failure(scene):
         (304.8, "304.8: "),
     ],
 )
-def test_a_unit_is_suspected_from_sizes_if_none_is_stated(scene, factor, told):
+def test_a_unit_is_suspected_from_sizes_if_none_is_stated(scene, factor, message):
     reference, candidate = (cloud[:6000] for cloud in scene)
     with check_error(RegistrationError, masked=True) as caught:
         register(reference, factor * candidate + 1e6, "none")
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     check_failure(reference, 2 * candidate + 1e5, "none")
 
 
@@ -182,9 +182,9 @@ def test_a_failed_overlap_recommends_other_methods(scene):
 
 def test_different_stated_units_are_a_warning(scene):
     reference, candidate = scene
-    stated = register(Cloud(reference, unit="m"), Cloud(candidate, unit="ft"), "none")
-    check_text(*(notice.text for notice in stated.warnings if notice.code == UNIT_MISMATCH))
-    assert UNIT_MISMATCH in codes(stated)
-    converted = Similarity(np.eye(3), np.zeros(3), 0.3048)
-    in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), converted)
+    registration = register(Cloud(reference, unit="m"), Cloud(candidate, unit="ft"), "none")
+    check_text(*(notice.text for notice in registration.warnings if notice.code == UNIT_MISMATCH))
+    assert UNIT_MISMATCH in codes(registration)
+    pose = Similarity(np.eye(3), np.zeros(3), 0.3048)
+    in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), pose)
     assert UNIT_MISMATCH not in codes(in_feet)

@@ -17,18 +17,18 @@ from pcbench.report.document import document
 
 # Heights of a saddle on the corners of a square have no part along any translation, rotation or scale of them: the
 # fit stays where it was, and the residuals are the offsets themselves. Check points may be off by anything.
-SQUARE = np.array([[10.0, 10, 0], [-10, 10, 0], [-10, -10, 0], [10, -10, 0]])
-SADDLE = np.array([1.0, -1, 1, -1])[:, None] * [0, 0, 0.02]
-CHECKS = np.array([[3.0, 1, 2], [-4, 5, 1]])
-OFFSETS = np.array([[0.03, 0.04, 0.12], [0.03, -0.04, 0.12]])  # H 0.05, Z 0.12, 3D 0.13
+CONTROL_SQUARE = np.array([[10.0, 10, 0], [-10, 10, 0], [-10, -10, 0], [10, -10, 0]])
+SADDLE_OFFSETS = np.array([1.0, -1, 1, -1])[:, None] * [0, 0, 0.02]
+CHECK_POINTS = np.array([[3.0, 1, 2], [-4, 5, 1]])
+CHECK_OFFSETS = np.array([[0.03, 0.04, 0.12], [0.03, -0.04, 0.12]])  # H 0.05, Z 0.12, 3D 0.13
 NAMES = ["a", "b", "c", "d", "p", "q"]
-TRUE = motion(0.5, scale=1.5)
+TRUE_POSE = motion(0.5, scale=1.5)
 
 
-def pairs(**changes):
-    measured = np.concatenate([SQUARE, CHECKS])
-    surveyed = TRUE.apply(measured) - np.concatenate([SADDLE @ TRUE.rotation.T, OFFSETS])
-    return ControlPoints(measured, surveyed, NAMES, [False] * 4 + [True] * 2, **changes)
+def survey_pairs(**changes):
+    candidate = np.concatenate([CONTROL_SQUARE, CHECK_POINTS])
+    reference = TRUE_POSE.apply(candidate) - np.concatenate([SADDLE_OFFSETS @ TRUE_POSE.rotation.T, CHECK_OFFSETS])
+    return ControlPoints(candidate, reference, NAMES, [False] * 4 + [True] * 2, **changes)
 
 
 def write_pairs(path, points, head=""):
@@ -41,30 +41,32 @@ def write_pairs(path, points, head=""):
 
 
 def test_residuals_are_the_known_offsets():
-    T, found = fit_pairs(pairs(z_is_up=True))
+    T, residuals = fit_pairs(survey_pairs(z_is_up=True))
     # Rounding of coordinates below 100 m, a few times.
-    np.testing.assert_allclose(T.matrix, TRUE.matrix, atol=1e-9)
-    assert [point.name for point in found.control] == ["a", "b", "c", "d"]
-    np.testing.assert_allclose([point[1:] for point in found.control], SADDLE @ TRUE.rotation.T, atol=1e-9)
-    np.testing.assert_allclose([point[1:] for point in found.check], OFFSETS, atol=1e-9)
-    control, check = found.rmse(found.control), found.rmse(found.check)
+    np.testing.assert_allclose(T.matrix, TRUE_POSE.matrix, atol=1e-9)
+    assert [point.name for point in residuals.control] == ["a", "b", "c", "d"]
+    np.testing.assert_allclose(
+        [point[1:] for point in residuals.control], SADDLE_OFFSETS @ TRUE_POSE.rotation.T, atol=1e-9
+    )
+    np.testing.assert_allclose([point[1:] for point in residuals.check], CHECK_OFFSETS, atol=1e-9)
+    control, check = residuals.rmse(residuals.control), residuals.rmse(residuals.check)
     assert control.total == pytest.approx(0.02, abs=1e-9)
     assert check == pytest.approx((2, 0.13, 0.05, 0.12), abs=1e-9)
 
 
-def test_horizontal_and_vertical_need_z_that_is_up():
-    _, found = fit_pairs(pairs())
-    assert not found.z_is_up
-    assert found.rmse(found.check).total == pytest.approx(0.13, abs=1e-9)
-    assert found.rmse(found.check).horizontal is None
-    assert found.rmse(found.check).vertical is None
-    check_text("\n".join(found.rmse_lines()), masked=False)
+def test_horizontal_and_vertical_residuals_need_z_up():
+    _, residuals = fit_pairs(survey_pairs())
+    assert not residuals.z_is_up
+    assert residuals.rmse(residuals.check).total == pytest.approx(0.13, abs=1e-9)
+    assert residuals.rmse(residuals.check).horizontal is None
+    assert residuals.rmse(residuals.check).vertical is None
+    check_text("\n".join(residuals.rmse_lines()), masked=False)
 
 
 def test_plain_values_round_trip():
-    _, found = fit_pairs(pairs(z_is_up=True))
-    values = json.loads(json.dumps(found.plain()))
-    assert SurveyResiduals.from_plain(values) == found
+    _, residuals = fit_pairs(survey_pairs(z_is_up=True))
+    values = json.loads(json.dumps(residuals.plain()))
+    assert SurveyResiduals.from_plain(values) == residuals
     assert values["point_rmse"]["check"]["vertical"] == pytest.approx(0.12, abs=1e-9)
     assert SurveyResiduals().plain()["point_rmse"] == {"control": None, "check": None}
 
@@ -74,9 +76,9 @@ def files(tmp_path):
     """A reference, a candidate in another frame, and a file of control and check points."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-10, 10, (3000, 3)) * [1, 1, 0.1]
-    write_cloud(tmp_path / "reference.ply", Cloud(TRUE.apply(points), unit="m"))
+    write_cloud(tmp_path / "reference.ply", Cloud(TRUE_POSE.apply(points), unit="m"))
     write_cloud(tmp_path / "candidate.ply", Cloud(points))
-    write_pairs(tmp_path / "points.txt", pairs(), "# Z is up")
+    write_pairs(tmp_path / "points.txt", survey_pairs(), "# Z is up")
     return tmp_path
 
 
@@ -89,12 +91,12 @@ def test_register_prints_every_point_and_the_rmse(files, capsys):
     (rmse,) = (line for line in lines if line.startswith("2 check points: "))
     assert rmse.endswith(" H 0.05 m, Z 0.12 m, 3D 0.13 m")
     check_text("\n".join(lines[:-4]))
-    np.testing.assert_allclose(np.loadtxt(lines[-4:]), TRUE.matrix, atol=1e-9)
+    np.testing.assert_allclose(np.loadtxt(lines[-4:]), TRUE_POSE.matrix, atol=1e-9)
 
 
-def test_compare_keeps_them_in_json_table_and_csv(files):
-    compared = compare(files / "reference.ply", files / "candidate.ply", register=f"points:{files / 'points.txt'}")
-    (values,) = document(compared)["candidates"]
+def test_compare_writes_residuals_to_json_table_and_csv(files):
+    comparison = compare(files / "reference.ply", files / "candidate.ply", register=f"points:{files / 'points.txt'}")
+    (values,) = document(comparison)["candidates"]
     registration = values["registration"]
     assert registration["z_is_up"] is True
     assert [row["name"] for row in registration["check_points"]] == ["p", "q"]
@@ -102,7 +104,7 @@ def test_compare_keeps_them_in_json_table_and_csv(files):
     assert registration["point_rmse"]["check"] == pytest.approx(
         {"points": 2, "total": 0.13, "horizontal": 0.05, "vertical": 0.12}, abs=1e-9
     )
-    compared.save(files / "report", figures=False)
+    comparison.save(files / "report", figures=False)
     with (files / "report/metrics.csv").open() as file:
         rows = {(row["metric"], row["variant"]): row["value"] for row in csv.DictReader(file)}
     assert float(rows["check_points_rmse", "vertical"]) == pytest.approx(0.12, abs=1e-9)
@@ -110,12 +112,12 @@ def test_compare_keeps_them_in_json_table_and_csv(files):
     assert " H 0.05 m, Z 0.12 m, 3D 0.13 m" in (files / "report/table.md").read_text()
 
 
-def test_a_map_grid_has_heights():
+def test_z_is_up_in_projected_coordinates():
     import_or_skip("pyproj")
     points = np.random.default_rng(5).uniform(-10, 10, (500, 3))
     for crs, z_is_up in (("EPSG:32617", True), ("EPSG:4978", False), ("EPSG:4326", False), (None, False)):
-        reference = Cloud(TRUE.apply(points), crs=crs)
-        assert register(reference, points, pairs()).residuals.z_is_up is z_is_up
+        reference = Cloud(TRUE_POSE.apply(points), crs=crs)
+        assert register(reference, points, survey_pairs()).residuals.z_is_up is z_is_up
 
 
 def test_other_methods_have_no_residuals():
@@ -132,9 +134,9 @@ def test_other_methods_have_no_residuals():
     ],
 )
 def test_unsuitable_points_are_refused(names, is_check, tmp_path):
-    good = pairs()
+    points = survey_pairs()
     with check_error():
-        ControlPoints(good.candidate, good.reference, names, is_check)
+        ControlPoints(points.candidate, points.reference, names, is_check)
 
 
 def test_a_control_and_a_check_point_of_one_name_are_refused(tmp_path):

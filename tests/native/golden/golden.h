@@ -19,8 +19,9 @@ public:
         return static_cast<int32_t>((state_ >> 33) % limit);
     }
     // Returns a multiple of 2^-16 in [low, low + width).
-    double number(int low, int width) { return low + below(static_cast<uint32_t>(width) << 16) * 0x1p-16; }
-    float single(int low, int width) {
+    double uniform(int low, int width) { return low + below(static_cast<uint32_t>(width) << 16) * 0x1p-16; }
+    // The same in single precision, a multiple of 2^-12.
+    float uniform_float(int low, int width) {
         return static_cast<float>(low + below(static_cast<uint32_t>(width) << 12) * 0x1p-12);
     }
 

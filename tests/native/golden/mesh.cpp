@@ -15,7 +15,7 @@ void golden::mesh() {
     Random random(3);
     std::vector<double> vertices;
     for (int y = 0; y < kSide; ++y)
-        for (int x = 0; x < kSide; ++x) vertices.insert(vertices.end(), {x * 1.0, y * 1.0, random.number(0, 2)});
+        for (int x = 0; x < kSide; ++x) vertices.insert(vertices.end(), {x * 1.0, y * 1.0, random.uniform(0, 2)});
     std::vector<int64_t> faces;
     for (int64_t y = 0; y + 1 < kSide; ++y)
         for (int64_t x = 0; x + 1 < kSide; ++x) {
@@ -28,14 +28,15 @@ void golden::mesh() {
                                          interrupt);
     std::vector<double> points, directions;
     for (size_t i = 0; i < kQueries; ++i) {
-        points.insert(points.end(), {random.number(-2, 54), random.number(-2, 54), random.number(-1, 8)});
-        directions.insert(directions.end(), {random.number(-1, 2), random.number(-1, 2), random.number(-2, 3)});
+        points.insert(points.end(), {random.uniform(-2, 54), random.uniform(-2, 54), random.uniform(-1, 8)});
+        directions.insert(directions.end(), {random.uniform(-1, 2), random.uniform(-1, 2), random.uniform(-2, 3)});
     }
     std::vector<double> distances(kQueries), closest(3 * kQueries);
-    std::vector<int64_t> hit(kQueries);
+    std::vector<int64_t> hit_faces(kQueries);
     std::vector<uint8_t> features(kQueries);
-    index.query(points.data(), kQueries, distances.data(), closest.data(), hit.data(), features.data(), interrupt);
-    Hash("mesh_distances").add(distances).add(closest).add(hit).add(features);
-    index.cast(points.data(), directions.data(), kQueries, 1e6, distances.data(), hit.data(), interrupt);
-    Hash("mesh_rays").add(distances).add(hit);
+    index.query(points.data(), kQueries, distances.data(), closest.data(), hit_faces.data(), features.data(),
+                interrupt);
+    Hash("mesh_distances").add(distances).add(closest).add(hit_faces).add(features);
+    index.cast(points.data(), directions.data(), kQueries, 1e6, distances.data(), hit_faces.data(), interrupt);
+    Hash("mesh_rays").add(distances).add(hit_faces);
 }

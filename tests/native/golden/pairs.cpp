@@ -9,13 +9,13 @@ void golden::pairs() {
     Random random(4);
     std::vector<double> moved, closest, normals, distances;
     for (size_t i = 0; i < kCount; ++i) {
-        const double slope = random.number(-1, 2) / 4, length = std::sqrt(1 + slope * slope);
+        const double slope = random.uniform(-1, 2) / 4, length = std::sqrt(1 + slope * slope);
         for (int axis = 0; axis < 3; ++axis) {
-            closest.push_back(random.number(0, 16));
-            moved.push_back(closest.back() + random.number(-1, 2) / 8);
+            closest.push_back(random.uniform(0, 16));
+            moved.push_back(closest.back() + random.uniform(-1, 2) / 8);
         }
         normals.insert(normals.end(), {slope / length, 0.0, 1 / length});
-        distances.push_back(random.number(0, 2));
+        distances.push_back(random.uniform(0, 2));
     }
     const pcbench::Rows closest_rows{closest.data(), nullptr}, normal_rows{normals.data(), nullptr};
     std::vector<double> residuals(kCount), weights(kCount), sums;

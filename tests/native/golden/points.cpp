@@ -20,7 +20,7 @@ std::vector<double> make_cloud(size_t count, uint64_t seed) {
         const size_t earlier = i % 4 == 3 ? static_cast<size_t>(random.below(static_cast<uint32_t>(i))) : i;
         for (int axis = 0; axis < 3; ++axis)
             points[3 * i + axis] =
-                earlier < i ? points[3 * earlier + axis] : 400000 + random.number(0, axis < 2 ? 64 : 1);
+                earlier < i ? points[3 * earlier + axis] : 400000 + random.uniform(0, axis < 2 ? 64 : 1);
     }
     return points;
 }
@@ -54,20 +54,20 @@ void golden::points() {
 
     std::vector<double> axes;
     for (size_t i = 0; i < kQueries; ++i) axes.insert(axes.end(), {0.0, 0.6, 0.8});
-    const auto in_region = [&](const char* name, const auto& search) {
+    const auto hash_neighborhoods = [&](const char* name, const auto& search) {
         std::vector<int64_t> offsets(kQueries + 1);
         search(offsets.data(), static_cast<int64_t*>(nullptr));
         for (size_t i = 0; i < kQueries; ++i) offsets[i + 1] += offsets[i];
-        std::vector<int64_t> found(static_cast<size_t>(offsets.back()));
-        search(offsets.data(), found.data());
-        for (size_t i = 0; i < kQueries; ++i) std::sort(found.begin() + offsets[i], found.begin() + offsets[i + 1]);
-        Hash(name).add(offsets).add(found);
+        std::vector<int64_t> indices(static_cast<size_t>(offsets.back()));
+        search(offsets.data(), indices.data());
+        for (size_t i = 0; i < kQueries; ++i) std::sort(indices.begin() + offsets[i], indices.begin() + offsets[i + 1]);
+        Hash(name).add(offsets).add(indices);
     };
-    in_region("in_balls", [&](int64_t* offsets, int64_t* found) {
-        kernels.in_balls(tree, sorted.leaves.get(), sorted.leaf_count, 1.25, offsets, found, interrupt);
+    hash_neighborhoods("in_balls", [&](int64_t* offsets, int64_t* indices) {
+        kernels.in_balls(tree, sorted.leaves.get(), sorted.leaf_count, 1.25, offsets, indices, interrupt);
     });
-    in_region("in_cylinders", [&](int64_t* offsets, int64_t* found) {
-        kernels.in_cylinders(tree, sorted.leaves.get(), sorted.leaf_count, axes.data(), 1.25, 0.5, offsets, found,
+    hash_neighborhoods("in_cylinders", [&](int64_t* offsets, int64_t* indices) {
+        kernels.in_cylinders(tree, sorted.leaves.get(), sorted.leaf_count, axes.data(), 1.25, 0.5, offsets, indices,
                              interrupt);
     });
 

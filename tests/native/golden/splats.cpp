@@ -12,14 +12,15 @@ void golden::splats() {
     std::vector<float> means, quaternions, scales, opacities, harmonics;
     for (int i = 0; i < kCount; ++i) {
         float q[4], square = 0;
-        for (float& entry : q) entry = random.single(-1, 2) + 0x1p-13f, square += entry * entry;
+        for (float& entry : q) entry = random.uniform_float(-1, 2) + 0x1p-13f, square += entry * entry;
         for (const float entry : q) quaternions.push_back(entry / std::sqrt(square));
         for (int axis = 0; axis < 3; ++axis) {
-            means.push_back(random.single(-2, 4));
-            scales.push_back(0.03125f + random.single(0, 1) / 8);
+            means.push_back(random.uniform_float(-2, 4));
+            scales.push_back(0.03125f + random.uniform_float(0, 1) / 8);
         }
-        opacities.push_back(0.0625f + random.single(0, 1) * 0.875f);
-        for (int k = 0; k < 3 * kBands; ++k) harmonics.push_back(random.single(-1, 2) / static_cast<float>(1 + k / 3));
+        opacities.push_back(0.0625f + random.uniform_float(0, 1) * 0.875f);
+        for (int k = 0; k < 3 * kBands; ++k)
+            harmonics.push_back(random.uniform_float(-1, 2) / static_cast<float>(1 + k / 3));
     }
     const Model model = {kCount,           means.data(), quaternions.data(), scales.data(), opacities.data(),
                          harmonics.data(), kBands};
@@ -36,12 +37,15 @@ void golden::splats() {
                        {color.data(), transmittance.data(), depth.data(), normal.data(), median.data()}, true);
     Hash("splat_forward").add(color).add(transmittance).add(depth).add(normal).add(median);
 
-    std::vector<float> by_color, by_transmittance, by_depth, by_normal, error;
+    std::vector<float> color_gradient, transmittance_gradient, depth_gradient, normal_gradient, pixel_errors;
     for (size_t pixel = 0; pixel < kPixels; ++pixel) {
-        for (int channel = 0; channel < 3; ++channel)
-            by_color.push_back(random.single(-1, 2)), by_normal.push_back(random.single(-1, 2));
-        by_transmittance.push_back(random.single(-1, 2)), by_depth.push_back(random.single(-1, 2));
-        error.push_back(random.single(0, 1));
+        for (int channel = 0; channel < 3; ++channel) {
+            color_gradient.push_back(random.uniform_float(-1, 2));
+            normal_gradient.push_back(random.uniform_float(-1, 2));
+        }
+        transmittance_gradient.push_back(random.uniform_float(-1, 2));
+        depth_gradient.push_back(random.uniform_float(-1, 2));
+        pixel_errors.push_back(random.uniform_float(0, 1));
     }
     const size_t rows = rasterizer.drawn();
     std::vector<int64_t> ids(rows);
@@ -49,7 +53,8 @@ void golden::splats() {
     std::vector<float> gradients[8];
     const size_t widths[8] = {3, 4, 3, 1, 3 * kBands, 2, 1, 1};
     for (int k = 0; k < 8; ++k) gradients[k].resize(widths[k] * rows);
-    rasterizer.backward({by_color.data(), by_transmittance.data(), by_depth.data(), by_normal.data(), error.data()},
+    rasterizer.backward({color_gradient.data(), transmittance_gradient.data(), depth_gradient.data(),
+                         normal_gradient.data(), pixel_errors.data()},
                         {gradients[0].data(), gradients[1].data(), gradients[2].data(), gradients[3].data(),
                          gradients[4].data(), gradients[5].data(), gradients[6].data(), gradients[7].data()});
     {
@@ -60,12 +65,12 @@ void golden::splats() {
     std::printf("# Gaussians drawn: %zu of %d\n", rows, kCount);
 
     std::vector<float> gradient(3 * kPixels);
-    const LossParts parts = image_loss(color.data(), by_normal.data(), kHeight, kWidth, 0.25f, gradient.data());
+    const LossParts parts = image_loss(color.data(), normal_gradient.data(), kHeight, kWidth, 0.25f, gradient.data());
     Hash("image_loss").add(gradient).add(std::vector<double>{parts.difference, parts.similarity});
 
-    std::vector<float> first(means.size()), second(means.size());
+    std::vector<float> first_moments(means.size()), second_moments(means.size());
     const float rates[3] = {0.0625f, 0.125f, 0.25f};
-    kernels().adam(means.data(), first.data(), second.data(), gradients[0].data(), ids.data(), 0,
+    kernels().adam(means.data(), first_moments.data(), second_moments.data(), gradients[0].data(), ids.data(), 0,
                    static_cast<int64_t>(rows), 3, rates, 0.875f, 0.96875f, 0x1p-20f);
-    Hash("adam").add(means).add(first).add(second);
+    Hash("adam").add(means).add(first_moments).add(second_moments);
 }
