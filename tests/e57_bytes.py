@@ -38,10 +38,10 @@ def _scan(libe57, file, number, scan):
         quaternion, translation = scan["pose"]
         pose = libe57.StructureNode(file)
         for name, axes, values in (("rotation", "wxyz", quaternion), ("translation", "xyz", translation)):
-            part = libe57.StructureNode(file)
+            component = libe57.StructureNode(file)
             for axis, value in zip(axes, values, strict=True):
-                part.set(axis, libe57.FloatNode(file, float(value)))
-            pose.set(name, part)
+                component.set(axis, libe57.FloatNode(file, float(value)))
+            pose.set(name, component)
         node.set("pose", pose)
     if "limits" in scan:
         limits = libe57.StructureNode(file)
@@ -52,19 +52,19 @@ def _scan(libe57, file, number, scan):
     prototype = libe57.StructureNode(file)
     for name, values in scan.items():
         if name not in ("pose", "limits"):
-            whole = np.issubdtype(np.asarray(values).dtype, np.integer)
-            prototype.set(name, libe57.IntegerNode(file, 0, 0, 65535) if whole else libe57.FloatNode(file, 0.0))
+            is_integer = np.issubdtype(np.asarray(values).dtype, np.integer)
+            prototype.set(name, libe57.IntegerNode(file, 0, 0, 65535) if is_integer else libe57.FloatNode(file, 0.0))
     node.set("points", libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True)))
     return node
 
 
 def _fill(libe57, file, node, columns):
-    buffers, kept = libe57.VectorSourceDestBuffer(), []
+    buffers, arrays = libe57.VectorSourceDestBuffer(), []
     for name, values in columns.items():
-        kept.append(np.ascontiguousarray(values, dtype=np.float64))
-        buffers.append(libe57.SourceDestBuffer(file, name, kept[-1], len(values), True, True))
+        arrays.append(np.ascontiguousarray(values, dtype=np.float64))
+        buffers.append(libe57.SourceDestBuffer(file, name, arrays[-1], len(values), True, True))
     writer = node["points"].writer(buffers)
-    writer.write(len(kept[0]))
+    writer.write(len(arrays[0]))
     writer.close()
 
 
@@ -84,8 +84,8 @@ def corpus():
 def add_checksums(data):
     """Recompute the checksum of each complete page: CRC-32C of 1,020 bytes, big-endian."""
     pages = [data[start : start + _PAGE] for start in range(0, len(data), _PAGE)]
-    whole = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]
-    return b"".join(whole)
+    checked_pages = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]
+    return b"".join(checked_pages)
 
 
 def _crc32c(data):
