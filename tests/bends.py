@@ -152,20 +152,20 @@ class HalvesScene:
 
     def __init__(self, cloud: Cloud, noise: float, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        first = rng.random(len(cloud)) < 0.5
+        is_in_first = rng.random(len(cloud)) < 0.5
         points = cloud.points - cloud.points.mean(axis=0)
         self.size = float(np.ptp(points[:, :2], axis=0).max())
         sides = []
         for _ in range(2):
             waves = np.zeros_like(points)
-            # Enough waves that none stands out: a few long waves would be a real bend.
+            # Many waves, so that no single one dominates: a few long waves would be a real deformation.
             for _ in range(10):
                 frequencies, phases = rng.normal(size=(50, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 50)
                 waves += np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 500), (50, 3))
             sides.append(points + noise * waves + rng.normal(0, noise, points.shape))
         self.noise = 2 * noise  # along a normal: two kinds, two halves
-        self._reference = self._half(cloud, sides[0], first)
-        self._candidate = self._half(cloud, sides[1], ~first)
+        self._reference = self._half(cloud, sides[0], is_in_first)
+        self._candidate = self._half(cloud, sides[1], ~is_in_first)
         self._origin = local_origin(self._reference)
         self._surface = Surface(Index(self._reference.points - self._origin))
         _, self._pairs = self._judge(np.zeros_like(self._candidate.points))
@@ -211,10 +211,10 @@ class HalvesScene:
         """Return the verdict of `deform`, and the pairs."""
         cloud = Cloud(self._candidate.points + field, unit=self._candidate.unit, attributes=self._candidate.attributes)
         registration = register(self._reference, cloud, target=Target(self._surface))
-        moved = registration.T_local.apply(cloud.points - self._origin)
+        registered_points = registration.T_local.apply(cloud.points - self._origin)
         sides = [
             Side(surface, np.ones(len(surface), dtype=bool), side)
-            for surface, side in ((self._surface, self._reference), (Surface(Index(moved)), cloud))
+            for surface, side in ((self._surface, self._reference), (Surface(Index(registered_points)), cloud))
         ]
         pairs = find_pairs(*sides)
         assert pairs is not None

@@ -29,7 +29,7 @@ def bay(seed=0):
 
 @cache
 def wall(length, number, unique_share, seed):
-    """Paint a facade (HEIGHT, length) of repeated bays, mixed with a share `unique_share` of unique texture."""
+    """Paint a facade (HEIGHT, length) of repeated bays, mixed with the given share of unique texture."""
     image = np.tile(bay(seed), (1, int(length / BAY), 1))
     unique_texture = texture(1000 * seed + number, 1024)[: image.shape[0], : image.shape[1]]
     return (1 - unique_share) * image + unique_share * unique_texture

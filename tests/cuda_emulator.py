@@ -137,7 +137,7 @@ def build(kernel: Kernel) -> Path:
 
 @contextmanager
 def nan_filled_memory() -> Iterator[None]:
-    """Fill new tensors with NaN meanwhile, so that a read before the first write is visible."""
+    """Fill new tensors with NaN in this context, so that a read before the first write is visible."""
     was_deterministic = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(True)
     try:

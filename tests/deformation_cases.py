@@ -1,4 +1,4 @@
-"""Pairs of clouds whose deformation is known: none at all, a bend, a part that moved; for tests and benchmarks.
+"""Pairs of clouds with a known deformation: none, a smooth bend, or a moved part; for tests and benchmarks.
 
 Scenes: a city of boxes, rolling terrain, a forest, and real clouds cut into random halves. Noise: white, and correlated
 displacements of the candidate's points along each axis, even or uneven over the scene.
@@ -38,8 +38,8 @@ def correlated_noise(points: Points, length: float, rng: np.random.Generator, ke
     They are correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of such, about as exp(-d / l) ("exp").
     """
     if kernel == "exp":
-        parts = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
-        fields = [np.sqrt(share) * correlated_noise(points, scale * length, rng) for share, scale in parts]
+        components = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
+        fields = [np.sqrt(share) * correlated_noise(points, scale * length, rng) for share, scale in components]
         return np.sum(fields, axis=0)
     lower = points.min(axis=0) - 4 * length
     step = length / 2.5
@@ -163,12 +163,15 @@ def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0
         is_in_first = rng.random(len(points)) < 0.5
         classes = cloud.attributes["classification"]
 
-        def take_half(is_in_half: np.ndarray, moved: Points) -> Cloud:
+        def take_half(is_in_half: np.ndarray, candidate_points: Points) -> Cloud:
             return Cloud(
-                moved[is_in_half], unit=cloud.unit, crs=cloud.crs, attributes={"classification": classes[is_in_half]}
+                candidate_points[is_in_half],
+                unit=cloud.unit,
+                crs=cloud.crs,
+                attributes={"classification": classes[is_in_half]},
             )
 
-        moved, field = points, None
+        candidate_points, field = points, None
         if bend:
             centre, half_size = points.mean(axis=0), 0.5 * np.ptp(points[:, :2], axis=0).max()
 
@@ -177,8 +180,10 @@ def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0
                 shape = x**3 - 1.5 * x * y**2 + 0.5 * x * y
                 return bend * np.stack([0 * x, 0 * x, shape / 0.45], axis=1)
 
-            moved = points + field(points)
-        return Pair(take_half(is_in_first & is_used, points), take_half(~is_in_first & is_used, moved), field)
+            candidate_points = points + field(points)
+        return Pair(
+            take_half(is_in_first & is_used, points), take_half(~is_in_first & is_used, candidate_points), field
+        )
 
     return make
 
@@ -214,7 +219,7 @@ def bent_city(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pai
 
 
 def subsidence(depth: float) -> Callable[[int], Pair]:
-    """Return the city, of which 5 % of the area sank."""
+    """Return the city with 5 % of its area lowered."""
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -273,10 +278,10 @@ def true_rms(pair: Pair) -> tuple[float, float]:
     assert pair.bend is not None
     origin = local_origin(pair.reference)
     registration = register(pair.reference, pair.candidate)
-    moved = registration.T_local.apply(pair.candidate.points - origin)
+    registered_points = registration.T_local.apply(pair.candidate.points - origin)
     sides = [
         Side(Surface(Index(points)), np.ones(len(points), dtype=bool), cloud)
-        for points, cloud in ((pair.reference.points - origin, pair.reference), (moved, pair.candidate))
+        for points, cloud in ((pair.reference.points - origin, pair.reference), (registered_points, pair.candidate))
     ]
     pairs = find_pairs(*sides)
     assert pairs is not None

@@ -158,7 +158,7 @@ class Recall(NamedTuple):
 def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
     """Return where a cloud misses textured surface, by the number of images that observe it and by its slant."""
     is_missed = Index(points).query(city.seen).distances > 2 * city.footprint
-    parts = {
+    masks = {
         "3 images": city.views == 3,
         "4 or 5": (city.views > 3) & (city.views < 6),
         "6 or more": city.views > 5,
@@ -168,9 +168,9 @@ def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
     }
     textured_count, missed_count = np.count_nonzero(city.textured), np.count_nonzero(is_missed & city.textured)
     result = {}
-    for name, part in parts.items():
+    for name, mask in masks.items():
         part_count, part_missed = (
-            np.count_nonzero(part & city.textured & selection) for selection in (True, is_missed)
+            np.count_nonzero(mask & city.textured & selection) for selection in (True, is_missed)
         )
         result[name] = Recall(
             part_count / textured_count, 1 - part_missed / max(1, part_count), part_missed / max(1, missed_count)

@@ -15,7 +15,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-# The last digits may differ between machines, because linear algebra libraries add in different order.
+# Results may differ slightly between machines, because linear algebra libraries add in different orders.
 _RELATIVE = 0.01
 _FENCE = re.compile(r"^(?P<fence>`{3,})(?P<info>[^`\n]*)\n(?P<text>.*?)^(?P=fence)[ \t]*$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"<!-- (made by|part of|checked by): (.+?) -->\s*\Z")
@@ -74,19 +74,19 @@ def matches(expected: str, output: str) -> bool:
     """Compare texts: `...` matches anything, white space matches other white space, and numbers match close numbers."""
     expected, output = (" ".join(text.split()) for text in (expected, output))
     pattern, numbers = "", []
-    for part in re.split(rf"(\.\.\.|{_NUMBER})", expected):
-        if part == "...":
+    for token in re.split(rf"(\.\.\.|{_NUMBER})", expected):
+        if token == "...":
             pattern += ".*?"
-        elif re.fullmatch(_NUMBER, part):
+        elif re.fullmatch(_NUMBER, token):
             pattern += f"({_NUMBER})"
-            numbers.append(part)
+            numbers.append(token)
         else:
-            pattern += re.escape(part)
+            pattern += re.escape(token)
     match = re.fullmatch(pattern, output, re.DOTALL)
-    return match is not None and all(map(_near, numbers, match.groups()))
+    return match is not None and all(map(_are_close, numbers, match.groups()))
 
 
-def _near(a: str, b: str) -> bool:
+def _are_close(a: str, b: str) -> bool:
     x, y = (float(text.replace(",", "").replace("−", "-")) for text in (a, b))
     return math.isclose(x, y, rel_tol=_RELATIVE) or abs(x - y) <= 1.01 * 10.0 ** -_decimals(a)
 

@@ -72,12 +72,20 @@ def corpus():
     """Return two small files, as bytes."""
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, (50, 3))
-    plain = dict(zip(XYZ, points.T, strict=True))
-    full = plain | {"intensity": rng.uniform(0, 1, 50), "colorRed": np.arange(50), "colorGreen": np.arange(50)}
-    full |= {"colorBlue": np.arange(50), "cartesianInvalidState": np.arange(50) % 2, "pose": ((1, 0, 0, 0), (1, 2, 3))}
+    points_only = dict(zip(XYZ, points.T, strict=True))
+    all_fields = points_only | {
+        "intensity": rng.uniform(0, 1, 50),
+        "colorRed": np.arange(50),
+        "colorGreen": np.arange(50),
+    }
+    all_fields |= {
+        "colorBlue": np.arange(50),
+        "cartesianInvalidState": np.arange(50) % 2,
+        "pose": ((1, 0, 0, 0), (1, 2, 3)),
+    }
     spherical = dict(zip(RAE, np.abs(points).T, strict=True))
     with tempfile.TemporaryDirectory() as folder:
-        files = {"full": [full, plain], "spherical": [spherical]}
+        files = {"full": [all_fields, points_only], "spherical": [spherical]}
         return {name: write(Path(folder) / f"{name}.e57", scans).read_bytes() for name, scans in files.items()}
 
 

@@ -31,8 +31,8 @@ def corner_map(camera):
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -camera.position[axis] / directions[..., axis]
         points = camera.position + depth[..., None] * directions
-        others = points[..., [other for other in range(3) if other != axis]]
-        is_nearest = (depth > 0) & (depth < nearest) & ((others >= 0) & (others <= corner.SIDE)).all(axis=-1)
+        in_plane = points[..., [other_axis for other_axis in range(3) if other_axis != axis]]
+        is_nearest = (depth > 0) & (depth < nearest) & ((in_plane >= 0) & (in_plane <= corner.SIDE)).all(axis=-1)
         nearest[is_nearest], normals[is_nearest] = depth[is_nearest], np.eye(3)[axis]
     return _map(camera, np.where(np.isfinite(nearest), nearest, 0), normals)
 

@@ -1,7 +1,7 @@
 """Read thousands of damaged files: each gives a cloud, a mesh or a one-line PcbenchError, in bounded memory and time.
 
 `fuzz_worker.run` starts this file as a script in a separate process, so that memory and time are limited by the
-system and a crash is seen: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
+system and a crash is detected: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
 """
 
 import collections
@@ -32,7 +32,7 @@ TEXTS = {
     "semicolons": "x;y;z;nx;ny;nz\r\n" + "1.25; 2; nan; 0; 0; 1\r\n1;2;3;0;1;0\r\n" * 5,
     "tabs": "1\t2\t3\t0.5\n" * 9,
 }
-# Files of each corpus as name -> bytes; the extension is that of the name, or else the corpus.
+# Files of each corpus as name -> bytes. The extension is the name of the corpus; meshes have that of their name.
 CORPORA = {
     "ply": ply_bytes.corpus,
     "las": las_bytes.corpus,
@@ -65,7 +65,7 @@ def damage(data, rng):
         extremes = [0, 1, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1]
         number = rng.choice([float("nan"), float("inf"), 0.0, 1e300] if code == "d" else extremes)
         number_bytes = struct.pack("<d", number) if code == "d" else struct.pack("<Q", number)[: struct.calcsize(code)]
-        # Mostly in the header, or in the chunk table of a LAZ file.
+        # Two thirds of the offsets are in the header or near the end, where LAZ has its chunk table.
         offset = rng.choice([rng.randrange(400), rng.randrange(1, 100) + len(data) - 100, rng.randrange(len(data))])
         data[max(offset, 0) : max(offset, 0) + len(number_bytes)] = number_bytes
     return bytes(data)

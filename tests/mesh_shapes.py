@@ -3,12 +3,12 @@
 import numpy as np
 
 
-def cube(half_size=1.0, centre=(0.0, 0.0, 0.0)):
+def cube(half=1.0, centre=(0.0, 0.0, 0.0)):
     """The cube [-half, half]^3 about its centre."""
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
-    return half_size * corners + np.asarray(centre), np.array(faces)
+    return half * corners + np.asarray(centre), np.array(faces)
 
 
 def tetrahedron():

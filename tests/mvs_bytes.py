@@ -15,9 +15,9 @@ def numbers(code, values):
     return struct.pack(f"<{np.size(values)}{code}", *np.ravel(values).tolist())
 
 
-def items(parts):
-    parts = list(parts)
-    return struct.pack("<Q", len(parts)) + b"".join(parts)
+def items(encoded_items):
+    encoded_items = list(encoded_items)
+    return struct.pack("<Q", len(encoded_items)) + b"".join(encoded_items)
 
 
 def text(name):

@@ -27,7 +27,7 @@ def import_or_skip(module):
 
 
 def break_library(monkeypatch, folder, name, error=NO_LIBUSB):
-    """Shadow a package by one that raises `error` at import, here and in child processes.
+    """Replace a package by one that raises `error` at import, here and in child processes.
 
     Args:
         error: a Python expression; None simulates a library that is not installed.

@@ -1,6 +1,6 @@
 """Slow, plain numpy versions of what pcbench measures: float64, brute force, nothing imported from pcbench or scipy.
 
-They are written from the definitions alone, so that agreement with the production code means something.
+They are written from the definitions alone, so that their agreement with pcbench is evidence.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def nearest(queries, points):
 
 
 def leave_one_out(points):
-    """Distance (N,) from each point to its nearest other point: 0 where it has a duplicate."""
+    """Distance (N,) from each point to its nearest other point: 0 if it has a duplicate."""
     result = np.empty(len(points))
     for start, squared in squared_distance_rows(points, points):
         rows = np.arange(len(squared))
@@ -64,12 +64,12 @@ def normals(points, k):
 
 
 def d1(queries, points):
-    """D1 one way: mean squared distance to the nearest point."""
+    """D1 in one direction: mean squared distance to the nearest point."""
     return float(np.mean(nearest(queries, points)[0] ** 2))
 
 
 def d2(queries, points, point_normals):
-    """D2 one way: mean squared distance to the plane through the nearest point, orthogonal to its normal."""
+    """D2 in one direction: mean squared distance to the plane through the nearest point, orthogonal to its normal."""
     _, indices = nearest(queries, points)
     return float(np.mean(((queries - points[indices]) * point_normals[indices]).sum(axis=1) ** 2))
 

@@ -86,7 +86,7 @@ XYZ = ["x F4", "y F4", "z F4"]
 
 def corpus():
     """Return valid files of all variants, as name -> bytes."""
-    full = [
+    all_fields = [
         "z F8",
         "rgb U4",
         "_ U1 3",
@@ -98,10 +98,10 @@ def corpus():
         "hist F4 4",
         "t U8",
     ]
-    full_rows = [(z, 0xFF102030 + i, 0, 0, 0, y, x, 0.0, 0.0, 1.0, 1.0, 2.0, 3.0, i / 2, 2**60 + i)
+    all_field_rows = [(z, 0xFF102030 + i, 0, 0, 0, y, x, 0.0, 0.0, 1.0, 1.0, 2.0, 3.0, i / 2, 2**60 + i)
             for i, (x, y, z) in enumerate(points(12))]  # fmt: skip
     return {
         f"{data} {name}": pcd(data, fields, rows)
         for data in ("ascii", "binary", "binary_compressed")
-        for name, (fields, rows) in {"plain": (XYZ, points(20)), "full": (full, full_rows)}.items()
+        for name, (fields, rows) in {"plain": (XYZ, points(20)), "full": (all_fields, all_field_rows)}.items()
     }

@@ -5,7 +5,7 @@ import re
 import struct
 
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-# Both naming families, with the struct code of each.
+# The struct code of each type, which has two names.
 TYPES = {
     "char": "b",
     "uchar": "B",

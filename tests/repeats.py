@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.threads import cpu_count
 
-# Settings with which each reconstructor takes seconds, by name.
+# Settings of each reconstructor, by its name, with which it takes seconds.
 FAST_SETTINGS = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},

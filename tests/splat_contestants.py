@@ -137,10 +137,10 @@ class Ours:
             self._kernels.adam(rows, *moments, g.reshape(len(g), -1), self.pulled.ids, 0.0, self._step)
 
     def gradients(self) -> Parameters:
-        full = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
-        for tensor, rows in zip(full, self._gradients, strict=True):
+        result = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
+        for tensor, rows in zip(result, self._gradients, strict=True):
             tensor[self.pulled.ids] = rows
-        return Parameters(*full)
+        return Parameters(*result)
 
 
 class ByAutograd:
@@ -228,14 +228,14 @@ def list_by_tile(splats: Projection, view: View) -> Lists:
     grid = torch.tensor([-(-view.width // TILE), -(-view.height // TILE)], device=device)
     variances = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
     radius = torch.sqrt(2 * torch.log(255 * splats.opacities)[:, None] * variances)
-    first = ((splats.xy - radius) / TILE).floor().long().clamp(min=0)
-    last = torch.minimum(((splats.xy + radius) / TILE).floor().long(), grid - 1)
-    extent = (last - first + 1).clamp(min=0)
+    first_tile = ((splats.xy - radius) / TILE).floor().long().clamp(min=0)
+    last_tile = torch.minimum(((splats.xy + radius) / TILE).floor().long(), grid - 1)
+    extent = (last_tile - first_tile + 1).clamp(min=0)
     count = extent.prod(dim=1)
     owner = torch.repeat_interleave(count)
     rank = torch.arange(len(owner), device=device) - (count.cumsum(0) - count)[owner]
     column, row = rank % extent[owner, 0], rank.div(extent[owner, 0], rounding_mode="floor")
-    tile = (first[owner, 1] + row) * grid[0] + first[owner, 0] + column
+    tile = (first_tile[owner, 1] + row) * grid[0] + first_tile[owner, 0] + column
     order = torch.argsort(tile, stable=True)
     return Lists(owner[order], torch.bincount(tile, minlength=int(grid.prod())), int(grid[0]))
 
@@ -339,12 +339,17 @@ class OpenSplat(ByAutograd):
         self._camera = torch.eye(4)
         self._camera[:3, :3] = torch.from_numpy(view.rotation)
         self._camera[:3, 3] = torch.from_numpy(-view.rotation @ view.position)
-        near, far = 0.001, 1000.0
+        near_plane, far_plane = 0.001, 1000.0
         self._clip = torch.tensor(
             [
                 [2 * view.fx / view.width, 0, 0, 0],
                 [0, 2 * view.fy / view.height, 0, 0],
-                [0, 0, (far + near) / (far - near), -far * near / (far - near)],
+                [
+                    0,
+                    0,
+                    (far_plane + near_plane) / (far_plane - near_plane),
+                    -far_plane * near_plane / (far_plane - near_plane),
+                ],
                 [0, 0, 1, 0],
             ]
         )

@@ -78,8 +78,8 @@ def buildings(along: int, seed: int) -> Draw:
     areas = np.linalg.norm(np.cross(a, b), axis=1)
 
     def draw(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        free = 1 - np.prod(widths, axis=1).sum()
-        on_ground = rng.binomial(count, free / (free + areas.sum()))
+        ground_area = 1 - np.prod(widths, axis=1).sum()
+        on_ground = rng.binomial(count, ground_area / (ground_area + areas.sum()))
         ground = rng.random((8 * on_ground + 64, 2))
         box = np.floor(ground / pitch).astype(int).clip(0, along - 1) @ [along, 1]
         ground = ground[(np.abs(ground - centers[box]) > widths[box] / 2).any(axis=1)][:on_ground]

@@ -91,7 +91,7 @@ DAEMON_CODE = (
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has subreapers")
 @pytest.mark.parametrize("end", ["", "time.sleep(600)", "os.abort()", "os.killpg(0, 9)"])
 def test_daemons_end_with_the_child(script, tmp_path, end):
-    """The daemons have left their session and parent, and ignore SIGTERM."""
+    """The daemons have a new session, no parent, and ignore SIGTERM."""
     pids_file = tmp_path / "pids"
     lines = (*DAEMON_CODE, "import signal", "signal.signal(signal.SIGTERM, signal.SIG_IGN)")
     lines += (f"file = open({str(pids_file)!r}, 'w')", "daemon(file)", "daemon(file)", end)

@@ -102,7 +102,7 @@ WARP_OPERATIONS = [
         " : __shfl_sync(0xffff0000u, __shfl_sync(0xffff0000u, lane, 20) + lane, 17)",
         np.where(LANES < 16, 3, 37),
     ),
-    # 1 if it is rounded once, else 0.
+    # 1 if the fused operation rounds once, else 0.
     ("__fmaf_rn(16777215.0f, 16777215.0f, -281474943156224.0f)", np.ones(64)),
 ]
 

@@ -27,7 +27,7 @@ def test_plan_announces_steps_with_durations():
 
 
 def test_time_left_adapts_to_the_machine():
-    """4 steps of 25 expected seconds on a machine that takes three times as long."""
+    """Four steps with an expected duration of 25 s run on a machine that takes three times as long."""
     estimate = TimeEstimate(0.0)
     for number in range(4):
         now = 75.0 * number

@@ -59,7 +59,7 @@ def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other_process):
     assert len(other_files) == 3
     old_time = time.time() - 10**6
     for path in tmp_path.iterdir():
-        os.utime(path, (old_time, old_time))  # age alone does not make a leftover
+        os.utime(path, (old_time, old_time))  # old files in use are no leftovers
     with check_error(), lock_output(tmp_path / "out"):
         pass
     with atomic_write(tmp_path / "mine.txt") as file:

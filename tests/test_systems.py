@@ -14,7 +14,7 @@ from pcbench import systems
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 
-# Modules that are missing, and names of `os` and `signal`. `sys.platform` is set to the name.
+# Modules and names of `os` and `signal` that the system lacks, and its value of `sys.platform`.
 _MACOS = ("os.sched_getaffinity os.sched_setaffinity os.waitid os.P_PID os.WNOWAIT", "darwin")
 _WINDOWS = (
     "fcntl resource termios pwd grp os.fork os.setsid os.killpg os.waitid os.wait os.wait4 os.P_PID os.WNOWAIT "
@@ -24,7 +24,7 @@ _WINDOWS = (
     "win32",
 )
 
-# Libraries are imported first and subprocess keeps its own names: only pcbench runs on the simulated system.
+# Libraries are imported before names are removed, and subprocess keeps them, so that only pcbench is affected.
 SIMULATION = """
 import ctypes.util, fcntl, importlib, json, multiprocessing, os, pkgutil, platform, shutil, signal, subprocess, sys
 import tempfile, types

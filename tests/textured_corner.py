@@ -54,7 +54,7 @@ def photograph(camera, seed=0):
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -camera.position[axis] / rays[..., axis]
         points = camera.position + depth[..., None] * rays
-        u, v = (points[..., other] / SIDE for other in range(3) if other != axis)
+        u, v = (points[..., other_axis] / SIDE for other_axis in range(3) if other_axis != axis)
         is_visible = (depth > 0) & (depth < nearest) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
         plane = texture(seed + axis)
         image[is_visible] = bilinear(plane, u[is_visible] * (len(plane) - 1), v[is_visible] * (len(plane) - 1))

@@ -10,7 +10,7 @@ from reconstructors.mvs.patchmatch import GrayView
 
 
 class PlaneScene(NamedTuple):
-    views: list  # of View
+    views: list  # of GrayView
     depths: list  # of (H, W) float32
     focal: float
     baseline: float

@@ -1,4 +1,4 @@
-"""Run parts of the suite as on other machines: `python tests/variations.py [NAME ...]`, all variations by default.
+"""Run parts of the test suite as on other machines: `python tests/variations.py [NAME ...]`, all variations by default.
 
 Each variation runs only the tests that depend on it, so all of them take a few minutes on two cores.
 """

@@ -18,7 +18,7 @@ from pcbench.geometry.cameras import nearest_rotation
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.uniform(-5, 5, (200, 3))
-HALF = np.sqrt(0.5)
+SQRT_HALF = np.sqrt(0.5)
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def read(path):
 
 def test_scan_poses_are_applied(pye57, tmp_path):
     # A quarter turn about z, and another about x.
-    poses = [((HALF, 0, 0, HALF), (100, 200, 300)), ((HALF, HALF, 0, 0), (-1, 0, 1))]
+    poses = [((SQRT_HALF, 0, 0, SQRT_HALF), (100, 200, 300)), ((SQRT_HALF, SQRT_HALF, 0, 0), (-1, 0, 1))]
     rotations = [
         nearest_rotation([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
         nearest_rotation([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -68,7 +68,7 @@ def test_colours_intensity_normals_and_invalid_points(pye57, tmp_path):
     scan |= dict(zip(("colorRed", "colorGreen", "colorBlue"), colors.T, strict=True))
     scan |= dict(zip(("nor:normalX", "nor:normalY", "nor:normalZ"), normals.T, strict=True))
     is_valid = np.asarray(scan["cartesianInvalidState"]) == 0
-    scan |= {"limits": (0, 65535), "pose": ((HALF, 0, 0, HALF), (0, 0, 0))}
+    scan |= {"limits": (0, 65535), "pose": ((SQRT_HALF, 0, 0, SQRT_HALF), (0, 0, 0))}
     cloud, notes = read(write(tmp_path / "a.e57", [scan], crs="EPSG:25832"))
     np.testing.assert_array_equal(cloud.colors, np.rint(colors[is_valid] * (255 / 65535)))
     np.testing.assert_array_equal(cloud.attributes["intensity"], (POINTS[:, 0] ** 2)[is_valid])

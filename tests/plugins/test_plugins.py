@@ -271,11 +271,11 @@ if not (workspace / "again").exists():
 return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
 """
     job = ReconstructionJob(plugin(body), scene)
-    first = run(job, tmp_path / "work")
-    assert (first.status, first.log.read_text()) == ("crashed", "slow stage\n")
-    second = run(job, tmp_path / "work")
-    assert (second.status, second.log.read_text()) == ("ok", "")
-    np.testing.assert_array_equal(second.require_reconstruction().cloud.points, POINTS)
+    killed_run = run(job, tmp_path / "work")
+    assert (killed_run.status, killed_run.log.read_text()) == ("crashed", "slow stage\n")
+    resumed_run = run(job, tmp_path / "work")
+    assert (resumed_run.status, resumed_run.log.read_text()) == ("ok", "")
+    np.testing.assert_array_equal(resumed_run.require_reconstruction().cloud.points, POINTS)
 
 
 def test_survey_residuals_are_returned(scene, plugin, tmp_path):

@@ -1,4 +1,4 @@
-"""Stages are made once for the same inputs and code, and again if their files have changed."""
+"""Stages run once for the same inputs and code, and again if their files have changed."""
 
 import json
 import os

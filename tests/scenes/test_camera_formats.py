@@ -84,7 +84,7 @@ def test_transforms_round_trip(photographs):
 
 
 def test_transforms_with_a_field_of_view_and_names_without_extension(photographs):
-    """The synthetic sets of NeRF: camera_angle_x, no size, names without .png."""
+    """As in the synthetic scenes of NeRF: camera_angle_x, no image size, file names without .png."""
     matrix = np.eye(4)
     matrix[:3, 3] = [1, 2, 3]
     document = {
@@ -103,7 +103,7 @@ def test_transforms_with_a_field_of_view_and_names_without_extension(photographs
 
 
 def test_transforms_apply_the_pose(tmp_path):
-    """One point, projected by hand: x right, y up, z backwards."""
+    """The expected pixel is computed from the axes of the format: x right, y up, z backwards."""
     document = {
         "w": 64,
         "h": 48,
@@ -151,10 +151,10 @@ def test_earth_studio_agrees_with_its_authors_conversion():
         pytest.approx(12.2469, abs=1e-3),
     )
     for camera, frame in zip(cameras, frames, strict=True):
-        # The author's axes: x east, y up, z south. A nanometre: the earth's radius has nine digits before that.
+        # The author's axes: x east, y up, z south. The earth's radius of 6.4e6 m limits the precision to about 1e-9 m.
         east, up, south = (frame["position"][axis] for axis in "xyz")
         np.testing.assert_allclose(camera.position, [east, -south, up], atol=1e-8)
-        # Pan counts from north to west, tilt 90 is level, there is no roll.
+        # Pan increases from north to west; a tilt of 90 degrees is level; there is no roll.
         pan = np.radians(frame["rotation"]["pan"])
         np.testing.assert_allclose(camera.direction, [-np.sin(pan), np.cos(pan), 0], atol=2e-4)
         np.testing.assert_allclose(camera.cam_from_world.rotation[1], [0, 0, -1], atol=2e-4)  # image down is down
@@ -174,7 +174,7 @@ def earth_studio_export(rotation, origin, coordinates, *, local):
     for latitude, longitude, altitude in coordinates:
         from_centre = point_on_sphere(latitude, longitude, altitude)
         position = rotation.T @ (from_centre - point_on_sphere(*origin)) if local else from_centre
-        # Looking at the earth's centre, with Rx Ry Rz of the matrix in these axes.
+        # The camera looks at the earth's centre; its angles are those of Rx Ry Rz in these axes.
         forward = -from_centre / np.linalg.norm(from_centre)
         right = np.cross(forward, [0, 0, 1.0])
         right /= np.linalg.norm(right)
@@ -214,14 +214,14 @@ def test_earth_studio_local_and_global_positions_agree(tmp_path, is_rotated):
         results.append(read_earth_studio(path))
     (cameras, origin), (local_cameras, local_origin) = results
     assert tuple(local_origin) == pytest.approx(tuple(origin), abs=1e-8)
-    # 1e-6 m on a sphere of 6.4e6 m: half of float64's digits are left for the fit.
+    # Positions on a sphere of 6.4e6 m leave a precision of about 1e-6 m for the fit of the axes.
     check_cameras(local_cameras, cameras, atol=1e-5)
     np.testing.assert_allclose(cameras[0].position[2], 400, atol=1)  # 500 m above sea level, with the origin at 100 m
     assert cameras[0].direction[2] < -0.999
 
 
 def wgs84_to_enu(coordinates, origin):
-    """East, north and up by PROJ, of rows of latitude, longitude and altitude."""
+    """Convert rows of latitude, longitude and altitude to east, north and up with PROJ."""
     pyproj = import_or_skip("pyproj")
     cartesian = pyproj.Transformer.from_crs(4979, 4978)
     pipeline = f"+proj=topocentric +ellps=WGS84 +lat_0={origin[0]} +lon_0={origin[1]} +h_0={origin[2]}"

@@ -67,7 +67,7 @@ def test_intrinsics_change_the_fingerprint(photographs):
         "50 1 31 0 51 25 0 0 1",
         "-50 0 31 0 51 25 0 0 1",
         "50 0 31 0 51 25 0 0 2",
-        # The centre of 93 x 50, which has another aspect ratio.
+        # The principal point is the centre of 93 x 50 pixels, which is another aspect ratio.
         "50 0 46 0 51 25 0 0 1",
         "0.8 0 0.5 0 0.8 0.5 0 0 1",
         "1 0 31 0 1 25 0 0 1",

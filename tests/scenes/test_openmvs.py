@@ -32,7 +32,7 @@ def test_all_versions_are_read(photographs, version):
     for expected in CAMERAS:
         camera = scene.cameras[expected.name]
         assert camera.intrinsics == K
-        # Nine digits of a rotation's polar factor, of lengths about 5.
+        # Lengths are about 5; the rotation is the polar factor of the stored matrix.
         np.testing.assert_allclose(camera.cam_from_world.matrix, expected.cam_from_world.matrix, atol=1e-12)
     np.testing.assert_array_equal(scene.points.points, POINTS)
     np.testing.assert_array_equal(scene.points.colors, COLORS)

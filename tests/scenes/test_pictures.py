@@ -59,23 +59,23 @@ def test_images_and_depths_agree_with_the_camera(distortion, renderer, tmp_path)
     depth = depth_map(MeshIndex(surface.mesh), camera)
     u, v = np.meshgrid(np.arange(480) + 0.5, np.arange(320) + 0.5)
     sides = zip(square, np.roll(square, -1, axis=0), strict=True)
-    rim = np.concatenate([np.linspace(a, b, 16, endpoint=False) for a, b in sides])
+    outline_samples = np.concatenate([np.linspace(a, b, 16, endpoint=False) for a, b in sides])
     centroid_errors = []
     for centre in centres:
         outline = camera.project(np.concatenate([centre + square, [centre]]))[0]
-        low, high = np.floor(outline.min(axis=0)).astype(int) - 2, np.ceil(outline.max(axis=0)).astype(int) + 2
-        if (low < 0).any() or (high > [480, 320]).any():
+        lower, upper = np.floor(outline.min(axis=0)).astype(int) - 2, np.ceil(outline.max(axis=0)).astype(int) + 2
+        if (lower < 0).any() or (upper > [480, 320]).any():
             continue
-        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        window = np.s_[lower[1] : upper[1], lower[0] : upper[0]]
         weight = image[window]
         image_centroid = np.array([(weight * u[window]).sum(), (weight * v[window]).sum()]) / weight.sum()
-        centroid_errors.append(image_centroid - centroid(camera.project(centre + rim)[0]))
-        # The pixel that holds the centre sees the plate at the height of its plane.
+        centroid_errors.append(image_centroid - centroid(camera.project(centre + outline_samples)[0]))
+        # The depth of the pixel at the centre is that of the plate's plane.
         pixel = np.floor(outline[-1]).astype(int)
         ray = camera.intrinsics.directions(pixel[None] + 0.5)[0] * depth[pixel[1], pixel[0]]
         assert camera.cam_from_world.inverse().apply(ray[None])[0, 2] == pytest.approx(centre[2], abs=2e-5)  # float32
     assert len(centroid_errors) > 20
-    # Sixteen samples a pixel put the outline of one plate to a twentieth of a pixel, all of them to a hundredth.
+    # With sixteen samples per pixel, each centroid is accurate to about 0.05 pixels and their mean to 0.01.
     assert np.abs(centroid_errors).max() < 0.08
     np.testing.assert_allclose(np.mean(centroid_errors, axis=0), 0, atol=0.01)
 
@@ -181,10 +181,11 @@ def test_water_reflects_by_the_law_of_reflection(renderer, tmp_path):
         if abs(height - 12) < 1:
             continue
         target = "wall" if height < 12 else "sky"
-        low, high = np.array([0.86, 0.90, 0.94]), np.array([0.52, 0.68, 0.86])
-        reflected_color = (
-            red if target == "wall" else 255 * (low + cosine * (high - low))
-        )  # at its height above the horizon
+        horizon_color, zenith_color = np.array([0.86, 0.90, 0.94]), np.array([0.52, 0.68, 0.86])
+        sky_color = 255 * (
+            horizon_color + cosine * (zenith_color - horizon_color)
+        )  # at the height of the reflected ray
+        reflected_color = red if target == "wall" else sky_color
         np.testing.assert_array_equal(plain_image[row, 60], water)
         np.testing.assert_allclose(image[row, 60], (1 - reflectance) * water + reflectance * reflected_color, atol=1.5)
         counts[target] += 1
@@ -221,7 +222,7 @@ def test_each_image_has_its_own_gain_and_noise(city, renderer, tmp_path):
     is_unclipped = (a > 30) & (a < 200) & (b > 30) & (b < 200)
     gain = np.median(b[is_unclipped] / a[is_unclipped])
     assert gain != pytest.approx(1, abs=1e-3)
-    # Two images' noise: sqrt(1 + gain^2) of 2 grey levels, and the rounding's 0.29 each.
+    # Each image has noise of 2 grey levels and rounding of 0.29; their difference has sqrt(1 + gain^2) times that.
     assert np.std((b - gain * a)[is_unclipped]) == pytest.approx(np.hypot(2, 0.29) * np.sqrt(1 + gain**2), rel=0.05)
     assert not np.array_equal(b, c)
 

@@ -41,7 +41,7 @@ def test_real_scenes():
     assert fox.read_image("0001.jpg").shape == (480, 270, 3)
     brighton = read_scene(data_folder("brighton"))
     assert len(brighton.gps) == 18
-    # A second reader of the same EXIF block.
+    # Pillow reads the same EXIF block.
     for name, gps in brighton.gps.items():
         with Image.open(brighton.folder / name) as file:
             tags = file.getexif().get_ifd(0x8825)

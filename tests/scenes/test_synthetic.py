@@ -123,7 +123,7 @@ def test_zero_texture_gives_plain_surfaces():
     half_color = Painter(replace(SMALL_CITY, texture=0.5)).paint_town(plan, town_grid).color
     end_colors = plain_painter.paint_town(plan, town_grid).color, rich_painter.paint_town(plan, town_grid).color
     np.testing.assert_allclose(half_color, np.mean(end_colors, axis=0), atol=1e-6)
-    # A lake is not part of the texture: it stays and reflects.
+    # A lake is not part of the texture: it is painted and reflects at zero texture too.
     lakes = lay_out(replace(CitySettings(seed=1), texture=0.0, water=True))
     pond = next(block for block in lakes.blocks if block.kind == "lake")
     u, v = (np.arange(pond.low[a], pond.high[a], 0.5) + 200 for a in (0, 1))
@@ -165,7 +165,7 @@ def test_texels_are_no_larger_than_pixels(monkeypatch):
         rays = k.directions(np.stack([u.ravel(), v.ravel()], axis=1)) @ camera.cam_from_world.rotation
         hits = MeshIndex(city.mesh).cast(camera.position, rays)
         is_surface = (hits.faces >= 0) & (hits.faces < foliage_start)
-        # Edges of charts are of whole texels; texels of slopes are drawn out by the terrain.
+        # A few texels are larger: charts have a whole number of texels, and the terrain stretches texels on slopes.
         assert (texels[hits.faces[is_surface]] < 1.05 * hits.distances[is_surface] / k.fx).mean() > 0.9995
     monkeypatch.setattr(surface, "_MAX_TEXELS", 3e5)  # beyond the memory limit all texels are larger
     sizes = sum(page.size for page in city.pages), sum(page.size for page in build_city(plan, cameras=cameras).pages)
@@ -187,7 +187,7 @@ def test_circles_rig_follows_the_paper():
     assert (positions[:, 2] > 40).all()
     azimuths = np.sort(np.arctan2(*positions[:, 1::-1].T))
     np.testing.assert_allclose(np.diff(azimuths), 2 * np.pi / 70, atol=1e-9)  # from all sides
-    # All look at one point: every axis passes it.
+    # All cameras look at one point.
     target = np.array([0, 0, 20.0])
     for camera in cameras:
         line_of_sight = target - camera.position

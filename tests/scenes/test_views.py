@@ -40,13 +40,13 @@ def test_views_round_trip(folder):
     ]
     assert [view.is_test for view in result.views] == [False, False, True, True]
     for view in result.views:
-        expected, got = view_images(view.name), view.read()
-        np.testing.assert_array_equal(got.photograph, expected.photograph)
-        np.testing.assert_array_equal(got.rendering, np.rint(255 * expected.rendering.clip(0, 1)))
+        expected, images = view_images(view.name), view.read()
+        np.testing.assert_array_equal(images.photograph, expected.photograph)
+        np.testing.assert_array_equal(images.rendering, np.rint(255 * expected.rendering.clip(0, 1)))
         if expected.mask is None:
-            assert got.mask is None
+            assert images.mask is None
         else:
-            np.testing.assert_array_equal(got.mask, expected.mask)
+            np.testing.assert_array_equal(images.mask, expected.mask)
 
 
 def test_views_are_found_in_a_workspace(folder, tmp_path):

@@ -25,10 +25,10 @@ def hills_cloud(count=4000, seed=0, offset=(0, 0, 0)):
     return Cloud(np.stack([x, y, z], axis=1) + offset, normals=normals, unit="m")
 
 
-def affine_residual(before, after):
+def affine_residual(source, target):
     """Return the residual (N, 3) of the best affine map before -> after, by the normal equations."""
-    design = np.column_stack([before - before.mean(axis=0), np.ones(len(before))])
-    return after - design @ np.linalg.solve(design.T @ design, design.T @ after)
+    design = np.column_stack([source - source.mean(axis=0), np.ones(len(source))])
+    return target - design @ np.linalg.solve(design.T @ design, design.T @ target)
 
 
 def warp_from_record(record):
@@ -140,15 +140,15 @@ def test_command_writes_a_cloud_and_its_record(run):
     assert "0.1 RMS" in out
     check_text(out)
     record = json.loads(Path("out.ply.json").read_text())
-    before, after = read_cloud("in.ply"), read_cloud("out.ply")
-    np.testing.assert_array_equal(after.points, warp_from_record(record).apply(before.points))
+    cloud, warped_cloud = read_cloud("in.ply"), read_cloud("out.ply")
+    np.testing.assert_array_equal(warped_cloud.points, warp_from_record(record).apply(cloud.points))
     similarity = Similarity.from_matrix(record["after"])
     assert similarity.scale == pytest.approx(1.1)
-    low, high = before.points.min(axis=0), before.points.max(axis=0)
+    lower, upper = cloud.points.min(axis=0), cloud.points.max(axis=0)
     np.testing.assert_allclose(
-        similarity.motion_at((low + high) / 2).shift, [10, 20, 3]
+        similarity.motion_at((lower + upper) / 2).shift, [10, 20, 3]
     )  # it turns about its own centre
-    residual = affine_residual(before.points, similarity.inverse().apply(after.points))
+    residual = affine_residual(cloud.points, similarity.inverse().apply(warped_cloud.points))
     assert np.sqrt(np.square(residual).sum(axis=1).mean()) == pytest.approx(0.1, rel=1e-9)
     np.testing.assert_allclose(
         similarity_from_angles((0, 0, 90), (0, 0, 0), 1).apply(np.eye(3))[0], [0, 1, 0], atol=1e-15
