@@ -106,18 +106,26 @@ def executed_methods():
     return path.read_text().split() if path.exists() else []
 
 
-def row(method, wall_s, fscore, status="ok", seed=0, **more):
+def row(method, wall_s, fscore, status="ok", seed=0, **extra_entries):
     """Row of bench.json with the entries that tables and fronts use."""
-    scored = {"fscore": fscore, "chamfer": 1 - (fscore or 0)} if status == "ok" else {}
-    return {"method": method, "choices": {}, "seed": seed, "status": status, "wall_s": wall_s, **scored, **more}
+    scores = {"fscore": fscore, "chamfer": 1 - (fscore or 0)} if status == "ok" else {}
+    return {
+        "method": method,
+        "choices": {},
+        "seed": seed,
+        "status": status,
+        "wall_s": wall_s,
+        **scores,
+        **extra_entries,
+    }
 
 
 def reconstruction_in(points, gauge, frame=None, cameras=RIG):
     """Reconstruction in a frame that `frame` maps the true one to."""
     frame = frame or Similarity.identity()
-    moved = {}
+    moved_cameras = {}
     for camera in cameras:
         rotation = camera.cam_from_world.rotation @ frame.rotation.T
         position = frame.apply(camera.position[None])[0]
-        moved[camera.name] = Camera(camera.name, K, Similarity(rotation, -rotation @ position))
-    return Reconstruction(Cloud(frame.apply(points)), gauge, moved)
+        moved_cameras[camera.name] = Camera(camera.name, K, Similarity(rotation, -rotation @ position))
+    return Reconstruction(Cloud(frame.apply(points)), gauge, moved_cameras)

@@ -63,28 +63,28 @@ class Scene:
         areas = patches.areas()
         places, normals = np.empty((0, 3)), np.empty((0, 3))
         while len(places) < points:
-            which = patches.take(rng.choice(len(areas), size=points, p=areas / areas.sum()))
+            triangles = patches.take(rng.choice(len(areas), size=points, p=areas / areas.sum()))
             s, t = rng.random((2, points))
-            fold = (which.triangle == 1) & (s + t > 1)
-            s, t = np.where(fold, 1 - s, s), np.where(fold, 1 - t, t)
-            x = which.corner + s[:, None] * which.u + t[:, None] * which.v
-            n = np.cross(which.u, which.v)
-            kept = (np.abs(x[:, :2]) < SIZE / 2).all(axis=1)
-            places = np.concatenate([places, x[kept]])[:points]
-            normals = np.concatenate([normals, (n / np.linalg.norm(n, axis=1, keepdims=True))[kept]])[:points]
+            is_outside = (triangles.triangle == 1) & (s + t > 1)
+            s, t = np.where(is_outside, 1 - s, s), np.where(is_outside, 1 - t, t)
+            x = triangles.corner + s[:, None] * triangles.u + t[:, None] * triangles.v
+            n = np.cross(triangles.u, triangles.v)
+            is_inside = (np.abs(x[:, :2]) < SIZE / 2).all(axis=1)
+            places = np.concatenate([places, x[is_inside]])[:points]
+            normals = np.concatenate([normals, (n / np.linalg.norm(n, axis=1, keepdims=True))[is_inside]])[:points]
         self.places, self.normals = places, normals
         self.lower, self.side = places.min(axis=0), SIZE / CELLS_ALONG
-        zero, one = np.zeros(points), np.ones(points)
+        zeros, ones = np.zeros(points), np.ones(points)
         self.sums = TileSums.of(
             places,
             normals,
-            zero,
-            one,
-            scales=one,
-            left=zero,
-            apart=zero,
-            quality=one,
-            areas=one,
+            zeros,
+            ones,
+            scales=ones,
+            left=zeros,
+            apart=zeros,
+            quality=ones,
+            areas=ones,
             lower=self.lower,
             side=self.side,
             center=np.zeros(3),
@@ -100,9 +100,9 @@ class Scene:
     def beyond_affine(self, field: np.ndarray) -> np.ndarray:
         """Return the components (N,) along normals of displacements (N, 3) beyond an affine field, scaled to RMS 1."""
         affine = self.columns[:, :4].reshape(len(field), -1)
-        seen = (field * self.normals).sum(axis=1)
-        seen -= affine @ np.linalg.lstsq(affine, seen, rcond=None)[0]
-        return seen / np.sqrt(np.mean(np.square(seen)))
+        along_normals = (field * self.normals).sum(axis=1)
+        along_normals -= affine @ np.linalg.lstsq(affine, along_normals, rcond=None)[0]
+        return along_normals / np.sqrt(np.mean(np.square(along_normals)))
 
     def waves(self, cell: Cell) -> np.ndarray | None:
         """Return random Fourier features (N, 2 F) of the cell's kernel (Rahimi & Recht 2007)."""
@@ -127,17 +127,17 @@ class Scene:
         sums = np.add.reduceat(self.columns[self.order] * residuals[self.order][:, None, None], self.starts)
         energy = np.add.reduceat(np.square(residuals)[self.order], self.starts)
         total = np.einsum("ab,bk->ak", g.to_orthonormal, sums.sum(axis=0)).ravel()
-        left = residuals - self.cubic @ g.fit("cubic", total)
-        one = np.ones(len(left))
-        _, powers = dyadic_moments(self.places, self.normals, left, one, one, self.lower, self.side)
+        remainder = residuals - self.cubic @ g.fit("cubic", total)
+        ones = np.ones(len(remainder))
+        _, powers = dyadic_moments(self.places, self.normals, remainder, ones, ones, self.lower, self.side)
         scores = Scores(g, sums, energy, powers)
         noise = estimate_noise(g, scores)
         return Evaluation(decide([PairEvidence(self.sums, g, scores, noise)]), scores, noise)
 
-    def fitted(self, judged: Evaluation) -> np.ndarray:
+    def fitted(self, evaluation: Evaluation) -> np.ndarray:
         """Return the selected model's displacements (N,) along the normals beyond an affine field."""
-        step = self.geometry.step("affine", judged.finding.model)
-        return self.cubic @ (step.modes @ (step.modes.T @ judged.scores.total))
+        step = self.geometry.step("affine", evaluation.finding.model)
+        return self.cubic @ (step.modes @ (step.modes.T @ evaluation.scores.total))
 
 
 class HalvesScene:
@@ -152,28 +152,28 @@ class HalvesScene:
 
     def __init__(self, cloud: Cloud, noise: float, seed: int) -> None:
         rng = np.random.default_rng(seed)
-        first = rng.random(len(cloud)) < 0.5
+        is_in_first = rng.random(len(cloud)) < 0.5
         points = cloud.points - cloud.points.mean(axis=0)
         self.size = float(np.ptp(points[:, :2], axis=0).max())
         sides = []
         for _ in range(2):
             waves = np.zeros_like(points)
-            # Enough waves that none stands out: a few long waves would be a real bend.
+            # Many waves, so that no single one dominates: a few long waves would be a real deformation.
             for _ in range(10):
                 frequencies, phases = rng.normal(size=(50, 3)) / (self.size / 60), rng.uniform(0, 2 * np.pi, 50)
                 waves += np.cos(points @ frequencies.T + phases) @ rng.normal(0, np.sqrt(2 / 500), (50, 3))
             sides.append(points + noise * waves + rng.normal(0, noise, points.shape))
         self.noise = 2 * noise  # along a normal: two kinds, two halves
-        self._reference = self._half(cloud, sides[0], first)
-        self._candidate = self._half(cloud, sides[1], ~first)
+        self._reference = self._half(cloud, sides[0], is_in_first)
+        self._candidate = self._half(cloud, sides[1], ~is_in_first)
         self._origin = local_origin(self._reference)
         self._surface = Surface(Index(self._reference.points - self._origin))
         _, self._pairs = self._judge(np.zeros_like(self._candidate.points))
 
     @staticmethod
-    def _half(cloud: Cloud, points: np.ndarray, which: np.ndarray) -> Cloud:
+    def _half(cloud: Cloud, points: np.ndarray, is_in_half: np.ndarray) -> Cloud:
         classes = cloud.attributes["classification"]
-        return Cloud(points[which], unit=cloud.unit, attributes={"classification": classes[which]})
+        return Cloud(points[is_in_half], unit=cloud.unit, attributes={"classification": classes[is_in_half]})
 
     def judge(self, kind: str | None, times: float) -> tuple[Deformation, float]:
         """Return the verdict on a bent candidate, and the error of the recovered field as a share of its RMS.
@@ -183,36 +183,38 @@ class HalvesScene:
         """
         if kind is None:
             return self._judge(np.zeros_like(self._candidate.points))[0], 0.0
-        seen, whole = self.shown(kind)
-        scale = times * self.noise / (seen if seen >= MIN_NORMAL_SHARE * whole else whole)
-        found, pairs = self._judge(scale * bends(self._candidate.points, self.size)[kind])
+        rms_along_normals, total_rms = self.shown(kind)
+        scale = (
+            times * self.noise / (rms_along_normals if rms_along_normals >= MIN_NORMAL_SHARE * total_rms else total_rms)
+        )
+        deformation, pairs = self._judge(scale * bends(self._candidate.points, self.size)[kind])
         truth = self._beyond_affine(pairs, scale * bends(pairs.places + self._origin, self.size)[kind])
         sums = tile_sums(pairs)
         geometry = Geometry(sums)
-        step = geometry.step("affine", found.model if found.model in ("quadratic", "cubic") else "cubic")
+        step = geometry.step("affine", deformation.model if deformation.model in ("quadratic", "cubic") else "cubic")
         coefficients = step.modes @ (step.modes.T @ Scores(geometry, sums.scores, sums.energy, sums.powers).total)
         values = geometry.to_orthonormal @ monomials((pairs.places - geometry.center) / geometry.radius)
         fitted = np.einsum("an,ak,nk->n", values, coefficients.reshape(-1, 3), pairs.normals)
         error = np.average(np.square(fitted - truth), weights=pairs.weights)
-        return found, float(np.sqrt(error)) / (times * self.noise)
+        return deformation, float(np.sqrt(error)) / (times * self.noise)
 
     def shown(self, kind: str) -> tuple[float, float]:
         """Return the RMS of a bend beyond an affine field: along the normals of the undeformed pairs, and in total."""
         field, weights = bends(self._pairs.places + self._origin, self.size)[kind], self._pairs.weights
         affine, root = monomials(self._pairs.places)[:4].T, np.sqrt(weights)[:, None]
-        bent = field - affine @ np.linalg.lstsq(affine * root, field * root, rcond=None)[0]
-        squares = np.square(self._beyond_affine(self._pairs, field)), np.square(bent).sum(axis=1)
-        seen, whole = (float(np.sqrt(np.average(square, weights=weights))) for square in squares)
-        return seen, whole
+        residual = field - affine @ np.linalg.lstsq(affine * root, field * root, rcond=None)[0]
+        squares = np.square(self._beyond_affine(self._pairs, field)), np.square(residual).sum(axis=1)
+        rms_along_normals, total_rms = (float(np.sqrt(np.average(square, weights=weights))) for square in squares)
+        return rms_along_normals, total_rms
 
     def _judge(self, field: np.ndarray) -> tuple[Deformation, Pairs]:
         """Return the verdict of `deform`, and the pairs."""
         cloud = Cloud(self._candidate.points + field, unit=self._candidate.unit, attributes=self._candidate.attributes)
         registration = register(self._reference, cloud, target=Target(self._surface))
-        moved = registration.T_local.apply(cloud.points - self._origin)
+        registered_points = registration.T_local.apply(cloud.points - self._origin)
         sides = [
             Side(surface, np.ones(len(surface), dtype=bool), side)
-            for surface, side in ((self._surface, self._reference), (Surface(Index(moved)), cloud))
+            for surface, side in ((self._surface, self._reference), (Surface(Index(registered_points)), cloud))
         ]
         pairs = find_pairs(*sides)
         assert pairs is not None
@@ -222,23 +224,23 @@ class HalvesScene:
     def _beyond_affine(pairs: Pairs, field: np.ndarray) -> np.ndarray:
         affine = np.einsum("an,nk->nak", monomials(pairs.places / np.abs(pairs.places).max())[:4], pairs.normals)
         root = np.sqrt(pairs.weights)
-        columns, seen = affine.reshape(len(field), -1), (field * pairs.normals).sum(axis=1)
-        return seen - columns @ np.linalg.lstsq(columns * root[:, None], seen * root, rcond=None)[0]
+        columns, along_normals = affine.reshape(len(field), -1), (field * pairs.normals).sum(axis=1)
+        return along_normals - columns @ np.linalg.lstsq(columns * root[:, None], along_normals * root, rcond=None)[0]
 
 
 def bends(places: np.ndarray, size: float) -> dict[str, np.ndarray]:
     """Displacements (N, 3) of each kind, of any scale; the scene has the edge `size` and its centre at the origin."""
     x, y, z = (places / (size / 2)).T
-    r2, zero = x**2 + y**2, np.zeros(len(places))
-    along = np.clip(y + 1, 0, None)  # drift starts at one edge and accumulates
+    r2, zeros = x**2 + y**2, np.zeros(len(places))
+    distance = np.clip(y + 1, 0, None)  # drift starts at one edge and accumulates
     waves = np.sin(np.pi * x / 2), np.cos(np.pi * y / 2)
     return {
-        "dome": np.stack([zero, zero, -r2], axis=1),
-        "bowl": np.stack([zero, zero, r2], axis=1),
-        "twist": np.stack([-y * x, x * x, zero], axis=1),
-        "shear with height": np.stack([z * z, zero, zero], axis=1),
-        "radial cubic": np.stack([x * r2, y * r2, zero], axis=1),
-        "strip drift": np.stack([0.3 * along**2, zero, along**3], axis=1),
-        "half wave of a sine": np.stack([zero, zero, waves[0]], axis=1),
-        "half wave of a cosine": np.stack([zero, zero, waves[1]], axis=1),
+        "dome": np.stack([zeros, zeros, -r2], axis=1),
+        "bowl": np.stack([zeros, zeros, r2], axis=1),
+        "twist": np.stack([-y * x, x * x, zeros], axis=1),
+        "shear with height": np.stack([z * z, zeros, zeros], axis=1),
+        "radial cubic": np.stack([x * r2, y * r2, zeros], axis=1),
+        "strip drift": np.stack([0.3 * distance**2, zeros, distance**3], axis=1),
+        "half wave of a sine": np.stack([zeros, zeros, waves[0]], axis=1),
+        "half wave of a cosine": np.stack([zeros, zeros, waves[1]], axis=1),
     }

@@ -18,8 +18,8 @@ def add_noise(points, rng, size=0.02):
 
 def add_dome(points, rms):
     """Return the points, lowered towards the edge by displacements of this RMS."""
-    square = np.square(points[:, :2]).sum(axis=1)
-    lift = square - square.mean()
+    squared_radius = np.square(points[:, :2]).sum(axis=1)
+    lift = squared_radius - squared_radius.mean()
     return points + rms * (lift / lift.std())[:, None] * [0, 0, -1]
 
 
@@ -27,6 +27,6 @@ def verdict(reference, candidate, method="icp", **options):
     return deform(Cloud(reference, unit="m", **options), Cloud(candidate, unit="m"), method)[1]
 
 
-def warning_codes(found):
+def warning_codes(deformation):
     """Return the codes of the warnings."""
-    return [notice.code for notice in found.warnings]
+    return [notice.code for notice in deformation.warnings]

@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-# Files that every report's folder has.
+# Files in each report folder.
 REPORT = {"comparison.json", "metrics.csv", "table.md", "settings.json", "manifest.json"}
 
 _PROGRESS = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)

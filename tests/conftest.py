@@ -25,7 +25,7 @@ from pcbench.errors import MissingExtra
 from pcbench.opengl import NoFiguresError
 from pcbench.scenes.synthetic.render import check_renderer
 
-GOLDEN, RENEWED = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Texts | None]()
+GOLDEN_TEXTS, RENEWED_TEXTS = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Texts | None]()
 
 
 def pytest_addoption(parser):
@@ -69,25 +69,25 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_configure(config):
-    config.stash[GOLDEN] = wording.read()
-    config.stash[RENEWED] = {} if config.getoption("--renew-wording") else None
+    config.stash[GOLDEN_TEXTS] = wording.read()
+    config.stash[RENEWED_TEXTS] = {} if config.getoption("--renew-wording") else None
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    with wording.texts_of(item.nodeid, item.config.stash[GOLDEN], item.config.stash[RENEWED]):
+    with wording.texts_of(item.nodeid, item.config.stash[GOLDEN_TEXTS], item.config.stash[RENEWED_TEXTS]):
         return (yield)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
     """Collect the renewed texts of a pytest-xdist worker that has ended."""
-    if node.config.stash[RENEWED] is not None:
-        node.config.stash[RENEWED] |= node.workeroutput.get("wording", {})
+    if node.config.stash[RENEWED_TEXTS] is not None:
+        node.config.stash[RENEWED_TEXTS] |= node.workeroutput.get("wording", {})
 
 
 def pytest_sessionfinish(session):
-    renewed = session.config.stash[RENEWED]
+    renewed = session.config.stash[RENEWED_TEXTS]
     if renewed is None:
         return
     if hasattr(session.config, "workeroutput"):

@@ -28,54 +28,58 @@ def bay(seed=0):
 
 
 @cache
-def wall(length, number, own, seed):
-    """Paint a facade (HEIGHT, length) of repeated bays, mixed with a share `own` of unique texture."""
+def wall(length, number, unique_share, seed):
+    """Paint a facade (HEIGHT, length) of repeated bays, mixed with the given share of unique texture."""
     image = np.tile(bay(seed), (1, int(length / BAY), 1))
-    mine = texture(1000 * seed + number, 1024)[: image.shape[0], : image.shape[1]]
-    return (1 - own) * image + own * mine
+    unique_texture = texture(1000 * seed + number, 1024)[: image.shape[0], : image.shape[1]]
+    return (1 - unique_share) * image + unique_share * unique_texture
 
 
 @cache
-def floor(own, seed):
+def floor(unique_share, seed):
     paving = np.tile(
         texture(1000 * seed + 50, 512)[:80, :80], (int(DEPTH * _PIXELS) // 80, int(WIDTH * _PIXELS) // 80, 1)
     )
-    return (1 - own) * paving + own * texture(1000 * seed + 51, 1024)[: paving.shape[0], : paving.shape[1]]
+    return (1 - unique_share) * paving + unique_share * texture(1000 * seed + 51, 1024)[
+        : paving.shape[0], : paving.shape[1]
+    ]
 
 
 def cameras(count, intrinsics, inwards=False):
     """Place cameras around the courtyard: near its centre facing outwards, or along the walls facing inwards."""
-    found = []
+    result = []
     for number, a in enumerate(2 * np.pi * np.arange(count) / count):
         direction = np.array([np.cos(a), np.sin(a), 0])
         eye = direction * ([9, 5.5, 0] if inwards else [3, 2, 0]) + [0, 0, 1.7 + 0.3 * (number % 3)]
         target = -direction * [5, 3, 0] if inwards else 20 * direction
-        found.append(Camera(f"{number:03}.png", intrinsics, look_at(eye, target + [0, 0, 3.0])))
-    return found
+        result.append(Camera(f"{number:03}.png", intrinsics, look_at(eye, target + [0, 0, 3.0])))
+    return result
 
 
-def photograph(camera, own=0.15, seed=0):
+def photograph(camera, unique_share=0.15, seed=0):
     """Render the camera's image (height, width, 3), uint8, from inside; above the walls is a plain sky."""
     k = camera.intrinsics
     x, y = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], axis=-1) @ camera.cam_from_world.rotation
     image = np.full((k.height, k.width, 3), 0.8)
     for axis, side, number in ((0, 1, 1), (0, -1, 2), (1, 1, 3), (1, -1, 4), (2, -1, 0)):
-        half = (WIDTH / 2, DEPTH / 2, 0.0)[axis]
+        wall_distance = (WIDTH / 2, DEPTH / 2, 0.0)[axis]
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = (side * half - camera.position[axis]) / rays[..., axis]
+            depth = (side * wall_distance - camera.position[axis]) / rays[..., axis]
             points = camera.position + depth[..., None] * rays
         px, py, pz = points[..., 0], points[..., 1], points[..., 2]
-        inside = (np.abs(px) <= WIDTH / 2 + 1e-9) & (np.abs(py) <= DEPTH / 2 + 1e-9) & (pz >= -1e-9) & (pz <= HEIGHT)
-        seen = (depth > 0) & inside
+        is_on_plane = (
+            (np.abs(px) <= WIDTH / 2 + 1e-9) & (np.abs(py) <= DEPTH / 2 + 1e-9) & (pz >= -1e-9) & (pz <= HEIGHT)
+        )
+        is_visible = (depth > 0) & is_on_plane
         if axis == 2:
-            plane, u, v = floor(own, seed), px + WIDTH / 2, py + DEPTH / 2
+            plane, u, v = floor(unique_share, seed), px + WIDTH / 2, py + DEPTH / 2
         else:
-            along, length = (py, DEPTH) if axis == 0 else (px, WIDTH)
+            coordinate, length = (py, DEPTH) if axis == 0 else (px, WIDTH)
             # u runs from left to right when seen from inside.
-            u = (along * (-side if axis == 0 else side)) + length / 2
-            plane, v = wall(length, number, own, seed), HEIGHT - pz
-        image[seen] = bilinear(plane, u[seen] * _PIXELS - 0.5, v[seen] * _PIXELS - 0.5)
+            u = (coordinate * (-side if axis == 0 else side)) + length / 2
+            plane, v = wall(length, number, unique_share, seed), HEIGHT - pz
+        image[is_visible] = bilinear(plane, u[is_visible] * _PIXELS - 0.5, v[is_visible] * _PIXELS - 0.5)
     return (255 * image).round().astype(np.uint8)
 
 

@@ -42,15 +42,15 @@ def noise(kind: str, points: Floats, spacing: float, rng: np.random.Generator) -
         return np.zeros(len(points))
     if kind == "white":
         return white
-    found = 0.5 * white
+    displacements = 0.5 * white
     if kind == "clusters":  # a random number of hills and hollows of L/30
         for center in points[rng.choice(len(points), rng.poisson(25))]:
             squared = ((points - center) ** 2).sum(axis=1)
-            found += 4.5 * spacing * rng.normal() * np.exp(-squared / (2 / 30**2))
-        return found
+            displacements += 4.5 * spacing * rng.normal() * np.exp(-squared / (2 / 30**2))
+        return displacements
     length = 1 / float(kind.removeprefix("L/"))
     waves, phases = rng.normal(size=(3, 300)) / length, rng.uniform(0, 2 * np.pi, 300)
-    return found + 1.5 * spacing * np.sqrt(2 / 300) * np.cos(points @ waves + phases).sum(axis=1)
+    return displacements + 1.5 * spacing * np.sqrt(2 / 300) * np.cos(points @ waves + phases).sum(axis=1)
 
 
 class Draw(NamedTuple):
@@ -70,20 +70,24 @@ def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
     candidate = candidate + noise(case.noise, candidate, spacing, rng)[:, None] * directions
     prepared = Reference.prepare(Cloud(reference), Settings())
     index, normals = Index(candidate - prepared.origin), prepared.surface.compute_normals(None)
-    forth, back = match_both_directions(prepared.index, index)
-    ways = []
-    for queries, matches, searched, closest in (
-        (index.points, forth, prepared.points, forth.indices),
-        (prepared.points, back, index.points, np.arange(len(reference))),
+    candidate_matches, reference_matches = match_both_directions(prepared.index, index)
+    both_directions = []
+    for queries, matches, targets, reference_rows in (
+        (index.points, candidate_matches, prepared.points, candidate_matches.indices),
+        (prepared.points, reference_matches, index.points, np.arange(len(reference))),
     ):
-        planes = ((queries - searched[matches.indices]) * normals[closest]).sum(axis=1)
-        none = dict.fromkeys(("d1_mse", "d2_mse", "mean_distance"))
-        ways.append(Direction(queries, Distances(matches.distances, planes), none, prepared.cells.of_point[closest]))
-    found = measure(*ways, (1.5 * spacing,), cells=prepared.cells, voxel=0.1, corner=np.zeros(3), origin=np.zeros(3))
-    estimates = [found.metrics.directed[metric][way] for metric, way in SCORES[:-1]]
-    estimates.append(found.metrics.fscores[0].precision)
+        planes = ((queries - targets[matches.indices]) * normals[reference_rows]).sum(axis=1)
+        no_floors = dict.fromkeys(("d1_mse", "d2_mse", "mean_distance"))
+        both_directions.append(
+            Direction(queries, Distances(matches.distances, planes), no_floors, prepared.cells.of_point[reference_rows])
+        )
+    scores = measure(
+        *both_directions, (1.5 * spacing,), cells=prepared.cells, voxel=0.1, corner=np.zeros(3), origin=np.zeros(3)
+    )
+    estimates = [scores.metrics.directed[metric][direction] for metric, direction in SCORES[:-1]]
+    estimates.append(scores.metrics.fscores[0].precision)
     rows = [(e.value, e.interval.low, e.interval.high) for e in estimates if e.interval is not None]
-    return Draw(*np.array(rows, float).T), found.warnings
+    return Draw(*np.array(rows, float).T), scores.warnings
 
 
 class Coverage(NamedTuple):
@@ -101,7 +105,7 @@ def coverage(case: Case, runs: int) -> Coverage:
     draws = [draw(case, run)[0] for run in range(runs)]
     values, low, high = (np.array(rows) for rows in zip(*draws, strict=True))
     truth = values.mean(axis=0)
-    slack = 1e-12 * np.abs(truth)
-    inside = (low <= truth + slack) & (truth - slack <= high)
-    wanted = 2 * 1.96 * values.std(axis=0, ddof=1)
-    return Coverage(inside.mean(axis=0), (high - low).mean(axis=0) / np.maximum(wanted, 1e-300))
+    tolerance = 1e-12 * np.abs(truth)
+    is_covered = (low <= truth + tolerance) & (truth - tolerance <= high)
+    expected_widths = 2 * 1.96 * values.std(axis=0, ddof=1)
+    return Coverage(is_covered.mean(axis=0), (high - low).mean(axis=0) / np.maximum(expected_widths, 1e-300))

@@ -122,25 +122,25 @@ def build(kernel: Kernel) -> Path:
     )
     text = "\n".join((*lines, ""))
     headers = [file.read_text() for file in sorted(_HEADERS.glob("*.h"))]
-    name = hashlib.sha256(repr((text, headers, flags)).encode()).hexdigest()[:24]
-    library = _BUILD / f"{kernel.name}-{name}.so"
+    digest = hashlib.sha256(repr((text, headers, flags)).encode()).hexdigest()[:24]
+    library = _BUILD / f"{kernel.name}-{digest}.so"
     if not library.exists():
         _BUILD.mkdir(parents=True, exist_ok=True)
-        scratch = library.with_suffix(f".{os.getpid()}.tmp")
-        done = subprocess.run(
-            ["g++", *flags, "-x", "c++", "-", "-o", scratch], input=text, text=True, capture_output=True
+        temporary_file = library.with_suffix(f".{os.getpid()}.tmp")
+        process = subprocess.run(
+            ["g++", *flags, "-x", "c++", "-", "-o", temporary_file], input=text, text=True, capture_output=True
         )
-        assert done.returncode == 0, done.stderr
-        scratch.replace(library)
+        assert process.returncode == 0, process.stderr
+        temporary_file.replace(library)
     return library
 
 
 @contextmanager
 def nan_filled_memory() -> Iterator[None]:
-    """Fill new tensors with NaN meanwhile, so that a read before the first write is visible."""
-    before = torch.are_deterministic_algorithms_enabled()
+    """Fill new tensors with NaN in this context, so that a read before the first write is visible."""
+    was_deterministic = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(True)
     try:
         yield
     finally:
-        torch.use_deterministic_algorithms(before)
+        torch.use_deterministic_algorithms(was_deterministic)

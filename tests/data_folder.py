@@ -19,7 +19,7 @@ def data_folder(name: str) -> Path:
 
 
 def data_root() -> Path | None:
-    if given := os.environ.get("PCBENCH_DATA"):
-        return Path(given)
-    beside = ROOT.parent / "shared" / "data"
-    return beside if beside.is_dir() else None
+    if folder := os.environ.get("PCBENCH_DATA"):
+        return Path(folder)
+    default_folder = ROOT.parent / "shared" / "data"
+    return default_folder if default_folder.is_dir() else None

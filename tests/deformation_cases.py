@@ -1,4 +1,4 @@
-"""Pairs of clouds whose deformation is known: none at all, a bend, a part that moved; for tests and benchmarks.
+"""Pairs of clouds with a known deformation: none, a smooth bend, or a moved part; for tests and benchmarks.
 
 Scenes: a city of boxes, rolling terrain, a forest, and real clouds cut into random halves. Noise: white, and correlated
 displacements of the candidate's points along each axis, even or uneven over the scene.
@@ -29,7 +29,7 @@ Points = np.ndarray
 class Pair(NamedTuple):
     reference: Cloud
     candidate: Cloud
-    bend: Callable[[Points], Points] | None = None  # displacement (N, 3) that was put into the candidate at (N, 3)
+    bend: Callable[[Points], Points] | None = None  # displacements (N, 3) of the candidate at positions (N, 3)
 
 
 def correlated_noise(points: Points, length: float, rng: np.random.Generator, kernel: str = "gauss") -> Points:
@@ -38,19 +38,19 @@ def correlated_noise(points: Points, length: float, rng: np.random.Generator, ke
     They are correlated as exp(-d^2 / 2 l^2) ("gauss") or, as a sum of such, about as exp(-d / l) ("exp").
     """
     if kernel == "exp":
-        parts = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
-        fields = [np.sqrt(share) * correlated_noise(points, scale * length, rng) for share, scale in parts]
+        components = [(0.45, 0.5), (0.35, 1.2), (0.2, 2.5)]  # share and length
+        fields = [np.sqrt(share) * correlated_noise(points, scale * length, rng) for share, scale in components]
         return np.sum(fields, axis=0)
     lower = points.min(axis=0) - 4 * length
     step = length / 2.5
     shape = np.ceil((np.ptp(points, axis=0) + 8 * length) / step).astype(int) + 2
-    at = ((points - lower) / step).T
-    found = np.empty_like(points)
+    grid_positions = ((points - lower) / step).T
+    displacements = np.empty_like(points)
     for axis in range(3):
         grid = rng.normal(size=shape).astype(np.float32)
         grid = ndimage.gaussian_filter(grid, 2.5 / np.sqrt(2), mode="wrap", truncate=4)
-        found[:, axis] = ndimage.map_coordinates(grid / grid.std(), at, order=1)
-    return found / found.std()
+        displacements[:, axis] = ndimage.map_coordinates(grid / grid.std(), grid_positions, order=1)
+    return displacements / displacements.std()
 
 
 def add_noise(
@@ -59,15 +59,16 @@ def add_noise(
     """Add white and correlated noise of `SIGMA` each; `uneven` is the ratio of its largest to its smallest size."""
     size = np.ones(len(points))
     if uneven != 1.0:
-        way = rng.normal(size=2) / SIZE
+        direction = rng.normal(size=2) / SIZE
         wave = np.sin(
-            2 * np.pi * (points[:, :2] @ (way / np.linalg.norm(way))) / SIZE * rng.uniform(0.5, 1.2) + rng.uniform(0, 6)
+            2 * np.pi * (points[:, :2] @ (direction / np.linalg.norm(direction))) / SIZE * rng.uniform(0.5, 1.2)
+            + rng.uniform(0, 6)
         )
         size = uneven ** (0.5 * wave)
-    e = rng.normal(0, SIGMA, points.shape)
+    noise = rng.normal(0, SIGMA, points.shape)
     if length:
-        e += SIGMA * correlated_noise(points, length, rng, kernel)
-    return points + size[:, None] * e
+        noise += SIGMA * correlated_noise(points, length, rng, kernel)
+    return points + size[:, None] * noise
 
 
 def city_points(count: int, rng: np.random.Generator, seed: int) -> Points:
@@ -95,13 +96,15 @@ def forest_points(count: int, rng: np.random.Generator, seed: int, size: float =
     def ground(xy: Points) -> Points:
         return 3 * np.sin(xy[:, 0] / 25) * np.cos(xy[:, 1] / 31) + 0.05 * xy[:, 0]
 
-    below = rng.uniform(-size / 2, size / 2, (count // 4, 2))
-    under = np.column_stack([below, ground(below) + rng.normal(0, 0.05, len(below))])
-    which = rng.choice(trees, count - len(below), p=radius**2 / (radius**2).sum())
-    unit = rng.normal(size=(len(which), 3))
-    unit *= (rng.random(len(which)) ** (1 / 4) / np.linalg.norm(unit, axis=1))[:, None]  # denser outside
-    centre = np.column_stack([stems, ground(stems) + 0.65 * height])[which]
-    return np.concatenate([under, centre + unit * np.column_stack([radius, radius, 0.35 * height])[which]])
+    ground_xy = rng.uniform(-size / 2, size / 2, (count // 4, 2))
+    ground_points = np.column_stack([ground_xy, ground(ground_xy) + rng.normal(0, 0.05, len(ground_xy))])
+    tree_rows = rng.choice(trees, count - len(ground_xy), p=radius**2 / (radius**2).sum())
+    offsets = rng.normal(size=(len(tree_rows), 3))
+    offsets *= (rng.random(len(tree_rows)) ** (1 / 4) / np.linalg.norm(offsets, axis=1))[:, None]  # denser outside
+    centre = np.column_stack([stems, ground(stems) + 0.65 * height])[tree_rows]
+    return np.concatenate(
+        [ground_points, centre + offsets * np.column_stack([radius, radius, 0.35 * height])[tree_rows]]
+    )
 
 
 def metric_cloud(points: Points) -> Cloud:
@@ -156,24 +159,31 @@ def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0
         cloud = read_cloud(data_folder(folder) / file)
         rng = np.random.default_rng(seed)
         points = cloud.points
-        keep = cloud.attributes["classification"] == 2 if ground else np.ones(len(points), bool)
-        first = rng.random(len(points)) < 0.5
+        is_used = cloud.attributes["classification"] == 2 if ground else np.ones(len(points), bool)
+        is_in_first = rng.random(len(points)) < 0.5
         classes = cloud.attributes["classification"]
 
-        def part(which: np.ndarray, moved: Points) -> Cloud:
-            return Cloud(moved[which], unit=cloud.unit, crs=cloud.crs, attributes={"classification": classes[which]})
+        def take_half(is_in_half: np.ndarray, candidate_points: Points) -> Cloud:
+            return Cloud(
+                candidate_points[is_in_half],
+                unit=cloud.unit,
+                crs=cloud.crs,
+                attributes={"classification": classes[is_in_half]},
+            )
 
-        moved, field = points, None
+        candidate_points, field = points, None
         if bend:
-            centre, half = points.mean(axis=0), 0.5 * np.ptp(points[:, :2], axis=0).max()
+            centre, half_size = points.mean(axis=0), 0.5 * np.ptp(points[:, :2], axis=0).max()
 
             def field(places: Points) -> Points:
-                x, y = ((places - centre) / half)[:, :2].T
+                x, y = ((places - centre) / half_size)[:, :2].T
                 shape = x**3 - 1.5 * x * y**2 + 0.5 * x * y
                 return bend * np.stack([0 * x, 0 * x, shape / 0.45], axis=1)
 
-            moved = points + field(points)
-        return Pair(part(first & keep, points), part(~first & keep, moved), field)
+            candidate_points = points + field(points)
+        return Pair(
+            take_half(is_in_first & is_used, points), take_half(~is_in_first & is_used, candidate_points), field
+        )
 
     return make
 
@@ -194,22 +204,22 @@ def bent_city(kind: str, times: float, ratio: float = 50) -> Callable[[int], Pai
         surface = city_points(40_000, rng, seed % 5)
         scale = times * SIGMA * np.sqrt(2)
 
-        def unit(places: Points) -> Points:
+        def unit_displacements(places: Points) -> Points:
             x, y = (places[:, :2] / (SIZE / 2)).T
             return np.stack(fields[kind](x, y, places[:, 2] / 20), axis=1)
 
-        amplitude = scale / float(np.sqrt(np.mean(np.square(unit(surface)).sum(axis=1))))
+        amplitude = scale / float(np.sqrt(np.mean(np.square(unit_displacements(surface)).sum(axis=1))))
         return Pair(
             metric_cloud(reference),
-            metric_cloud(add_noise(surface + amplitude * unit(surface), rng, SIZE / ratio)),
-            lambda places: amplitude * unit(places),
+            metric_cloud(add_noise(surface + amplitude * unit_displacements(surface), rng, SIZE / ratio)),
+            lambda places: amplitude * unit_displacements(places),
         )
 
     return make
 
 
 def subsidence(depth: float) -> Callable[[int], Pair]:
-    """Return the city, of which 5 % of the area sank."""
+    """Return the city with 5 % of its area lowered."""
 
     def make(seed: int) -> Pair:
         rng = np.random.default_rng(seed)
@@ -230,8 +240,8 @@ def moved_block(shift: tuple[float, float, float]) -> Callable[[int], Pair]:
         pair = null_city(40_000, 50)(seed)
         points = pair.candidate.points.copy()
         lower = 50.0 * rng.integers(-3, 3, 2) + 5
-        inside = ((points[:, :2] > lower) & (points[:, :2] < lower + 40)).all(axis=1) & (points[:, 2] > 4)
-        points[inside] += shift
+        is_in_block = ((points[:, :2] > lower) & (points[:, :2] < lower + 40)).all(axis=1) & (points[:, 2] > 4)
+        points[is_in_block] += shift
         return Pair(pair.reference, metric_cloud(points))
 
     return make
@@ -254,8 +264,8 @@ def turned_city(degrees: float) -> Callable[[int], Pair]:
     def make(seed: int) -> Pair:
         pair = null_city(40_000, 50)(seed)
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        return Pair(pair.reference, metric_cloud(pair.candidate.points @ turn.T))
+        rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Pair(pair.reference, metric_cloud(pair.candidate.points @ rotation.T))
 
     return make
 
@@ -268,24 +278,26 @@ def true_rms(pair: Pair) -> tuple[float, float]:
     assert pair.bend is not None
     origin = local_origin(pair.reference)
     registration = register(pair.reference, pair.candidate)
-    moved = registration.T_local.apply(pair.candidate.points - origin)
+    registered_points = registration.T_local.apply(pair.candidate.points - origin)
     sides = [
         Side(Surface(Index(points)), np.ones(len(points), dtype=bool), cloud)
-        for points, cloud in ((pair.reference.points - origin, pair.reference), (moved, pair.candidate))
+        for points, cloud in ((pair.reference.points - origin, pair.reference), (registered_points, pair.candidate))
     ]
     pairs = find_pairs(*sides)
     assert pairs is not None
     nearest = sides[1].surface.index.query(pairs.places).indices.reshape(-1)
-    seen = (pair.bend(pair.candidate.points[nearest]) * pairs.normals).sum(axis=1)
-    affine = np.hstack([np.ones((len(seen), 1)), pairs.places / np.abs(pairs.places).max()])
-    columns = (pairs.normals[:, :, None] * affine[:, None]).reshape(len(seen), -1)
+    along_normals = (pair.bend(pair.candidate.points[nearest]) * pairs.normals).sum(axis=1)
+    affine = np.hstack([np.ones((len(along_normals), 1)), pairs.places / np.abs(pairs.places).max()])
+    columns = (pairs.normals[:, :, None] * affine[:, None]).reshape(len(along_normals), -1)
 
-    def beyond(weights: np.ndarray) -> float:
+    def rms_beyond_affine(weights: np.ndarray) -> float:
         root = np.sqrt(weights)
-        left = seen - columns @ np.linalg.lstsq(columns * root[:, None], seen * root, rcond=None)[0]
-        return float(np.sqrt(np.average(np.square(left), weights=weights)))
+        residual = (
+            along_normals - columns @ np.linalg.lstsq(columns * root[:, None], along_normals * root, rcond=None)[0]
+        )
+        return float(np.sqrt(np.average(np.square(residual), weights=weights)))
 
-    return beyond(pairs.weights), beyond(pairs.areas)
+    return rms_beyond_affine(pairs.weights), rms_beyond_affine(pairs.areas)
 
 
 NULLS: dict[str, Callable[[int], Pair]] = {

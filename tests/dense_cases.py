@@ -69,24 +69,24 @@ def read_city(folder: Path) -> City:
     cosines = np.zeros((MIN_VISIBLE_VIEWS, len(samples)))  # the largest, in ascending order
     for name in scene.images:
         camera = scene.cameras[name]
-        here = np.flatnonzero(sees(index, camera, samples.points, samples.normals))
-        column, row = camera.project(samples.points[here])[0].astype(int).T
-        lines = camera.position - samples.points[here]
-        cosine = np.einsum("ni,ni->n", lines, samples.normals[here]) / np.linalg.norm(lines, axis=1)
-        cosines[:, here] = np.sort([*cosines[:, here], cosine], axis=0)[1:]
-        view_counts[here] += 1
-        textured[here] += (
+        visible_rows = np.flatnonzero(sees(index, camera, samples.points, samples.normals))
+        column, row = camera.project(samples.points[visible_rows])[0].astype(int).T
+        sight_lines = camera.position - samples.points[visible_rows]
+        cosine = np.einsum("ni,ni->n", sight_lines, samples.normals[visible_rows]) / np.linalg.norm(sight_lines, axis=1)
+        cosines[:, visible_rows] = np.sort([*cosines[:, visible_rows], cosine], axis=0)[1:]
+        view_counts[visible_rows] += 1
+        textured[visible_rows] += (
             deviations(np.asarray(Image.open(scene.folder / name).convert("L")))[row, column] > MAX_FLAT_STD
         )
-    seen = view_counts >= MIN_VISIBLE_VIEWS
-    slant = np.degrees(np.arccos(np.clip(cosines[0, seen], 0, 1)))
+    is_seen = view_counts >= MIN_VISIBLE_VIEWS
+    slant = np.degrees(np.arccos(np.clip(cosines[0, is_seen], 0, 1)))
     return City(
         folder,
         truth,
         index,
-        samples.points[seen],
-        textured[seen] >= MIN_VISIBLE_VIEWS,
-        view_counts[seen],
+        samples.points[is_seen],
+        textured[is_seen] >= MIN_VISIBLE_VIEWS,
+        view_counts[is_seen],
         slant,
         footprint,
     )
@@ -134,9 +134,11 @@ def score_cloud(city: City, points: np.ndarray) -> CloudScore:
     def shares(distances: np.ndarray) -> np.ndarray:
         return np.array([np.mean(distances <= limit) if len(distances) else np.nan for limit in limits])
 
-    there, back = city.index.query(points).distances, Index(points).query(city.seen).distances
-    recall = [shares(back[which]) for which in (np.ones(len(back), bool), city.textured, ~city.textured)]
-    return CloudScore(len(points), shares(there), *recall, float(np.mean(~city.textured)))
+    to_surface, to_cloud = city.index.query(points).distances, Index(points).query(city.seen).distances
+    recall = [
+        shares(to_cloud[is_selected]) for is_selected in (np.ones(len(to_cloud), bool), city.textured, ~city.textured)
+    ]
+    return CloudScore(len(points), shares(to_surface), *recall, float(np.mean(~city.textured)))
 
 
 class Recall(NamedTuple):
@@ -150,13 +152,13 @@ class Recall(NamedTuple):
 
     share: float
     recall: float
-    recall_by_view: float
+    missed: float
 
 
 def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
     """Return where a cloud misses textured surface, by the number of images that observe it and by its slant."""
-    away = Index(points).query(city.seen).distances > 2 * city.footprint
-    parts = {
+    is_missed = Index(points).query(city.seen).distances > 2 * city.footprint
+    masks = {
         "3 images": city.views == 3,
         "4 or 5": (city.views > 3) & (city.views < 6),
         "6 or more": city.views > 5,
@@ -164,12 +166,16 @@ def recall_by_view(city: City, points: np.ndarray) -> dict[str, Recall]:
         "60 to 75": (city.slant >= 60) & (city.slant < 75),
         "above 75": city.slant >= 75,
     }
-    total, missing = np.count_nonzero(city.textured), np.count_nonzero(away & city.textured)
-    found = {}
-    for name, part in parts.items():
-        whole, here = (np.count_nonzero(part & city.textured & which) for which in (True, away))
-        found[name] = Recall(whole / total, 1 - here / max(1, whole), here / max(1, missing))
-    return found
+    textured_count, missed_count = np.count_nonzero(city.textured), np.count_nonzero(is_missed & city.textured)
+    result = {}
+    for name, mask in masks.items():
+        part_count, part_missed = (
+            np.count_nonzero(mask & city.textured & selection) for selection in (True, is_missed)
+        )
+        result[name] = Recall(
+            part_count / textured_count, 1 - part_missed / max(1, part_count), part_missed / max(1, missed_count)
+        )
+    return result
 
 
 class MapScore(NamedTuple):
@@ -219,36 +225,38 @@ class Pixels(NamedTuple):
 def score_maps(city: City, workspace: Path) -> MapScore:
     """Score the maps in the workspace of `mvs`, at any image size, against rays through the mesh."""
     cameras = read_colmap_cameras(workspace / MAPS)
-    each = [_pixels(city, camera, workspace) for camera in cameras]
-    of = Pixels(*(np.concatenate([values.ravel() for values in column]) for column in zip(*each, strict=True)))
-    plain = of.plain & of.city
+    pixels_by_camera = [_pixels(city, camera, workspace) for camera in cameras]
+    pixels = Pixels(
+        *(np.concatenate([values.ravel() for values in column]) for column in zip(*pixels_by_camera, strict=True))
+    )
+    is_plain = pixels.plain & pixels.city
     return MapScore(
-        known=float(np.mean(of.known[of.city])),
-        depth=np.percentile(of.errors[of.known], [50, 90, 95, 99], method="lower"),
+        known=float(np.mean(pixels.known[pixels.city])),
+        depth=np.percentile(pixels.errors[pixels.known], [50, 90, 95, 99], method="lower"),
         # A depth far from all faces has no true normal.
-        normal=float(np.median(of.angles[of.known & of.city & ~of.far])),
-        plain=_share(of.plain, of.city),
-        plain_known=_share(of.known, plain),
-        plain_wrong=_share(of.far, plain & of.known),
-        sky_known=_share(of.known, of.sky),
+        normal=float(np.median(pixels.angles[pixels.known & pixels.city & ~pixels.far])),
+        plain=_share(pixels.plain, pixels.city),
+        plain_known=_share(pixels.known, is_plain),
+        plain_wrong=_share(pixels.far, is_plain & pixels.known),
+        sky_known=_share(pixels.known, pixels.sky),
     )
 
 
-def _share(which: np.ndarray, among: np.ndarray) -> float:
-    return float(np.mean(which[among])) if among.any() else float("nan")
+def _share(condition: np.ndarray, selection: np.ndarray) -> float:
+    return float(np.mean(condition[selection])) if selection.any() else float("nan")
 
 
 def _pixels(city: City, camera: Camera, workspace: Path) -> Pixels:
-    depth_map, true, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
+    depth_map, true_map, k = read_map(workspace / MAPS / camera.name), mesh_map(camera, city.index), camera.intrinsics
     with Image.open(workspace / VIEWS / camera.name / IMAGE) as image:
-        plain = deviations(np.asarray(image.convert("L"))) <= MAX_FLAT_STD
+        is_plain = deviations(np.asarray(image.convert("L"))) <= MAX_FLAT_STD
     row, column = np.nonzero(depth_map.known)
     depth = depth_map.depth[row, column].astype(float)
     points = world_points(camera, np.stack([column + 0.5, row + 0.5], axis=1), depth)
-    far = np.zeros(depth_map.depth.shape, dtype=bool)
-    far[row, column] = city.index.query(points).distances > MIN_WRONG_FOOTPRINTS * depth / k.fx
-    on_city = true.depth > 0
+    is_far = np.zeros(depth_map.depth.shape, dtype=bool)
+    is_far[row, column] = city.index.query(points).distances > MIN_WRONG_FOOTPRINTS * depth / k.fx
+    on_city = true_map.depth > 0
     errors = np.full(on_city.shape, np.inf)
-    errors[on_city] = np.abs(depth_map.depth - true.depth)[on_city] / (true.depth[on_city] / k.fx)
-    angles = np.degrees(np.arccos(np.clip(np.einsum("hwi,hwi->hw", depth_map.normal, true.normal), -1, 1)))
-    return Pixels(on_city, ~maximum_filter(on_city, WINDOW), depth_map.known, plain, errors, far, angles)
+    errors[on_city] = np.abs(depth_map.depth - true_map.depth)[on_city] / (true_map.depth[on_city] / k.fx)
+    angles = np.degrees(np.arccos(np.clip(np.einsum("hwi,hwi->hw", depth_map.normal, true_map.normal), -1, 1)))
+    return Pixels(on_city, ~maximum_filter(on_city, WINDOW), depth_map.known, is_plain, errors, is_far, angles)

@@ -15,7 +15,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-# The last digits may differ between machines, because linear algebra libraries add in different order.
+# Results may differ slightly between machines, because linear algebra libraries add in different orders.
 _RELATIVE = 0.01
 _FENCE = re.compile(r"^(?P<fence>`{3,})(?P<info>[^`\n]*)\n(?P<text>.*?)^(?P=fence)[ \t]*$", re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"<!-- (made by|part of|checked by): (.+?) -->\s*\Z")
@@ -36,15 +36,15 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     """Return the blocks of a page."""
-    markdown, found, end = page.read_text(), [], -1
+    markdown, result, end = page.read_text(), [], -1
     for match in _FENCE.finditer(markdown):
-        before, info = markdown[: match.start()], match["info"].strip()
+        preceding_text, info = markdown[: match.start()], match["info"].strip()
         title = re.search(r'title="([^"]+)"', info)
-        mark = _MARK.search(before)
+        mark = _MARK.search(preceding_text)
         follows = end >= 0 and not markdown[end : match.start()].strip()
-        found.append(
+        result.append(
             Block(
-                line=before.count("\n") + 1,
+                line=preceding_text.count("\n") + 1,
                 language=info.split()[0] if info else "",
                 title=title and title[1],
                 mark=mark and (mark[1], mark[2]),
@@ -53,40 +53,40 @@ def blocks(page: Path) -> list[Block]:
             )
         )
         end = match.end()
-    return found
+    return result
 
 
 def commands(block: Block) -> list[tuple[str, str]]:
     """Return the commands of a console block and the text below each of them."""
-    found: list[tuple[str, list[str]]] = []
+    result: list[tuple[str, list[str]]] = []
     for line in block.text.splitlines():
         if line.startswith("$ "):
-            found.append((line[2:], []))
-        elif found and found[-1][0].endswith("\\"):
-            found[-1] = (found[-1][0][:-1] + line.strip(), [])
+            result.append((line[2:], []))
+        elif result and result[-1][0].endswith("\\"):
+            result[-1] = (result[-1][0][:-1] + line.strip(), [])
         else:
-            assert found, f"expected a console block that starts with '$ ', got {line!r}"
-            found[-1][1].append(line)
-    return [(command, "\n".join(lines)) for command, lines in found]
+            assert result, f"expected a console block that starts with '$ ', got {line!r}"
+            result[-1][1].append(line)
+    return [(command, "\n".join(lines)) for command, lines in result]
 
 
-def matches(shown: str, printed: str) -> bool:
+def matches(expected: str, output: str) -> bool:
     """Compare texts: `...` matches anything, white space matches other white space, and numbers match close numbers."""
-    shown, printed = (" ".join(text.split()) for text in (shown, printed))
+    expected, output = (" ".join(text.split()) for text in (expected, output))
     pattern, numbers = "", []
-    for part in re.split(rf"(\.\.\.|{_NUMBER})", shown):
-        if part == "...":
+    for token in re.split(rf"(\.\.\.|{_NUMBER})", expected):
+        if token == "...":
             pattern += ".*?"
-        elif re.fullmatch(_NUMBER, part):
+        elif re.fullmatch(_NUMBER, token):
             pattern += f"({_NUMBER})"
-            numbers.append(part)
+            numbers.append(token)
         else:
-            pattern += re.escape(part)
-    match = re.fullmatch(pattern, printed, re.DOTALL)
-    return match is not None and all(map(_near, numbers, match.groups()))
+            pattern += re.escape(token)
+    match = re.fullmatch(pattern, output, re.DOTALL)
+    return match is not None and all(map(_are_close, numbers, match.groups()))
 
 
-def _near(a: str, b: str) -> bool:
+def _are_close(a: str, b: str) -> bool:
     x, y = (float(text.replace(",", "").replace("−", "-")) for text in (a, b))
     return math.isclose(x, y, rel_tol=_RELATIVE) or abs(x - y) <= 1.01 * 10.0 ** -_decimals(a)
 

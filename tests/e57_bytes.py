@@ -38,10 +38,10 @@ def _scan(libe57, file, number, scan):
         quaternion, translation = scan["pose"]
         pose = libe57.StructureNode(file)
         for name, axes, values in (("rotation", "wxyz", quaternion), ("translation", "xyz", translation)):
-            part = libe57.StructureNode(file)
+            component = libe57.StructureNode(file)
             for axis, value in zip(axes, values, strict=True):
-                part.set(axis, libe57.FloatNode(file, float(value)))
-            pose.set(name, part)
+                component.set(axis, libe57.FloatNode(file, float(value)))
+            pose.set(name, component)
         node.set("pose", pose)
     if "limits" in scan:
         limits = libe57.StructureNode(file)
@@ -52,19 +52,19 @@ def _scan(libe57, file, number, scan):
     prototype = libe57.StructureNode(file)
     for name, values in scan.items():
         if name not in ("pose", "limits"):
-            whole = np.issubdtype(np.asarray(values).dtype, np.integer)
-            prototype.set(name, libe57.IntegerNode(file, 0, 0, 65535) if whole else libe57.FloatNode(file, 0.0))
+            is_integer = np.issubdtype(np.asarray(values).dtype, np.integer)
+            prototype.set(name, libe57.IntegerNode(file, 0, 0, 65535) if is_integer else libe57.FloatNode(file, 0.0))
     node.set("points", libe57.CompressedVectorNode(file, prototype, libe57.VectorNode(file, True)))
     return node
 
 
 def _fill(libe57, file, node, columns):
-    buffers, kept = libe57.VectorSourceDestBuffer(), []
+    buffers, arrays = libe57.VectorSourceDestBuffer(), []
     for name, values in columns.items():
-        kept.append(np.ascontiguousarray(values, dtype=np.float64))
-        buffers.append(libe57.SourceDestBuffer(file, name, kept[-1], len(values), True, True))
+        arrays.append(np.ascontiguousarray(values, dtype=np.float64))
+        buffers.append(libe57.SourceDestBuffer(file, name, arrays[-1], len(values), True, True))
     writer = node["points"].writer(buffers)
-    writer.write(len(kept[0]))
+    writer.write(len(arrays[0]))
     writer.close()
 
 
@@ -72,20 +72,28 @@ def corpus():
     """Return two small files, as bytes."""
     rng = np.random.default_rng(3)
     points = rng.uniform(-1, 1, (50, 3))
-    plain = dict(zip(XYZ, points.T, strict=True))
-    full = plain | {"intensity": rng.uniform(0, 1, 50), "colorRed": np.arange(50), "colorGreen": np.arange(50)}
-    full |= {"colorBlue": np.arange(50), "cartesianInvalidState": np.arange(50) % 2, "pose": ((1, 0, 0, 0), (1, 2, 3))}
+    points_only = dict(zip(XYZ, points.T, strict=True))
+    all_fields = points_only | {
+        "intensity": rng.uniform(0, 1, 50),
+        "colorRed": np.arange(50),
+        "colorGreen": np.arange(50),
+    }
+    all_fields |= {
+        "colorBlue": np.arange(50),
+        "cartesianInvalidState": np.arange(50) % 2,
+        "pose": ((1, 0, 0, 0), (1, 2, 3)),
+    }
     spherical = dict(zip(RAE, np.abs(points).T, strict=True))
     with tempfile.TemporaryDirectory() as folder:
-        files = {"full": [full, plain], "spherical": [spherical]}
+        files = {"full": [all_fields, points_only], "spherical": [spherical]}
         return {name: write(Path(folder) / f"{name}.e57", scans).read_bytes() for name, scans in files.items()}
 
 
 def add_checksums(data):
     """Recompute the checksum of each complete page: CRC-32C of 1,020 bytes, big-endian."""
     pages = [data[start : start + _PAGE] for start in range(0, len(data), _PAGE)]
-    whole = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]
-    return b"".join(whole)
+    checked_pages = [p[:_PAYLOAD] + _crc32c(p[:_PAYLOAD]).to_bytes(4, "big") if len(p) == _PAGE else p for p in pages]
+    return b"".join(checked_pages)
 
 
 def _crc32c(data):

@@ -25,22 +25,22 @@ def plane_map(camera, normal, offset):
 
 def corner_map(camera):
     """Return the map of the three planes of `textured_corner`."""
-    lines = rays(camera)
-    nearest, normals = np.full(lines.shape[:2], np.inf), np.zeros(lines.shape)
+    directions = rays(camera)
+    nearest, normals = np.full(directions.shape[:2], np.inf), np.zeros(directions.shape)
     for axis in range(3):
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = -camera.position[axis] / lines[..., axis]
-        points = camera.position + depth[..., None] * lines
-        others = points[..., [other for other in range(3) if other != axis]]
-        seen = (depth > 0) & (depth < nearest) & ((others >= 0) & (others <= corner.SIDE)).all(axis=-1)
-        nearest[seen], normals[seen] = depth[seen], np.eye(3)[axis]
+            depth = -camera.position[axis] / directions[..., axis]
+        points = camera.position + depth[..., None] * directions
+        in_plane = points[..., [other_axis for other_axis in range(3) if other_axis != axis]]
+        is_nearest = (depth > 0) & (depth < nearest) & ((in_plane >= 0) & (in_plane <= corner.SIDE)).all(axis=-1)
+        nearest[is_nearest], normals[is_nearest] = depth[is_nearest], np.eye(3)[axis]
     return _map(camera, np.where(np.isfinite(nearest), nearest, 0), normals)
 
 
 def mesh_map(camera, index):
     """Return the map of a mesh from its index."""
-    lines = rays(camera).reshape(-1, 3)
-    hits = index.cast(camera.position, lines)
+    directions = rays(camera).reshape(-1, 3)
+    hits = index.cast(camera.position, directions)
     shape = (camera.intrinsics.height, camera.intrinsics.width)
     normals = index.mesh.normals()[np.maximum(hits.faces, 0)]
     depth = np.where(hits.faces < 0, 0.0, hits.distances)
@@ -49,8 +49,8 @@ def mesh_map(camera, index):
 
 def _map(camera, depth, normals):
     local = normals @ camera.cam_from_world.rotation.T
-    facing = np.einsum("hwi,hwi->hw", local, rays(camera) @ camera.cam_from_world.rotation.T) < 0
-    local = np.where(facing[..., None], local, -local) * (depth > 0)[..., None]
+    is_facing_camera = np.einsum("hwi,hwi->hw", local, rays(camera) @ camera.cam_from_world.rotation.T) < 0
+    local = np.where(is_facing_camera[..., None], local, -local) * (depth > 0)[..., None]
     return DepthMap(depth.astype(np.float32), local.astype(np.float32), (depth > 0).astype(np.float32))
 
 

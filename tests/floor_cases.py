@@ -40,9 +40,11 @@ def measure_directions(reference: np.ndarray, candidate: np.ndarray, settings: S
     """Return both directions, candidate → reference and back, of aligned clouds."""
     prepared = Reference.prepare(Cloud(reference), settings)
     index = Index(candidate - prepared.origin)
-    forth, back = prepared.index.query(index.points), index.query(prepared.points)
-    accuracy = from_candidate(prepared, index.points, forth)
-    return accuracy, from_reference(prepared, index, forth.indices, back, forth=accuracy, seed=settings.seed)
+    candidate_matches, reference_matches = prepared.index.query(index.points), index.query(prepared.points)
+    accuracy = from_candidate(prepared, index.points, candidate_matches)
+    return accuracy, from_reference(
+        prepared, index, candidate_matches.indices, reference_matches, forth=accuracy, seed=settings.seed
+    )
 
 
 def mean_floors(case: Case, runs: int) -> Means:
@@ -51,13 +53,13 @@ def mean_floors(case: Case, runs: int) -> Means:
         rng = np.random.default_rng([run, case.reference, case.candidate])
         reference, _ = surface(case.surface).sample(case.reference, rng)
         candidate, normals = surface(case.surface).sample(case.candidate, rng, case.falling)
-        size = case.noise * len(candidate) ** -0.5
-        candidate = candidate + size * rng.normal(size=(len(candidate), 1)) * normals
-        for way, direction in enumerate(measure_directions(reference, candidate, Settings(seed=run))):
+        noise_std = case.noise * len(candidate) ** -0.5
+        candidate = candidate + noise_std * rng.normal(size=(len(candidate), 1)) * normals
+        for row, direction in enumerate(measure_directions(reference, candidate, Settings(seed=run))):
             for column, metric in enumerate(MEAN_METRICS):
                 values, floor = metric.values_of(direction.distances), direction.floors[metric.name]
                 assert values is not None
                 assert floor is not None
-                scores[way, column] += np.mean(values) / runs
-                floors[way, column] += floor / runs
+                scores[row, column] += np.mean(values) / runs
+                floors[row, column] += floor / runs
     return Means(scores, floors)

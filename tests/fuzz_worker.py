@@ -1,7 +1,7 @@
 """Read thousands of damaged files: each gives a cloud, a mesh or a one-line PcbenchError, in bounded memory and time.
 
 `fuzz_worker.run` starts this file as a script in a separate process, so that memory and time are limited by the
-system and a crash is seen: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
+system and a crash is detected: `fuzz_worker.py CORPUS COUNT SEED FOLDER`.
 """
 
 import collections
@@ -32,7 +32,7 @@ TEXTS = {
     "semicolons": "x;y;z;nx;ny;nz\r\n" + "1.25; 2; nan; 0; 0; 1\r\n1;2;3;0;1;0\r\n" * 5,
     "tabs": "1\t2\t3\t0.5\n" * 9,
 }
-# Files of each corpus as name -> bytes; the extension is that of the name, or else the corpus.
+# Files of each corpus as name -> bytes. The extension is the name of the corpus; meshes have that of their name.
 CORPORA = {
     "ply": ply_bytes.corpus,
     "las": las_bytes.corpus,
@@ -47,10 +47,12 @@ CORPORA = {
 
 def run(corpus, count, seed, folder):
     command = [sys.executable, __file__, corpus, str(count), str(seed), str(folder)]
-    done = subprocess.run(
+    process = subprocess.run(
         command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=60 + count / 5
     )
-    assert done.returncode == 0, f"exit {done.returncode}, last file in {folder}:\n{done.stdout}{done.stderr}"
+    assert process.returncode == 0, (
+        f"exit {process.returncode}, last file in {folder}:\n{process.stdout}{process.stderr}"
+    )
 
 
 def damage(data, rng):
@@ -62,10 +64,10 @@ def damage(data, rng):
         code = rng.choice("BHIQd")
         extremes = [0, 1, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1]
         number = rng.choice([float("nan"), float("inf"), 0.0, 1e300] if code == "d" else extremes)
-        piece = struct.pack("<d", number) if code == "d" else struct.pack("<Q", number)[: struct.calcsize(code)]
-        # Mostly in the header, or in the chunk table of a LAZ file.
-        place = rng.choice([rng.randrange(400), rng.randrange(1, 100) + len(data) - 100, rng.randrange(len(data))])
-        data[max(place, 0) : max(place, 0) + len(piece)] = piece
+        number_bytes = struct.pack("<d", number) if code == "d" else struct.pack("<Q", number)[: struct.calcsize(code)]
+        # Two thirds of the offsets are in the header or near the end, where LAZ has its chunk table.
+        offset = rng.choice([rng.randrange(400), rng.randrange(1, 100) + len(data) - 100, rng.randrange(len(data))])
+        data[max(offset, 0) : max(offset, 0) + len(number_bytes)] = number_bytes
     return bytes(data)
 
 
@@ -100,12 +102,12 @@ def main(corpus, count, seed, folder):
         notes = []
         signal.alarm(MAX_SECONDS_PER_FILE)
         try:
-            found = read(path, on_warning=notes.append)
+            result = read(path, on_warning=notes.append)
         except PcbenchError as error:
             check(str(error))
             outcomes["refused"] += 1
         else:
-            if not len(found):
+            if not len(result):
                 raise SystemExit(f"{number} ({name}): nothing in it")
             outcomes["read"] += 1
         signal.alarm(0)

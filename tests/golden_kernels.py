@@ -40,15 +40,17 @@ def build(compiler: str, folder: Path, *, x86: bool) -> Path:
     commands = [(source, includes, []) for source, includes in units]
     for isa in _INSTRUCTIONS if x86 else ["baseline"]:
         flags = ["-fno-exceptions", "-w", *_INSTRUCTIONS[isa]]
-        commands += [(home / f"kernels_{isa}.cpp", includes, flags) for home, includes in kernels.items()]
+        commands += [
+            (source_folder / f"kernels_{isa}.cpp", includes, flags) for source_folder, includes in kernels.items()
+        ]
 
     def compile_unit(indexed_command):
         index, (source, includes, flags) = indexed_command
-        out = folder / f"{index}.o"
+        object_file = folder / f"{index}.o"
         paths = [f"-I{path}" for path in includes]
         defines = ["-DPCB_X86"] if x86 else []
-        _check([compiler, *_FLAGS, *defines, *paths, *flags, "-c", source, "-o", out])
-        return out
+        _check([compiler, *_FLAGS, *defines, *paths, *flags, "-c", source, "-o", object_file])
+        return object_file
 
     with ThreadPoolExecutor(2) as pool:
         objects = list(pool.map(compile_unit, enumerate(commands)))
@@ -61,8 +63,8 @@ def hashes(program: Path, *, isa: str = "baseline", emulator: str | None = None)
     """Run the program and return the hash of each result by name."""
     command = [program] if emulator is None else [emulator, program]
     environment = {**os.environ, "PCBENCH_ISA": isa, "OMP_NUM_THREADS": "2"}
-    text = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
-    return parse_hashes(text)
+    output = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+    return parse_hashes(output)
 
 
 def parse_hashes(text: str) -> dict[str, str]:
@@ -86,8 +88,8 @@ def is_x86() -> bool:
 
 
 def _check(command: list) -> None:
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
 
 
 if __name__ == "__main__":

@@ -21,12 +21,12 @@ def integers(i):
 
 def values(form, i, color=256):
     """Pack point i: its class alternates between 2 and 6, its return cycles through 1, 2 and 3 of 3."""
-    number, of, kind = i % 3 + 1, 3, 2 if i % 2 else 6
+    return_number, return_count, classification = i % 3 + 1, 3, 2 if i % 2 else 6
     if form < 6:
-        row = [*integers(i), 100 + i, number | of << 3, kind, -5, 9, 40 + i]
+        row = [*integers(i), 100 + i, return_number | return_count << 3, classification, -5, 9, 40 + i]
         row += [i + 0.25] if form in (1, 3) else []
     else:
-        row = [*integers(i), 100 + i, number | of << 4, 0, kind, 9, -500, 40 + i, i + 0.25]
+        row = [*integers(i), 100 + i, return_number | return_count << 4, 0, classification, 9, -500, 40 + i, i + 0.25]
     if form in (2, 3, 7, 8):
         row += [color * (i % 200), color * 7, color * 255]
     return [*row, 5] if form == 8 else row
@@ -73,17 +73,17 @@ def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", com
     if compress == "chunks":
         points = compress_points(points, laszip, start)
     elif compress:
-        cut = len(points) // record_bytes // 3 * record_bytes
-        points = compress_points([points[:cut], points[cut:]], laszip, start)
-    said = replaced.get("said", count)
+        first_chunk_bytes = len(points) // record_bytes // 3 * record_bytes
+        points = compress_points([points[:first_chunk_bytes], points[first_chunk_bytes:]], laszip, start)
+    stated_count = replaced.get("stated_count", count)
     block = struct.pack("<4sHH16sBB32s32sHHHIIBHI5I3d3d6d", b"LASF", 0, 0, b"", 1, minor, b"by hand", b"", 1, 2024,
                         header_bytes, start, len(vlrs), form | (128 if compress else 0), record_bytes,
-                        said if minor < 4 else 0, 0, 0, 0, 0, 0,
+                        stated_count if minor < 4 else 0, 0, 0, 0, 0, 0,
                         *replaced.get("scales", SCALES), *replaced.get("offsets", OFFSETS), *[0.0] * 6)  # fmt: skip
     if minor == 3:
         block += bytes(8)
     if minor == 4:
-        block += struct.pack("<QQIQ15Q", 0, start + len(points) if evlrs else 0, len(evlrs), said, *[0] * 15)
+        block += struct.pack("<QQIQ15Q", 0, start + len(points) if evlrs else 0, len(evlrs), stated_count, *[0] * 15)
     return b"".join([block, *vlrs, points, *evlrs])
 
 
@@ -111,18 +111,18 @@ UTM = (
 
 def corpus():
     """Return valid uncompressed files of all variants, as name -> bytes."""
-    described = extras(extra(b"height", 9), extra(b"count", 3, 8 | 16, b"", 0.5, 10.0), extra(b"", 0, 2))
+    descriptions = extras(extra(b"height", 9), extra(b"count", 3, 8 | 16, b"", 0.5, 10.0), extra(b"", 0, 2))
     files = {f"format {form}": las(form, 20) for form in RECORDS}
     files |= {f"1.{minor}": las(1, 12, minor=minor, vlrs=[geo_keys(model=1, projected=32617)]) for minor in range(5)}
-    files["extra bytes"] = las(3, 9, vlrs=[described], tail=lambda i: struct.pack("<fHxx", i / 4, i))
+    files["extra bytes"] = las(3, 9, vlrs=[descriptions], tail=lambda i: struct.pack("<fHxx", i / 4, i))
     files["wkt"] = las(7, 9, vlrs=[wkt(UTM), vlr(b"other", 9, b"1234")])
     files["extended"] = las(6, 9, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
     return files
 
 
 def laz_corpus():
-    described = extras(extra(b"height", 9))
+    descriptions = extras(extra(b"height", 9))
     files = {f"format {form}": las(form, 300, compress="chunks") for form in RECORDS}
-    files["extra bytes"] = las(7, 99, vlrs=[described], tail=lambda i: struct.pack("<f", i / 4), compress="chunks")
+    files["extra bytes"] = las(7, 99, vlrs=[descriptions], tail=lambda i: struct.pack("<f", i / 4), compress="chunks")
     files["variable"] = las(7, 300, compress="variable", vlrs=[wkt(UTM)])
     return files

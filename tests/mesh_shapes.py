@@ -21,15 +21,15 @@ def icosphere(levels=3):
     """An icosahedron subdivided `levels` times, with vertices on the unit sphere: 20 * 4^levels faces."""
     golden = (1 + np.sqrt(5)) / 2
     vertices = [(x, y * golden, 0) for x in (-1, 1) for y in (-1, 1)]
-    vertices = np.array([np.roll(v, turn) for turn in range(3) for v in vertices], dtype=float)
+    vertices = np.array([np.roll(v, shift) for shift in range(3) for v in vertices], dtype=float)
     edge = 2.0
-    near = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
+    distances = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
     faces = [
         (a, b, c)
         for a in range(12)
         for b in range(12)
         for c in range(12)
-        if a < min(b, c) and np.allclose([near[a, b], near[b, c], near[c, a]], edge)
+        if a < min(b, c) and np.allclose([distances[a, b], distances[b, c], distances[c, a]], edge)
         and np.linalg.det(vertices[[a, b, c]]) > 0
     ]  # fmt: skip
     faces = np.array(faces)

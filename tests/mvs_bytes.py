@@ -5,7 +5,7 @@ import struct
 import numpy as np
 from scene_folders import K, orbit
 
-NONE = 0xFFFFFFFF
+NO_POSE = 0xFFFFFFFF
 POINTS = np.array([[1.0, 2, 3], [-1, 0.5, 0.25], [4, 5, 6]])
 COLORS = np.array([[255, 10, 20], [1, 2, 3], [9, 8, 7]], np.uint8)
 VIEWS = ([0, 1], [1, 2, 3], [2])
@@ -15,9 +15,9 @@ def numbers(code, values):
     return struct.pack(f"<{np.size(values)}{code}", *np.ravel(values).tolist())
 
 
-def items(parts):
-    parts = list(parts)
-    return struct.pack("<Q", len(parts)) + b"".join(parts)
+def items(encoded_items):
+    encoded_items = list(encoded_items)
+    return struct.pack("<Q", len(encoded_items)) + b"".join(encoded_items)
 
 
 def text(name):
@@ -37,36 +37,36 @@ def scene_bytes(
     transform=None,
     colors=COLORS,
     normals=None,
-    posed=lambda k: True,
+    has_pose=lambda k: True,
 ):
     """Return a scene in which each image has its own pose of one platform.
 
     Args:
         mount: rotation and centre of the camera on the platform.
-        posed: whether the k-th image has a pose.
+        has_pose: whether the k-th image has a pose.
     """
-    turn, center = mount or (np.eye(3), np.zeros(3))
+    mount_rotation, center = mount or (np.eye(3), np.zeros(3))
     k = cameras[0].intrinsics
     matrix = np.array([[k.fx, 0, k.cx - 0.5], [0, k.fy, k.cy - 0.5], [0, 0, 1]])
     size = (0, 0) if normalized else (k.width, k.height)
     if normalized:
         matrix = np.diag([1 / max(k.width, k.height)] * 2 + [1]) @ matrix
-    mounted = text("lens") + (text("") if version > 3 else b"") + struct.pack("<II", *size)
-    mounted += numbers("d", matrix) + numbers("d", turn) + numbers("d", center)
+    platform_camera = text("lens") + (text("") if version > 3 else b"") + struct.pack("<II", *size)
+    platform_camera += numbers("d", matrix) + numbers("d", mount_rotation) + numbers("d", center)
     poses = []
     for camera in cameras:
-        world = turn.T @ camera.cam_from_world.rotation  # rotation of the platform
-        poses.append(numbers("d", world) + numbers("d", camera.position - world.T @ center))
+        platform_rotation = mount_rotation.T @ camera.cam_from_world.rotation  # rotation of the platform
+        poses.append(numbers("d", platform_rotation) + numbers("d", camera.position - platform_rotation.T @ center))
     images = []
     for number, camera in enumerate(cameras):
         image = text(f"undistorted\\{camera.name}") + (text("mask.png") if version > 4 else b"")
-        image += struct.pack("<III", 0, 0, number if posed(number) else NONE)
+        image += struct.pack("<III", 0, 0, number if has_pose(number) else NO_POSE)
         image += struct.pack("<I", number) if version > 2 else b""
         image += numbers("f", [1, 2, 3]) + items([struct.pack("<II4f", 1, 9, 1, 0.1, 0.5, 2.0)]) if version > 6 else b""
         images.append(image)
     data = b"MVSI" + struct.pack("<II", version, 0)
-    data += items([text("platform") + items([mounted]) + items(poses)]) + items(images)
-    data += items(numbers("f", point) + views(seen) for point, seen in zip(POINTS, VIEWS, strict=True))
+    data += items([text("platform") + items([platform_camera]) + items(poses)]) + items(images)
+    data += items(numbers("f", point) + views(image_ids) for point, image_ids in zip(POINTS, VIEWS, strict=True))
     data += items([] if normals is None else (numbers("f", normal) for normal in normals))
     data += items([] if colors is None else (bytes(color[::-1].tolist()) for color in colors))  # blue comes first
     data += (

@@ -27,15 +27,15 @@ def import_or_skip(module):
 
 
 def break_library(monkeypatch, folder, name, error=NO_LIBUSB):
-    """Shadow a package by one that raises `error` at import, here and in child processes.
+    """Replace a package by one that raises `error` at import, here and in child processes.
 
     Args:
         error: a Python expression; None simulates a library that is not installed.
     """
-    raised = error or f"ModuleNotFoundError({f'No module named {name!r}'!r}, name={name!r})"
+    exception = error or f"ModuleNotFoundError({f'No module named {name!r}'!r}, name={name!r})"
     package = Path(folder) / name
     package.mkdir(parents=True)
-    (package / "__init__.py").write_text(f"raise {raised}\n")
+    (package / "__init__.py").write_text(f"raise {exception}\n")
     path = os.environ.get("PYTHONPATH")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), *([path] if path else [])]))
     monkeypatch.syspath_prepend(folder)

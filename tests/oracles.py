@@ -1,6 +1,6 @@
 """Slow, plain numpy versions of what pcbench measures: float64, brute force, nothing imported from pcbench or scipy.
 
-They are written from the definitions alone, so that agreement with the production code means something.
+They are written from the definitions alone, so that their agreement with pcbench is evidence.
 """
 
 import numpy as np
@@ -40,7 +40,7 @@ def nearest(queries, points):
 
 
 def leave_one_out(points):
-    """Distance (N,) from each point to its nearest other point: 0 where it has a duplicate."""
+    """Distance (N,) from each point to its nearest other point: 0 if it has a duplicate."""
     result = np.empty(len(points))
     for start, squared in squared_distance_rows(points, points):
         rows = np.arange(len(squared))
@@ -64,12 +64,12 @@ def normals(points, k):
 
 
 def d1(queries, points):
-    """D1 one way: mean squared distance to the nearest point."""
+    """D1 in one direction: mean squared distance to the nearest point."""
     return float(np.mean(nearest(queries, points)[0] ** 2))
 
 
 def d2(queries, points, point_normals):
-    """D2 one way: mean squared distance to the plane through the nearest point, orthogonal to its normal."""
+    """D2 in one direction: mean squared distance to the plane through the nearest point, orthogonal to its normal."""
     _, indices = nearest(queries, points)
     return float(np.mean(((queries - points[indices]) * point_normals[indices]).sum(axis=1) ** 2))
 
@@ -107,7 +107,7 @@ def voxel_mean(values, points, side, lower):
     voxels: dict[tuple[int, ...], list[float]] = {}
     for value, index in zip(values, np.floor((points - lower) / side).astype(int), strict=True):
         voxels.setdefault(tuple(index), []).append(float(value))
-    return float(np.mean([np.mean(inside) for inside in voxels.values()]))
+    return float(np.mean([np.mean(voxel_values) for voxel_values in voxels.values()]))
 
 
 # M3C2 (Lague et al. 2013, section 3)
@@ -117,9 +117,9 @@ def m3c2_normals(reference, cores, radius):
     """Upward normals (K, 3) of planes through the reference's points around each core; NaN with fewer than three."""
     result = np.full(cores.shape, np.nan)
     for row, core in enumerate(cores):
-        near = reference[np.sqrt(((reference - core) ** 2).sum(axis=1)) <= radius]
-        if len(near) >= 3:
-            normal = np.linalg.svd(near - near.mean(axis=0))[2][2]
+        neighbours = reference[np.sqrt(((reference - core) ** 2).sum(axis=1)) <= radius]
+        if len(neighbours) >= 3:
+            normal = np.linalg.svd(neighbours - neighbours.mean(axis=0))[2][2]
             result[row] = normal * (1 if normal[2] >= 0 else -1)
     return result
 
@@ -128,17 +128,17 @@ def m3c2(reference, candidate, cores, normals, radius, half_length, registration
     """Distances, levels of detection (eq. 1, ddof 0, none below five points) and counts (K, 2) in the cylinders."""
     distances, lod, counts = np.full(len(cores), np.nan), np.full(len(cores), np.nan), np.zeros((len(cores), 2), int)
     for row, (core, normal) in enumerate(zip(cores, normals, strict=True)):
-        along = []
+        heights_of_clouds = []
         for cloud in (reference, candidate):
-            arms = cloud - core
-            heights = arms @ normal
-            aside = np.sqrt(((arms - heights[:, None] * normal) ** 2).sum(axis=1))
-            along.append(heights[(np.abs(heights) <= half_length) & (aside <= radius)])
-        counts[row] = [len(heights) for heights in along]
+            offsets = cloud - core
+            heights = offsets @ normal
+            axis_distances = np.sqrt(((offsets - heights[:, None] * normal) ** 2).sum(axis=1))
+            heights_of_clouds.append(heights[(np.abs(heights) <= half_length) & (axis_distances <= radius)])
+        counts[row] = [len(heights) for heights in heights_of_clouds]
         if counts[row].min() > 0:
-            distances[row] = along[1].mean() - along[0].mean()
+            distances[row] = heights_of_clouds[1].mean() - heights_of_clouds[0].mean()
         if counts[row].min() >= 5:
-            variance = sum(heights.var() / len(heights) for heights in along)
+            variance = sum(heights.var() / len(heights) for heights in heights_of_clouds)
             lod[row] = 1.96 * (np.sqrt(variance) + registration_error)
     return {"distances": distances, "lod": lod, "counts": counts}
 
@@ -166,26 +166,26 @@ _TIE = 1e-8  # squared units
 _STEP, _MAX_TIES = 5, 30  # neighbours are fetched five at a time
 
 
-def _closest(squared, fetched):
-    """The nearest `fetched` indices, and five more as long as the last is exactly as near as the first."""
+def _closest(squared, count):
+    """The nearest `count` indices, and five more as long as the last is exactly as near as the first."""
     bound = np.partition(squared, _MAX_TIES - 1)[_MAX_TIES - 1] if len(squared) > _MAX_TIES else np.inf
-    within = np.flatnonzero(squared <= bound)
-    order = within[np.argsort(squared[within], kind="stable")][:_MAX_TIES]
-    while fetched < len(order) and squared[order[0]] == squared[order[fetched - 1]] and fetched + _STEP <= _MAX_TIES:
-        fetched += _STEP
-    return order[:fetched]
+    candidates = np.flatnonzero(squared <= bound)
+    order = candidates[np.argsort(squared[candidates], kind="stable")][:_MAX_TIES]
+    while count < len(order) and squared[order[0]] == squared[order[count - 1]] and count + _STEP <= _MAX_TIES:
+        count += _STEP
+    return order[:count]
 
 
 def _exact_ties(squared):
-    near = _closest(squared, _STEP)
-    return near[squared[near] == squared[near[0]]]
+    neighbours = _closest(squared, _STEP)
+    return neighbours[squared[neighbours] == squared[neighbours[0]]]
 
 
 def _close_ties(squared):
     """Nearest first, up to the first step of `_TIE` or more: a chain, not a band about the nearest."""
-    near = _closest(squared, 2 * _STEP)
-    steps = np.diff(squared[near])
-    return near[: int(np.argmax(steps >= _TIE)) + 1] if (steps >= _TIE).any() else near
+    neighbours = _closest(squared, 2 * _STEP)
+    steps = np.diff(squared[neighbours])
+    return neighbours[: int(np.argmax(steps >= _TIE)) + 1] if (steps >= _TIE).any() else neighbours
 
 
 def _rows(queries, points):
@@ -252,12 +252,12 @@ def mpeg(a_points, a_normals, b_points):
 def first_hits(origins, directions, vertices, faces):
     """Ray parameters t (N,) of the first intersections, by Moeller and Trumbore's 3x3 systems; inf without one."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    first = np.full(len(origins), np.inf)
+    result = np.full(len(origins), np.inf)
     for i, (o, d) in enumerate(zip(origins, directions, strict=True)):
         # o + t d = a + u (b - a) + v (c - a)
         systems = np.stack([np.broadcast_to(-d, a.shape), b - a, c - a], axis=2)
-        regular = np.abs(np.linalg.det(systems)) > 1e-300
-        t, u, v = np.linalg.solve(systems[regular], (o - a[regular])[..., None])[..., 0].T
-        met = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
-        first[i] = met.min(initial=np.inf)
-    return first
+        is_regular = np.abs(np.linalg.det(systems)) > 1e-300
+        t, u, v = np.linalg.solve(systems[is_regular], (o - a[is_regular])[..., None])[..., 0].T
+        hit_parameters = t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)]
+        result[i] = hit_parameters.min(initial=np.inf)
+    return result

@@ -5,13 +5,13 @@ import struct
 
 def pcd(data, fields, rows, viewpoint="0 0 0 1 0 0 0", **replaced):
     """Build a file. A field is "x F4" or "id U2 3"; a row is flat. `replaced` changes or (None) drops header lines."""
-    split = [(*field.split(), "1")[:3] for field in fields]
+    parsed_fields = [(*field.split(), "1")[:3] for field in fields]
     entries = {
         "VERSION": "0.7",
-        "FIELDS": " ".join(name for name, _, _ in split),
-        "SIZE": " ".join(kind[1] for _, kind, _ in split),
-        "TYPE": " ".join(kind[0] for _, kind, _ in split),
-        "COUNT": " ".join(count for _, _, count in split),
+        "FIELDS": " ".join(name for name, _, _ in parsed_fields),
+        "SIZE": " ".join(kind[1] for _, kind, _ in parsed_fields),
+        "TYPE": " ".join(kind[0] for _, kind, _ in parsed_fields),
+        "COUNT": " ".join(count for _, _, count in parsed_fields),
         "WIDTH": len(rows),
         "HEIGHT": 1,
         "VIEWPOINT": viewpoint,
@@ -20,21 +20,21 @@ def pcd(data, fields, rows, viewpoint="0 0 0 1 0 0 0", **replaced):
     } | replaced
     header = "# .PCD v0.7 - Point Cloud Data file format\n"
     header += "".join(f"{key} {value}\n" for key, value in entries.items() if value is not None)
-    return header.encode() + _body(data, split, rows)
+    return header.encode() + _body(data, parsed_fields, rows)
 
 
-def _body(data, split, rows):
+def _body(data, parsed_fields, rows):
     if data == "ascii":
         return "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
-    codes = [_code(kind) for _, kind, count in split for _ in range(int(count))]
+    codes = [_code(kind) for _, kind, count in parsed_fields for _ in range(int(count))]
     if data == "binary":
         return b"".join(struct.pack("<" + "".join(codes), *row) for row in rows)
-    columns, place = b"", 0
-    for _, kind, count in split:  # all points of a field, then the next field
+    columns, first_column = b"", 0
+    for _, kind, count in parsed_fields:  # all points of a field, then the next field
         width = int(count)
         for row in rows:
-            columns += struct.pack(f"<{width}{_code(kind)}", *row[place : place + width])
-        place += width
+            columns += struct.pack(f"<{width}{_code(kind)}", *row[first_column : first_column + width])
+        first_column += width
     packed = lzf(columns)
     return struct.pack("<II", len(packed), len(columns)) + packed
 
@@ -45,34 +45,34 @@ def _code(kind):
 
 def lzf(data):
     """Compress greedily: refer to the last occurrence of the next three bytes, or copy bytes literally."""
-    out, plain, seen, place = bytearray(), bytearray(), {}, 0
+    out, literals, last_positions, position = bytearray(), bytearray(), {}, 0
 
     def flush():
-        for start in range(0, len(plain), 32):
-            piece = plain[start : start + 32]
-            out.append(len(piece) - 1)
-            out.extend(piece)
-        plain.clear()
+        for start in range(0, len(literals), 32):
+            run = literals[start : start + 32]
+            out.append(len(run) - 1)
+            out.extend(run)
+        literals.clear()
 
-    while place < len(data):
-        key = data[place : place + 3]
-        found = seen.get(key)
-        seen[key] = place
-        if found is None or len(key) < 3 or place - found > 8192:
-            plain.append(data[place])
-            place += 1
+    while position < len(data):
+        key = data[position : position + 3]
+        previous = last_positions.get(key)
+        last_positions[key] = position
+        if previous is None or len(key) < 3 or position - previous > 8192:
+            literals.append(data[position])
+            position += 1
             continue
         length = 3
-        while length < 264 and place + length < len(data) and data[found + length] == data[place + length]:
+        while length < 264 and position + length < len(data) and data[previous + length] == data[position + length]:
             length += 1
         flush()
-        distance = place - found - 1
+        distance = position - previous - 1
         if length < 9:
             out.append((length - 2) << 5 | distance >> 8)
         else:
             out.extend((7 << 5 | distance >> 8, length - 9))
         out.append(distance & 255)
-        place += length
+        position += length
     flush()
     return bytes(out)
 
@@ -86,7 +86,7 @@ XYZ = ["x F4", "y F4", "z F4"]
 
 def corpus():
     """Return valid files of all variants, as name -> bytes."""
-    full = [
+    all_fields = [
         "z F8",
         "rgb U4",
         "_ U1 3",
@@ -98,10 +98,10 @@ def corpus():
         "hist F4 4",
         "t U8",
     ]
-    full_rows = [(z, 0xFF102030 + i, 0, 0, 0, y, x, 0.0, 0.0, 1.0, 1.0, 2.0, 3.0, i / 2, 2**60 + i)
+    all_field_rows = [(z, 0xFF102030 + i, 0, 0, 0, y, x, 0.0, 0.0, 1.0, 1.0, 2.0, 3.0, i / 2, 2**60 + i)
             for i, (x, y, z) in enumerate(points(12))]  # fmt: skip
     return {
         f"{data} {name}": pcd(data, fields, rows)
         for data in ("ascii", "binary", "binary_compressed")
-        for name, (fields, rows) in {"plain": (XYZ, points(20)), "full": (full, full_rows)}.items()
+        for name, (fields, rows) in {"plain": (XYZ, points(20)), "full": (all_fields, all_field_rows)}.items()
     }

@@ -5,7 +5,7 @@ import re
 import struct
 
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-# Both naming families, with the struct code of each.
+# The struct code of each type, which has two names.
 TYPES = {
     "char": "b",
     "uchar": "B",
@@ -59,13 +59,17 @@ def points(count):
 def corpus():
     """Return valid files of all variants, as name -> bytes."""
     faces = ("face", ["list uchar int vertex_indices"], [(0, 1, 2), (2, 1, 0), (1, 2, 3)])
-    mixed = ("face", ["list uchar int vertex_indices", "uchar flag"], [((0, 1, 2), 1), ((0, 1, 2, 3), 2), ((), 3)])
+    mixed_faces = (
+        "face",
+        ["list uchar int vertex_indices", "uchar flag"],
+        [((0, 1, 2), 1), ((0, 1, 2, 3), 2), ((), 3)],
+    )
     views = (
         "vertex",
         [*XYZ, "list uchar uint view_indices"],
         [(*p, tuple(range(i % 4))) for i, p in enumerate(points(9))],
     )
-    full = [
+    full_properties = [
         "double z",
         "uchar red",
         "uchar green",
@@ -84,10 +88,10 @@ def corpus():
         files |= {
             f"{form} plain": ply(form, ("vertex", XYZ, points(20))),
             f"{form} full": ply(
-                form, ("vertex", full, full_rows), comments=["comment crs EPSG:32617", "comment unit m"]
+                form, ("vertex", full_properties, full_rows), comments=["comment crs EPSG:32617", "comment unit m"]
             ),
             f"{form} mesh": ply(form, ("vertex", XYZ, points(8)), ("face", faces[1], [(f,) for f in faces[2]])),
-            f"{form} face first": ply(form, mixed, camera, ("vertex", XYZ, points(8))),
+            f"{form} face first": ply(form, mixed_faces, camera, ("vertex", XYZ, points(8))),
             f"{form} views": ply(form, views, comments=["comment", "obj_info made by hand"]),
             f"{form} splat": ply(form, ("vertex", splat, [(*p, 0.0, 0.0, 0.0, 1.5, 2.5, 3.5, 4.5) for p in points(6)])),
             f"{form} crlf": ply(form, ("vertex", XYZ, points(5)), newline="\r\n"),
@@ -110,14 +114,14 @@ def _flip(data, rng):
 
 
 def _insert(data, rng):
-    place = rng.randint(0, len(data))
-    data[place:place] = rng.choice([rng.randbytes(rng.randint(1, 40)), b"\n", b"\0", b" ", b"nan ", b"\r"])
+    position = rng.randint(0, len(data))
+    data[position:position] = rng.choice([rng.randbytes(rng.randint(1, 40)), b"\n", b"\0", b" ", b"nan ", b"\r"])
     return data
 
 
 def _delete(data, rng):
-    place = rng.randint(0, len(data))
-    del data[place : place + rng.randint(1, 40)]
+    position = rng.randint(0, len(data))
+    del data[position : position + rng.randint(1, 40)]
     return data
 
 
@@ -128,16 +132,16 @@ def _cut(data, rng):
 def _number(data, rng):
     numbers = list(re.finditer(rb"\d+", data[:2000]))
     if numbers:
-        extreme = [0, 1, -1, 255, 2**31 - 1, 2**31, 2**32, 10**17, 10**18 - 1, 2**63 - 1, 2**63, 2**64, 10**40]
-        found = rng.choice(numbers)
-        data[found.start() : found.end()] = str(rng.choice([*extreme, rng.randint(0, 300)])).encode()
+        extremes = [0, 1, -1, 255, 2**31 - 1, 2**31, 2**32, 10**17, 10**18 - 1, 2**63 - 1, 2**63, 2**64, 10**40]
+        match = rng.choice(numbers)
+        data[match.start() : match.end()] = str(rng.choice([*extremes, rng.randint(0, 300)])).encode()
     return data
 
 
 def _word(data, rng):
     words = list(re.finditer(rb"[a-z_]+", data[:2000]))
     if words:
-        known = [
+        keywords = [
             *TYPES,
             *FORMATS,
             "list",
@@ -151,8 +155,8 @@ def _word(data, rng):
             "comment",
             "end_header",
         ]
-        found = rng.choice(words)
-        data[found.start() : found.end()] = rng.choice(known).encode()
+        match = rng.choice(words)
+        data[match.start() : match.end()] = rng.choice(keywords).encode()
     return data
 
 

@@ -95,14 +95,14 @@ def _python(path: Path, content: str) -> Iterator[Text]:
     docstrings = set()
     for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0] if node.body else None
+            statement = node.body[0] if node.body else None
             if (
-                isinstance(first, ast.Expr)
-                and isinstance(first.value, ast.Constant)
-                and isinstance(first.value.value, str)
+                isinstance(statement, ast.Expr)
+                and isinstance(statement.value, ast.Constant)
+                and isinstance(statement.value.value, str)
             ):
-                docstrings.add(first.value.lineno)
-                yield Text(path, first.value.lineno, first.value.value, is_docstring=True)
+                docstrings.add(statement.value.lineno)
+                yield Text(path, statement.value.lineno, statement.value.value, is_docstring=True)
     for token in tokenize.generate_tokens(io.StringIO(content).readline):
         is_text = token.type == tokenize.STRING and " " in token.string and token.start[0] not in docstrings
         if is_text or token.type == tokenize.COMMENT:
@@ -113,29 +113,29 @@ def findings(text: Text) -> Iterator[Finding]:
     """Yield the unclear phrases of a text."""
     if text.is_docstring:
         for pattern, instead in FIRST_LINES.items():
-            first = text.words.strip().partition("\n")[0]
-            if (found := re.search(pattern, first)) and not first.endswith("?"):
-                yield Finding(text.path, text.line, found[0].strip(), instead)
+            first_line = text.words.strip().partition("\n")[0]
+            if (match := re.search(pattern, first_line)) and not first_line.endswith("?"):
+                yield Finding(text.path, text.line, match[0].strip(), instead)
     for pattern, instead in ANYWHERE.items():
         # A phrase may span two lines of a text, with the mark of a comment between them.
-        for found in re.finditer(pattern.replace(" ", r"(?:\s|//|#|\*)+"), text.words):
+        for match in re.finditer(pattern.replace(" ", r"(?:\s|//|#|\*)+"), text.words):
             yield Finding(
-                text.path, text.line + text.words.count("\n", 0, found.start()), " ".join(found[0].split()), instead
+                text.path, text.line + text.words.count("\n", 0, match.start()), " ".join(match[0].split()), instead
             )
 
 
 def _files() -> list[Path]:
-    listed = subprocess.run(
+    names = subprocess.run(
         ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout.splitlines()
-    files = (ROOT / name for name in listed)
-    own = {
+    files = (ROOT / name for name in names)
+    excluded_files = {
         Path(__file__).resolve(),
         ROOT / "tests" / "test_prose.py",
         ROOT / "constraints.txt",
         ROOT / "CMakeLists.txt",
     }
-    return [file for file in files if file.suffix in SUFFIXES and file not in own and file.is_file()]
+    return [file for file in files if file.suffix in SUFFIXES and file not in excluded_files and file.is_file()]
 
 
 def main(names: list[str]) -> int:
@@ -143,10 +143,10 @@ def main(names: list[str]) -> int:
     count = 0
     for path in map(Path, names) if names else _files():
         for text in texts(path):
-            for path_, line, words, instead in findings(text):
+            for file, line, words, instead in findings(text):
                 count += 1
-                shown = path_.relative_to(ROOT) if path_.is_relative_to(ROOT) else path_
-                print(f"{shown}:{line}: {words!r}: write {instead}")
+                name = file.relative_to(ROOT) if file.is_relative_to(ROOT) else file
+                print(f"{name}:{line}: {words!r}: write {instead}")
     if count:
         print(f"{count} unclear phrases")
     return int(count > 0)

@@ -11,10 +11,10 @@ def motion(angle_deg=2.0, shift=(0.6, -0.4, 0.3), scale=1.0):
     return Similarity(shapes.rotation([0.3, -0.5, 0.8], angle_deg), np.array(shift), scale)
 
 
-def error(found, true, points):
+def error(estimate, true, points):
     """Return the RMS distance between points (N, 3), in the reference, under the true and the estimated pose."""
-    moved = true.inverse().apply(points)
-    return float(np.sqrt(np.mean(np.square(found.apply(moved) - points).sum(axis=1))))
+    candidate_points = true.inverse().apply(points)
+    return float(np.sqrt(np.mean(np.square(estimate.apply(candidate_points) - points).sum(axis=1))))
 
 
 def codes(registration):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pcbench.plugins.run import ReconstructionJob, run
 from pcbench.threads import cpu_count
 
-# Settings with which each reconstructor takes seconds, by name.
+# Settings of each reconstructor, by its name, with which it takes seconds.
 FAST_SETTINGS = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},
@@ -48,27 +48,27 @@ class Repeat(NamedTuple):
 def repeat(method: str, scene: Path, workspace: Path, conditions: Conditions, **settings: str) -> Repeat:
     """Run a reconstructor with fast settings in a new workspace."""
     with apply_conditions(conditions):
-        made = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
-    points = len(made.require_reconstruction().cloud)
+        result = run(ReconstructionJob(method, scene, FAST_SETTINGS[method] | settings), workspace)
+    points = len(result.require_reconstruction().cloud)
     return Repeat(points, hashlib.sha256((workspace / "cloud.ply").read_bytes()).hexdigest())
 
 
 @contextmanager
 def apply_conditions(conditions: Conditions) -> Iterator[None]:
     """Run the child processes of the block under these conditions."""
-    allowed = os.sched_getaffinity(0)
+    available_cpus = os.sched_getaffinity(0)
     threads = os.environ.get("OMP_NUM_THREADS")
-    spin = [sys.executable, "-c", "while True: pass"]
-    spinning = [subprocess.Popen(spin) for _ in range(conditions.busy)]
+    busy_command = [sys.executable, "-c", "while True: pass"]
+    processes = [subprocess.Popen(busy_command) for _ in range(conditions.busy)]
     try:
-        os.sched_setaffinity(0, sorted(allowed)[: conditions.cpus])
+        os.sched_setaffinity(0, sorted(available_cpus)[: conditions.cpus])
         os.environ["OMP_NUM_THREADS"] = str(conditions.threads)
         yield
     finally:
-        for process in spinning:
+        for process in processes:
             process.kill()
             process.wait()
-        os.sched_setaffinity(0, allowed)
+        os.sched_setaffinity(0, available_cpus)
         if threads is None:
             del os.environ["OMP_NUM_THREADS"]
         else:

@@ -32,8 +32,8 @@ def fibonacci_sphere(n, radius=1.0):
     """Return (n, 3) evenly spread points of a sphere about the origin, and their unit normals; deterministic."""
     z = 1 - (2 * np.arange(n) + 1) / n
     angle = np.arange(n) * np.pi * (3 - np.sqrt(5))
-    flat = np.sqrt(1 - z**2)
-    directions = np.column_stack([flat * np.cos(angle), flat * np.sin(angle), z])
+    ring_radius = np.sqrt(1 - z**2)
+    directions = np.column_stack([ring_radius * np.cos(angle), ring_radius * np.sin(angle), z])
     return radius * directions, directions
 
 
@@ -45,10 +45,10 @@ def terrain_height(x, y):
 def terrain_normals(points):
     """Return upward unit normals (N, 3) of the terrain at points (N, 3) on it."""
     x, y = points[:, 0], points[:, 1]
-    shared = 0.5 / 3 * np.cos((x + y) / 3)
-    slope_x, slope_y = 2 / 5 * np.cos(x / 5) + shared, -1.5 / 7 * np.sin(y / 7) + shared
-    up = np.column_stack([-slope_x, -slope_y, np.ones(len(points))])
-    return up / np.linalg.norm(up, axis=1, keepdims=True)
+    common_slope = 0.5 / 3 * np.cos((x + y) / 3)
+    slope_x, slope_y = 2 / 5 * np.cos(x / 5) + common_slope, -1.5 / 7 * np.sin(y / 7) + common_slope
+    normals = np.column_stack([-slope_x, -slope_y, np.ones(len(points))])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def terrain(n, size=40.0, seed=0):
@@ -99,10 +99,10 @@ def city(n, noise=0.0, seed=0):
     generator = np.random.default_rng(seed)
     faces = city_faces()
     areas = np.array([np.linalg.norm(np.cross(first, second)) for _, first, second, _ in faces])
-    which = generator.choice(len(faces), size=n, p=areas / areas.sum())
-    corner, first, second, normal = (np.array(part)[which] for part in zip(*faces, strict=True))
+    face_rows = generator.choice(len(faces), size=n, p=areas / areas.sum())
+    corner, first, second, normal = (np.array(part)[face_rows] for part in zip(*faces, strict=True))
     u, v = generator.uniform(size=(2, n, 1))
-    return corner + u * first + v * second + noise * generator.normal(size=(n, 1)) * normal, normal, which
+    return corner + u * first + v * second + noise * generator.normal(size=(n, 1)) * normal, normal, face_rows
 
 
 def rotation(axis, angle_deg):

@@ -64,9 +64,9 @@ def city(folder: Path, case: str, images: int, size: str) -> City:
     """Return the photographed city of a case, synthesized unless the folder exists."""
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        fixed = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
-        words = ["synth", "city", "--out", folder, *fixed, *CASES[case].split()]
-        subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, words)], check=True)
+        options = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
+        arguments = ["synth", "city", "--out", folder, *options, *CASES[case].split()]
+        subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, arguments)], check=True)
     scene, reference = read_scene(folder), folder / "truth" / "cloud.ply"
     return City(scene, read_truth(reference, mesh_of(folder, reference), scene.cameras, print))
 
@@ -74,16 +74,16 @@ def city(folder: Path, case: str, images: int, size: str) -> City:
 def score_cloud(truth: Truth, points: np.ndarray) -> CloudScore:
     """Compare a cloud with the true surface, in both directions."""
     rng = np.random.default_rng(0)
-    scored = rng.permutation(len(points))[:MAX_SCORED_POINTS]
-    sampled = rng.permutation(len(truth.cloud))[:MAX_SCORED_POINTS]
+    cloud_rows = rng.permutation(len(points))[:MAX_SCORED_POINTS]
+    truth_rows = rng.permutation(len(truth.cloud))[:MAX_SCORED_POINTS]
     local = points - truth.origin
-    to_truth = truth.local_surface.query(local[scored]).distances
-    from_truth = Index(local).query(truth.cloud.points[sampled] - truth.origin).distances
-    seen, limit = truth.visible[sampled], FOOTPRINTS * truth.pixel
+    to_truth = truth.local_surface.query(local[cloud_rows]).distances
+    from_truth = Index(local).query(truth.cloud.points[truth_rows] - truth.origin).distances
+    is_seen, limit = truth.visible[truth_rows], FOOTPRINTS * truth.pixel
     return CloudScore(
         len(points),
         float(to_truth.mean()),
         float(from_truth.mean()),
-        float(from_truth[seen].mean()),
-        *(float(np.mean(distances <= limit)) for distances in (to_truth, from_truth, from_truth[seen])),
+        float(from_truth[is_seen].mean()),
+        *(float(np.mean(distances <= limit)) for distances in (to_truth, from_truth, from_truth[is_seen])),
     )

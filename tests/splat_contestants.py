@@ -111,19 +111,25 @@ class Ours:
         self._step = 0
 
     def forward(self) -> None:
-        self._seen = self._picture.parameters.gaussians()
-        drawn = self.rasterizer.forward(self._seen, self._picture.view, self._background, geometry=self._geometry)
-        self.image, self.transmittance = drawn.color, drawn.transmittance
+        self._gaussians = self._picture.parameters.gaussians()
+        output = self.rasterizer.forward(self._gaussians, self._picture.view, self._background, geometry=self._geometry)
+        self.image, self.transmittance = output.color, output.transmittance
 
     def loss(self) -> None:
         self._grad_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
 
     def backward(self) -> None:
         self.pulled = self.rasterizer.backward(self._grad_image, None, self._grad_depth, self._grad_normal, None)
-        ids, opacities = self.pulled.ids, self._seen.opacities[self.pulled.ids]
+        ids, opacities = self.pulled.ids, self._gaussians.opacities[self.pulled.ids]
         grad_logits = self.pulled.opacities * opacities * (1 - opacities)
-        grad_log_scales = self.pulled.scales * self._seen.scales[ids]
-        self._gradients = Parameters(self.pulled.means, self.pulled.quats, grad_log_scales, grad_logits, self.pulled.sh)
+        grad_log_scales = self.pulled.scales * self._gaussians.scales[ids]
+        self._gradients = Parameters(
+            self.pulled.means,
+            self.pulled.quats,
+            grad_log_scales,
+            grad_logits,
+            self.pulled.sh,
+        )
 
     def adam(self) -> None:
         self._step += 1
@@ -131,10 +137,10 @@ class Ours:
             self._kernels.adam(rows, *moments, g.reshape(len(g), -1), self.pulled.ids, 0.0, self._step)
 
     def gradients(self) -> Parameters:
-        full = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
-        for tensor, rows in zip(full, self._gradients, strict=True):
+        result = [torch.zeros_like(tensor) for tensor in self._picture.parameters]
+        for tensor, rows in zip(result, self._gradients, strict=True):
             tensor[self.pulled.ids] = rows
-        return Parameters(*full)
+        return Parameters(*result)
 
 
 class ByAutograd:
@@ -158,17 +164,17 @@ class ByAutograd:
         return bell / bell.sum()
 
     def forward(self) -> None:
-        self._drawn = self.draw()
-        self.image = self._drawn.detach()
+        self._rendering = self.draw()
+        self.image = self._rendering.detach()
 
     def loss(self) -> None:
-        shown = self._drawn.detach().requires_grad_()
-        self.difference(shown).backward()
-        self._grad_image = shown.grad
+        image = self._rendering.detach().requires_grad_()
+        self.difference(image).backward()
+        self._grad_image = image.grad
 
     def backward(self) -> None:
         self._optimizer.zero_grad(set_to_none=True)
-        self._drawn.backward(self._grad_image)
+        self._rendering.backward(self._grad_image)
 
     def adam(self) -> None:
         self._optimizer.step()
@@ -192,13 +198,13 @@ def render_plainly(gaussians: GaussianTensors, view: View) -> Tensor:
 def plain_loss(image: Tensor, target: Tensor, window: Tensor) -> Tensor:
     """Return the loss of `reference.image_loss` in float32, all channels at once, which is much faster in torch."""
     x, y = image.permute(2, 0, 1), target.permute(2, 0, 1)
-    stack = torch.cat([x, y, x * x, y * y, x * y])
-    windows = torch.outer(window, window).expand(len(stack), 1, 11, 11).contiguous()
-    smooth = torch.nn.functional.conv2d(stack[None], windows, padding=5, groups=len(stack))[0]
-    mean_x, mean_y, xx, yy, xy = smooth.split(3)
+    channels = torch.cat([x, y, x * x, y * y, x * y])
+    windows = torch.outer(window, window).expand(len(channels), 1, 11, 11).contiguous()
+    means = torch.nn.functional.conv2d(channels[None], windows, padding=5, groups=len(channels))[0]
+    mean_x, mean_y, xx, yy, xy = means.split(3)
     xx, yy, xy = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
-    likeness = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
-    ssim = (likeness / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
+    numerator = (2 * mean_x * mean_y + 0.01**2) * (2 * xy + 0.03**2)
+    ssim = (numerator / ((mean_x**2 + mean_y**2 + 0.01**2) * (xx + yy + 0.03**2))).mean()
     return (1 - SSIM_WEIGHT) * (x - y).abs().mean() + SSIM_WEIGHT * (1 - ssim)
 
 
@@ -220,81 +226,82 @@ class Lists(NamedTuple):
 def list_by_tile(splats: Projection, view: View) -> Lists:
     device = splats.xy.device
     grid = torch.tensor([-(-view.width // TILE), -(-view.height // TILE)], device=device)
-    spread = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
-    reach = torch.sqrt(2 * torch.log(255 * splats.opacities)[:, None] * spread)
-    first = ((splats.xy - reach) / TILE).floor().long().clamp(min=0)
-    last = torch.minimum(((splats.xy + reach) / TILE).floor().long(), grid - 1)
-    extent = (last - first + 1).clamp(min=0)
+    variances = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
+    radius = torch.sqrt(2 * torch.log(255 * splats.opacities)[:, None] * variances)
+    first_tile = ((splats.xy - radius) / TILE).floor().long().clamp(min=0)
+    last_tile = torch.minimum(((splats.xy + radius) / TILE).floor().long(), grid - 1)
+    extent = (last_tile - first_tile + 1).clamp(min=0)
     count = extent.prod(dim=1)
     owner = torch.repeat_interleave(count)
     rank = torch.arange(len(owner), device=device) - (count.cumsum(0) - count)[owner]
     column, row = rank % extent[owner, 0], rank.div(extent[owner, 0], rounding_mode="floor")
-    tile = (first[owner, 1] + row) * grid[0] + first[owner, 0] + column
+    tile = (first_tile[owner, 1] + row) * grid[0] + first_tile[owner, 0] + column
     order = torch.argsort(tile, stable=True)
     return Lists(owner[order], torch.bincount(tile, minlength=int(grid.prod())), int(grid[0]))
 
 
 class Blend(NamedTuple):
-    """Weights of some tiles with up to K splats: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t,
+    """Weights of t tiles with up to K splats each: tiles (t,), splats (t, K), weights (t, K, 256), transmittance (t,
     256)."""
 
     tiles: Tensor
     splats: Tensor
     weights: Tensor
-    through: Tensor
+    transmittance: Tensor
 
 
 def blend_tiles(splats: Projection, lists: Lists, tiles: Tensor) -> Iterator[Blend]:
     """Blend tiles in batches of similar sizes, with the thresholds of the reference."""
     tiles = tiles[torch.argsort(lists.sizes[tiles], descending=True)]
     starts = lists.sizes.cumsum(0) - lists.sizes
-    inside = torch.arange(TILE * TILE, device=tiles.device)
-    begin = 0
-    while begin < len(tiles):
-        deep = max(1, int(lists.sizes[tiles[begin]]))
-        some = tiles[begin : begin + max(1, PAIRS_AT_ONCE // (deep * TILE * TILE))]
-        begin += len(some)
-        rank = torch.arange(deep, device=tiles.device)
-        there = rank < lists.sizes[some][:, None]
-        chosen = lists.splats[torch.where(there, starts[some][:, None] + rank, 0)]
-        u = (some % lists.across * TILE)[:, None] + inside % TILE + 0.5
-        v = (some // lists.across * TILE)[:, None] + inside // TILE + 0.5
-        x, y = (u[:, None] - splats.xy[:, 0][chosen][..., None]), (v[:, None] - splats.xy[:, 1][chosen][..., None])
-        a, b, c = (splats.inverse[:, i, j][chosen][..., None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    pixel = torch.arange(TILE * TILE, device=tiles.device)
+    first = 0
+    while first < len(tiles):
+        max_splats = max(1, int(lists.sizes[tiles[first]]))
+        batch = tiles[first : first + max(1, PAIRS_AT_ONCE // (max_splats * TILE * TILE))]
+        first += len(batch)
+        rank = torch.arange(max_splats, device=tiles.device)
+        is_listed = rank < lists.sizes[batch][:, None]
+        ids = lists.splats[torch.where(is_listed, starts[batch][:, None] + rank, 0)]
+        u = (batch % lists.across * TILE)[:, None] + pixel % TILE + 0.5
+        v = (batch // lists.across * TILE)[:, None] + pixel // TILE + 0.5
+        x, y = (u[:, None] - splats.xy[:, 0][ids][..., None]), (v[:, None] - splats.xy[:, 1][ids][..., None])
+        a, b, c = (splats.inverse[:, i, j][ids][..., None] for i, j in ((0, 0), (0, 1), (1, 1)))
         power = x * (a * x + 2 * b * y) + c * (y * y)
-        alpha = splats.opacities[chosen][..., None] * torch.exp(-power / 2)
-        alpha = torch.where((alpha >= 1 / 255) & there[..., None], alpha.clamp(max=0.99), 0)
+        alpha = splats.opacities[ids][..., None] * torch.exp(-power / 2)
+        alpha = torch.where((alpha >= 1 / 255) & is_listed[..., None], alpha.clamp(max=0.99), 0)
         logarithm = torch.log1p(-alpha)
-        behind = logarithm.cumsum(dim=1)
-        passed = behind.detach() >= float(np.log(1e-4))
-        weights = torch.where(passed, alpha, 0) * torch.exp(behind - logarithm)
-        yield Blend(some, chosen, weights, torch.exp(torch.where(passed, logarithm, 0).sum(dim=1)))
+        log_transmittance = logarithm.cumsum(dim=1)
+        is_blended = log_transmittance.detach() >= float(np.log(1e-4))
+        weights = torch.where(is_blended, alpha, 0) * torch.exp(log_transmittance - logarithm)
+        yield Blend(batch, ids, weights, torch.exp(torch.where(is_blended, logarithm, 0).sum(dim=1)))
 
 
 def draw_in_tiles(splats: Projection, view: View) -> Tensor:
     """Return the image (H, W, 3) on a black background."""
     lists = list_by_tile(splats, view)
     tiles, colors = [], []
-    for some in blend_tiles(splats, lists, torch.arange(len(lists.sizes), device=splats.xy.device)):
-        tiles.append(some.tiles)
-        colors.append(some.weights.mT @ splats.color[some.splats])
-    in_order = torch.cat(colors)[torch.argsort(torch.cat(tiles))]
-    down = len(lists.sizes) // lists.across
-    whole = in_order.reshape(down, lists.across, TILE, TILE, 3).transpose(1, 2).reshape(down * TILE, -1, 3)
-    return whole[: view.height, : view.width]
+    for batch in blend_tiles(splats, lists, torch.arange(len(lists.sizes), device=splats.xy.device)):
+        tiles.append(batch.tiles)
+        colors.append(batch.weights.mT @ splats.color[batch.splats])
+    tile_colors = torch.cat(colors)[torch.argsort(torch.cat(tiles))]
+    row_count = len(lists.sizes) // lists.across
+    image = tile_colors.reshape(row_count, lists.across, TILE, TILE, 3).transpose(1, 2).reshape(row_count * TILE, -1, 3)
+    return image[: view.height, : view.width]
 
 
 @torch.no_grad()
-def contributors(picture: Picture, most_pairs: int = 30_000_000) -> float:
+def contributors(picture: Picture, max_pairs: int = 30_000_000) -> float:
     """Return the mean number of Gaussians blended at a pixel of the complete tiles, or of a sample of them."""
     splats = project(picture.parameters.gaussians(), picture.view)
     lists = list_by_tile(splats, picture.view)
-    full = torch.arange(len(lists.sizes), device=splats.xy.device)
-    inside = (full % lists.across + 1) * TILE <= picture.view.width
-    inside &= (full // lists.across + 1) * TILE <= picture.view.height
-    every = 1 + len(lists.splats) * TILE * TILE // most_pairs
+    tile_ids = torch.arange(len(lists.sizes), device=splats.xy.device)
+    is_complete = (tile_ids % lists.across + 1) * TILE <= picture.view.width
+    is_complete &= (tile_ids // lists.across + 1) * TILE <= picture.view.height
+    stride = 1 + len(lists.splats) * TILE * TILE // max_pairs
     counts = [
-        (some.weights > 0).sum(dim=1).float().flatten() for some in blend_tiles(splats, lists, full[inside][::every])
+        (batch.weights > 0).sum(dim=1).float().flatten()
+        for batch in blend_tiles(splats, lists, tile_ids[is_complete][::stride])
     ]
     return float(torch.cat(counts).mean())
 
@@ -324,20 +331,25 @@ class OpenSplat(ByAutograd):
         self._module = module
         self._base = self._leaves.sh.detach()[:, 0].clone().requires_grad_()
         self._higher = self._leaves.sh.detach()[:, 1:].clone().requires_grad_()
-        updated = [*self._leaves[:4], self._base]
-        updated[3] = self._leaves.logits.detach()[:, None].clone().requires_grad_()
-        self._leaves = Parameters(*updated)
-        self._optimizer = torch.optim.Adam(updated, lr=0.0, eps=1e-15)
+        parameters = [*self._leaves[:4], self._base]
+        parameters[3] = self._leaves.logits.detach()[:, None].clone().requires_grad_()
+        self._leaves = Parameters(*parameters)
+        self._optimizer = torch.optim.Adam(parameters, lr=0.0, eps=1e-15)
         view = picture.view
         self._camera = torch.eye(4)
         self._camera[:3, :3] = torch.from_numpy(view.rotation)
         self._camera[:3, 3] = torch.from_numpy(-view.rotation @ view.position)
-        near, far = 0.001, 1000.0
+        near_plane, far_plane = 0.001, 1000.0
         self._clip = torch.tensor(
             [
                 [2 * view.fx / view.width, 0, 0, 0],
                 [0, 2 * view.fy / view.height, 0, 0],
-                [0, 0, (far + near) / (far - near), -far * near / (far - near)],
+                [
+                    0,
+                    0,
+                    (far_plane + near_plane) / (far_plane - near_plane),
+                    -far_plane * near_plane / (far_plane - near_plane),
+                ],
                 [0, 0, 1, 0],
             ]
         )
@@ -372,15 +384,15 @@ class OpenSplat(ByAutograd):
 class _OpenSplatBlend(torch.autograd.Function):
     @staticmethod
     def forward(ctx, module, width, height, *splats):
-        image, through, ctx.lists = module.blend(width, height, *splats)
+        image, transmittance, ctx.lists = module.blend(width, height, *splats)
         ctx.module, ctx.size = module, (width, height)
-        ctx.save_for_backward(*splats, through)
+        ctx.save_for_backward(*splats, transmittance)
         return image
 
     @staticmethod
     def backward(ctx, grad_image):
-        *splats, through = ctx.saved_tensors
-        gradients = ctx.module.blend_backward(*ctx.size, *splats, through, ctx.lists, grad_image.contiguous())
+        *splats, transmittance = ctx.saved_tensors
+        gradients = ctx.module.blend_backward(*ctx.size, *splats, transmittance, ctx.lists, grad_image.contiguous())
         ctx.lists = None
         return None, None, None, *gradients, None, None
 
@@ -458,5 +470,5 @@ class RasterizerByAutograd:
         self._image.backward(color)
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
         ids = torch.stack([g.reshape(len(g), -1).any(dim=1) for g in gradients]).any(dim=0).nonzero()[:, 0]
-        nothing = color.new_zeros(len(ids))
-        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2), nothing, nothing)
+        zeros = color.new_zeros(len(ids))
+        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2), zeros, zeros)

@@ -60,11 +60,11 @@ def run_pass(engine, scene, image_gradients=None, rasterizer=None, geometry=True
     rasterizer = rasterizer or engine.kernels.Rasterizer()
     view = View.of(scene.camera)
     *gaussians, background = (engine.tensor(array) for array in (*scene.arrays, scene.background))
-    drawn = rasterizer.forward(GaussianTensors(*gaussians), view, background, geometry=geometry)
+    output = rasterizer.forward(GaussianTensors(*gaussians), view, background, geometry=geometry)
     pixels = view.width * view.height
     images = {
         name: image.cpu().double().numpy().reshape(pixels, -1)
-        for name, image in zip(IMAGES, drawn, strict=True)
+        for name, image in zip(IMAGES, output, strict=True)
         if image is not None
     }
     if image_gradients is None:
@@ -72,8 +72,8 @@ def run_pass(engine, scene, image_gradients=None, rasterizer=None, geometry=True
     gradients = rasterizer.backward(*(None if image is None else engine.tensor(image) for image in image_gradients))
     ids, count = gradients.ids.cpu().numpy(), len(scene.means)
     assert (np.diff(ids) > 0).all()
-    full = {}
+    all_gradients = {}
     for name, rows in zip(gradients._fields[1:], gradients[1:], strict=True):
-        full[name] = np.zeros((count, *rows.shape[1:]))
-        full[name][ids] = rows.cpu().double().numpy()
-    return Pass(images, full, np.isin(np.arange(count), ids))
+        all_gradients[name] = np.zeros((count, *rows.shape[1:]))
+        all_gradients[name][ids] = rows.cpu().double().numpy()
+    return Pass(images, all_gradients, np.isin(np.arange(count), ids))

@@ -29,15 +29,15 @@ def camera(width, height, position=(0.3, -4.0, 0.7), target=(0.0, 0.0, 0.0), foc
     return Camera("view.png", k, look_at(position, target))
 
 
-def scattered_cloud(rng, count=60, width=37, height=22, degree=3, size=0.15, **placed):
+def scattered_cloud(rng, count=60, width=37, height=22, degree=3, size=0.15, **camera_options):
     """A cloud about the origin, seen from outside, with sizes over a factor of twenty and all opacities."""
     means = rng.normal(size=(count, 3))
     quats = rng.normal(size=(count, 4)) * rng.uniform(0.2, 5, size=(count, 1))
     scales = size * np.exp(rng.uniform(-1.5, 1.5, size=(count, 3)))
     opacities = rng.uniform(0.02, 1, size=count)
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * np.r_[0.8, np.full((degree + 1) ** 2 - 1, 0.25)][:, None]
-    numbers = [a.astype(np.float32) for a in (means, quats, scales, opacities, sh)]
-    return SplatScene(*numbers, camera(width, height, **placed), np.array([0.2, 0.5, 0.9], np.float32))
+    arrays = [a.astype(np.float32) for a in (means, quats, scales, opacities, sh)]
+    return SplatScene(*arrays, camera(width, height, **camera_options), np.array([0.2, 0.5, 0.9], np.float32))
 
 
 def camera_inside(rng):
@@ -52,11 +52,11 @@ def means_at_border(rng):
     """Means on the image's border, outside it, and beyond the bounds of the affine approximation."""
     scene = scattered_cloud(rng, 80)
     k, motion = scene.camera.intrinsics, scene.camera.cam_from_world
-    share = rng.uniform(-0.3, 1.3, size=(80, 2))
-    share[:40] = np.where(rng.random((40, 2)) < 0.5, 0, 1)  # the four corners
-    share[20:40, 0] = rng.random(20)
+    relative_position = rng.uniform(-0.3, 1.3, size=(80, 2))
+    relative_position[:40] = np.where(rng.random((40, 2)) < 0.5, 0, 1)  # the four corners
+    relative_position[20:40, 0] = rng.random(20)
     depth = rng.uniform(1, 6, size=(80, 1))
-    x = (share * [k.width, k.height] - [k.cx, k.cy]) / [k.fx, k.fy] * depth
+    x = (relative_position * [k.width, k.height] - [k.cx, k.cy]) / [k.fx, k.fy] * depth
     scene.means[:] = motion.inverse().apply(np.hstack([x, depth]))
     scene.scales[60:] *= 5
     return scene

@@ -20,8 +20,8 @@ def truth():
     model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
     pictures = []
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, 8, endpoint=False)):
-        place = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
-        camera = replace(scene.camera, name=str(k), cam_from_world=look_at(place, (0, 0, 0)))
+        position = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
+        camera = replace(scene.camera, name=str(k), cam_from_world=look_at(position, (0, 0, 0)))
         view = View.of(camera)
         pictures.append([Photograph(str(k), view, (render(model, view) * 255).round().to(torch.uint8), None)])
     return model, pictures

@@ -23,12 +23,12 @@ class Surface(NamedTuple):
         """Sample points and normals, `falling` times denser at one end of the x axis than at the other."""
         if falling == 1:
             return self.draw(count, rng)
-        places, normals = self.draw(int(count * falling), rng)
-        x = places[:, 0]
+        points, normals = self.draw(int(count * falling), rng)
+        x = points[:, 0]
         share = (x - x.min()) / np.ptp(x)
-        kept = np.flatnonzero(rng.random(len(x)) < falling**-share)
-        kept = np.sort(rng.permutation(kept)[:count])
-        return places[kept], normals[kept]
+        rows = np.flatnonzero(rng.random(len(x)) < falling**-share)
+        rows = np.sort(rng.permutation(rows)[:count])
+        return points[rows], normals[rows]
 
 
 def plane(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -36,13 +36,15 @@ def plane(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 
 def torus(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    large, small = 0.35, 0.15
+    major_radius, minor_radius = 0.35, 0.15
     u = rng.uniform(0, 2 * np.pi, 3 * count)
     v = rng.uniform(0, 2 * np.pi, 3 * count)
-    kept = np.flatnonzero(rng.random(3 * count) * (large + small) < large + small * np.cos(v))[:count]
-    u, v = u[kept], v[kept]
+    rows = np.flatnonzero(
+        rng.random(3 * count) * (major_radius + minor_radius) < major_radius + minor_radius * np.cos(v)
+    )[:count]
+    u, v = u[rows], v[rows]
     normals = np.column_stack([np.cos(v) * np.cos(u), np.cos(v) * np.sin(u), np.sin(v)])
-    return large * np.column_stack([np.cos(u), np.sin(u), np.zeros(len(u))]) + small * normals, normals
+    return major_radius * np.column_stack([np.cos(u), np.sin(u), np.zeros(len(u))]) + minor_radius * normals, normals
 
 
 def sphere(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -76,8 +78,8 @@ def buildings(along: int, seed: int) -> Draw:
     areas = np.linalg.norm(np.cross(a, b), axis=1)
 
     def draw(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        free = 1 - np.prod(widths, axis=1).sum()
-        on_ground = rng.binomial(count, free / (free + areas.sum()))
+        ground_area = 1 - np.prod(widths, axis=1).sum()
+        on_ground = rng.binomial(count, ground_area / (ground_area + areas.sum()))
         ground = rng.random((8 * on_ground + 64, 2))
         box = np.floor(ground / pitch).astype(int).clip(0, along - 1) @ [along, 1]
         ground = ground[(np.abs(ground - centers[box]) > widths[box] / 2).any(axis=1)][:on_ground]

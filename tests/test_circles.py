@@ -15,25 +15,25 @@ SUBPACKAGES = sorted(
 )
 
 
-def imports(source: Path) -> set[Path]:
+def imported_files(source: Path) -> set[Path]:
     """Return the files of the repository that a file imports, including imports in functions and for types only."""
-    found = set()
+    files = set()
     for node in ast.walk(ast.parse(source.read_text())):
         if isinstance(node, ast.Import):
-            found |= {file_of(alias.name) for alias in node.names}
+            files |= {module_file(alias.name) for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{source}: imports are absolute"
-            found |= {file_of(f"{node.module}.{alias.name}") or file_of(node.module) for alias in node.names}
-    return found - {None, source}
+            files |= {module_file(f"{node.module}.{alias.name}") or module_file(node.module) for alias in node.names}
+    return files - {None, source}
 
 
-def file_of(module: str) -> Path | None:
+def module_file(module: str) -> Path | None:
     path = ROOT.joinpath(*module.split("."))
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
 
 
-def find_circle(graph: dict[Path, set[Path]]) -> list[str]:
-    """Return the files of a circle, each imported by the next; an empty list without a circle."""
+def find_cycle(graph: dict[Path, set[Path]]) -> list[str]:
+    """Return the files of an import cycle, each imported by the next; an empty list without a cycle."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -44,5 +44,5 @@ def find_circle(graph: dict[Path, set[Path]]) -> list[str]:
 @pytest.mark.parametrize("folder", SUBPACKAGES)
 def test_no_circular_imports(folder):
     files = set((ROOT / folder).rglob("*.py"))
-    graph = {file: imports(file) & files for file in files}
-    assert not find_circle(graph)
+    graph = {file: imported_files(file) & files for file in files}
+    assert not find_cycle(graph)

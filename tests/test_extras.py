@@ -28,11 +28,11 @@ from pcbench.scenes.synthetic.render import check_renderer
         None,
     ],
 )
-def test_any_import_error_becomes_one_line(monkeypatch, tmp_path, error):
+def test_import_errors_become_one_line(monkeypatch, tmp_path, error):
     break_library(monkeypatch, tmp_path, "open3d", error)
-    with check_error(MissingExtra) as raised:
+    with check_error(MissingExtra) as caught:
         require("open3d")
-    assert import_problem("json", "open3d") == str(raised.value)
+    assert import_problem("json", "open3d") == str(caught.value)
 
 
 def test_submodule_of_a_broken_library(monkeypatch, tmp_path):
@@ -99,8 +99,8 @@ def test_commands_report_a_broken_library_on_one_line(run, monkeypatch, tmp_path
 
 def run_tests(*tests):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(str(TESTS / test) for test in tests)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    return done.returncode, done.stdout
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    return process.returncode, process.stdout
 
 
 def test_tests_are_skipped_if_a_library_cannot_be_loaded(monkeypatch, tmp_path):
@@ -116,12 +116,12 @@ def test_demo_skips_the_bench_without_opengl(tmp_path):
     """The loader finds empty files for EGL and OSMesa, so `dlopen` fails."""
     environment = os.environ | break_system_libraries(tmp_path / "libraries")
     command = [sys.executable, "-m", "pcbench.cli", "demo", "--points", "20000", "--out", str(tmp_path / "demo")]
-    done = subprocess.run([*command, "--no-figures"], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run([*command, "--no-figures"], env=environment, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
     assert (tmp_path / "demo" / "report" / "comparison.json").is_file()
-    skipped = [line for line in done.stdout.splitlines() if line.startswith("bench skipped: ")]
-    assert len(skipped) == 1
-    assert "libegl1" in skipped[0]
+    notices = [line for line in process.stdout.splitlines() if line.startswith("bench skipped: ")]
+    assert len(notices) == 1
+    assert "libegl1" in notices[0]
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux is checked for OpenGL")

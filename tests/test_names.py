@@ -13,5 +13,5 @@ def test_class_names_are_unique():
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.ClassDef):
                     locations[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
-    assert {name: where for name, where in locations.items() if len(where) > 1} == {}
+    assert {name: paths for name, paths in locations.items() if len(paths) > 1} == {}
     assert len(locations) > 100  # the classes were found

@@ -12,12 +12,15 @@ from repository import ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-SLOW = ("gao",)  # trains a model
+SLOW_NOTEBOOKS = ("gao",)  # trains a model
 
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in NOTEBOOKS],
+    [
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW_NOTEBOOKS else [], id=path.stem)
+        for path in NOTEBOOKS
+    ],
 )
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
@@ -30,10 +33,10 @@ def test_notebook_runs(path, request):
     cells = json.loads(path.read_text())["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     notebook = nbformat.read(path, as_version=4)
-    nbclient.NotebookClient(notebook, timeout=900 if path.stem in SLOW else 300).execute(cwd=str(path.parent))
-    drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
-    assert drawing
-    for cell in drawing:
+    nbclient.NotebookClient(notebook, timeout=900 if path.stem in SLOW_NOTEBOOKS else 300).execute(cwd=str(path.parent))
+    figure_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
+    assert figure_cells
+    for cell in figure_cells:
         check_figure(cell)
 
 
@@ -41,9 +44,9 @@ def check_figure(cell):
     """Check that a cell displays one picture with at least 2 % of its area drawn; titles and axes cover about 1 %."""
     from matplotlib.image import imread
 
-    pictures = [output.data["image/png"] for output in cell.outputs if "image/png" in output.get("data", {})]
-    assert len(pictures) == 1, cell.source
-    image = imread(io.BytesIO(base64.b64decode(pictures[0])))[..., :3]
+    images = [output.data["image/png"] for output in cell.outputs if "image/png" in output.get("data", {})]
+    assert len(images) == 1, cell.source
+    image = imread(io.BytesIO(base64.b64decode(images[0])))[..., :3]
     background = np.median(image.reshape(-1, 3), axis=0)
     assert (np.abs(image - background) > 0.05).any(axis=2).mean() > 0.02, cell.source
 

@@ -10,7 +10,7 @@ import tomllib
 import pytest
 import repository
 
-HEAVY = (
+HEAVY_LIBRARIES = (
     "scipy",
     "torch",
     "pycolmap",
@@ -26,10 +26,10 @@ HEAVY = (
 )
 
 
-def modules_after(code):
+def loaded_modules(code):
     script = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    return {name.partition(".")[0] for name in done.stdout.split()}
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return {name.partition(".")[0] for name in process.stdout.split()}
 
 
 def test_import_loads_no_heavy_library():
@@ -37,17 +37,17 @@ def test_import_loads_no_heavy_library():
         "import pcbench\n"
         "pcbench.Cloud, pcbench.Settings, pcbench.compare, pcbench.metrics, pcbench.read_cloud, pcbench.register\n"
     )
-    assert not modules_after(code) & set(HEAVY)
+    assert not loaded_modules(code) & set(HEAVY_LIBRARIES)
 
 
 def test_dir_imports_nothing():
-    listed = modules_after("import pcbench\nassert {'Cloud', 'Mesh', 'read_scene'} <= set(dir(pcbench))")
-    assert "numpy" not in listed
+    modules = loaded_modules("import pcbench\nassert {'Cloud', 'Mesh', 'read_scene'} <= set(dir(pcbench))")
+    assert "numpy" not in modules
 
 
 def test_help_imports_nothing_heavy():
     code = "from pcbench import cli\ntry: cli.app(['--help'])\nexcept SystemExit: pass"
-    assert not modules_after(code) & {*HEAVY, "numpy"}
+    assert not loaded_modules(code) & {*HEAVY_LIBRARIES, "numpy"}
 
 
 def test_public_names():
@@ -66,17 +66,17 @@ def test_public_names():
 def test_dir_lists_exactly_the_public_names():
     import pcbench
 
-    listed = [name for name in dir(pcbench) if not name.startswith("_")]
-    assert listed == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
-    assert {"Index", "compare", "read_cloud"} <= set(listed)
+    names = [name for name in dir(pcbench) if not name.startswith("_")]
+    assert names == sorted(name for name in pcbench.__all__ if not name.startswith("_"))
+    assert {"Index", "compare", "read_cloud"} <= set(names)
 
 
 def test_public_names_are_documented():
     import pcbench
 
     page = (repository.ROOT / "docs" / "reference" / "index.md").read_text()
-    documented = [line.strip()[2:] for line in page.splitlines() if line.strip().startswith("- ")]
-    assert set(documented) == set(pcbench.__all__) - {"__version__"}
+    documented_names = [line.strip()[2:] for line in page.splitlines() if line.strip().startswith("- ")]
+    assert set(documented_names) == set(pcbench.__all__) - {"__version__"}
 
 
 # Module names of distributions that are imported under another name.
@@ -84,18 +84,18 @@ IMPORTED_AS = {"pillow": "PIL", "kiss-matcher": "kiss_matcher", "cuda-core": "cu
 
 
 @functools.cache
-def imports(folder):
+def imported_modules(folder):
     """Return all modules that the code in a folder imports, by a statement or by `pcbench.extras.require`."""
-    found = set()
+    modules = set()
     for file in (repository.ROOT / folder).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
-                found |= {alias.name.partition(".")[0] for alias in node.names}
+                modules |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
-                found.add(node.module.partition(".")[0])
+                modules.add(node.module.partition(".")[0])
             elif isinstance(node, ast.Call) and getattr(node.func, "id", None) == "require":
-                found |= {name.value.partition(".")[0] for name in node.args[:1] if isinstance(name, ast.Constant)}
-    return found
+                modules |= {name.value.partition(".")[0] for name in node.args[:1] if isinstance(name, ast.Constant)}
+    return modules
 
 
 EXTRAS = tomllib.loads((repository.ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
@@ -104,10 +104,10 @@ PUBLIC_EXTRAS = [name for name in EXTRAS if name not in ("all", "docs", "dev")]
 
 @pytest.mark.parametrize("extra", PUBLIC_EXTRAS)
 def test_extras_install_only_imported_libraries(extra):
-    used = imports("pcbench") | imports("reconstructors")
+    modules = imported_modules("pcbench") | imported_modules("reconstructors")
     for requirement in EXTRAS[extra]:
         name = re.match(r"[\w-]+", requirement)[0]
-        assert IMPORTED_AS.get(name, name) in used, f"no code imports {name}"
+        assert IMPORTED_AS.get(name, name) in modules, f"no code imports {name}"
 
 
 def test_extra_all_contains_the_others():

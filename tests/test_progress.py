@@ -14,20 +14,20 @@ MESSAGE_INTERVAL_S = messages._MESSAGE_INTERVAL_S
 
 
 def test_plan_announces_steps_with_durations():
-    announced = []
-    plan = ProgressPlan(announced.append, [1.0, 10.0, 3.0])
+    announcements = []
+    plan = ProgressPlan(announcements.append, [1.0, 10.0, 3.0])
     plan("reading")
-    inner = ProgressPlan(plan.within(), [4.0, 6.0])
-    inner("registering")
-    inner("measuring")
+    inner_plan = ProgressPlan(plan.within(), [4.0, 6.0])
+    inner_plan("registering")
+    inner_plan("measuring")
     plan("writing")
     plan("unplanned step")
-    assert announced == ["reading", "registering", "measuring", "writing", "unplanned step"]
-    assert [(step.expected, step.after) for step in announced] == [(1, 13), (4, 9), (6, 3), (3, 0), (None, 0)]
+    assert announcements == ["reading", "registering", "measuring", "writing", "unplanned step"]
+    assert [(step.expected, step.after) for step in announcements] == [(1, 13), (4, 9), (6, 3), (3, 0), (None, 0)]
 
 
 def test_time_left_adapts_to_the_machine():
-    """4 steps of 25 expected seconds on a machine that takes three times as long."""
+    """Four steps with an expected duration of 25 s run on a machine that takes three times as long."""
     estimate = TimeEstimate(0.0)
     for number in range(4):
         now = 75.0 * number
@@ -75,10 +75,10 @@ def test_short_steps_print_nothing_without_a_terminal(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def _read_stderr_until(capsys, enough):
-    """Return what is written to standard error until `enough` accepts it, or for half a minute."""
+def _read_stderr_until(capsys, is_complete):
+    """Return what is written to standard error until `is_complete` accepts it, or for half a minute."""
     text, end = "", time.monotonic() + 30
-    while not enough(text) and time.monotonic() < end:
+    while not is_complete(text) and time.monotonic() < end:
         time.sleep(0.01)
         text += capsys.readouterr().err
     return text
@@ -91,9 +91,9 @@ def test_long_steps_print_lines_without_a_terminal(capsys, monkeypatch):
         step(Step("reading a.ply", 30.0, 60.0))
         lines = _read_stderr_until(capsys, lambda text: text.count("reading a.ply (") > 2).splitlines()
         step("registering")
-        later = _read_stderr_until(capsys, lambda text: text.count("registering\n") > 1)
+        next_text = _read_stderr_until(capsys, lambda text: text.count("registering\n") > 1)
     assert lines[-1] == "[0:00] reading a.ply (about 90 s left)"
-    assert "[0:00] registering" in later
+    assert "[0:00] registering" in next_text
     capsys.readouterr()
     time.sleep(0.05)
     assert capsys.readouterr().err == ""

@@ -26,14 +26,14 @@ def test_unclear_phrases_are_found(tmp_path: Path, name: str, content: str, coun
     assert sum(len(list(prose.findings(text))) for text in prose.texts(path)) == count
 
 
-def test_a_finding_has_its_line(tmp_path: Path):
+def test_findings_have_their_line(tmp_path: Path):
     path = tmp_path / "page.md"
     path.write_text("First line.\nThe points\nare put\ntogether.\n")
-    (found,) = (found for text in prose.texts(path) for found in prose.findings(text))
-    assert (found.line, found.words) == (3, "put together")
+    (finding,) = (finding for text in prose.texts(path) for finding in prose.findings(text))
+    assert (finding.line, finding.words) == (3, "put together")
 
 
-def test_the_command_fails_on_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_command_fails_if_there_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "page.md"
     path.write_text("Plain words.\n")
     assert prose.main([str(path)]) == 0

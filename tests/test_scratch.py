@@ -15,7 +15,7 @@ from wording import check_error
 from pcbench.io.files import atomic_write
 from pcbench.scratch import attribute_errors_to, lock_output, remove_leftovers, scratch_file, scratch_folder
 
-BUSY = """
+REPEATED_SCRATCH_SCRIPT = """
 import sys
 from pathlib import Path
 from pcbench.scratch import scratch_folder
@@ -29,7 +29,7 @@ for _ in range(1000):
 print(failed)
 """
 
-HOLD = """
+LOCKED_OUTPUT_SCRIPT = """
 import sys, time
 from pathlib import Path
 from pcbench.scratch import lock_output, scratch_file, scratch_folder
@@ -42,9 +42,11 @@ with lock_output(out), scratch_folder(out) as folder, scratch_file(out.with_suff
 
 
 @pytest.fixture
-def other(tmp_path):
+def other_process(tmp_path):
     """Another process that locks and fills `tmp_path / "out"`."""
-    process = subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "out"], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", LOCKED_OUTPUT_SCRIPT, tmp_path / "out"], stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout.readline() == "ready\n"
     yield process
     process.kill()
@@ -52,19 +54,19 @@ def other(tmp_path):
     process.stdout.close()
 
 
-def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other):
+def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other_process):
     other_files = sorted(p.name for p in tmp_path.iterdir())
     assert len(other_files) == 3
-    old = time.time() - 10**6
+    old_time = time.time() - 10**6
     for path in tmp_path.iterdir():
-        os.utime(path, (old, old))  # age alone does not make a leftover
+        os.utime(path, (old_time, old_time))  # old files in use are no leftovers
     with check_error(), lock_output(tmp_path / "out"):
         pass
     with atomic_write(tmp_path / "mine.txt") as file:
         file.write(b"mine")
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*other_files, "mine.txt"])
-    other.send_signal(signal.SIGKILL)
-    other.wait()
+    other_process.send_signal(signal.SIGKILL)
+    other_process.wait()
     with lock_output(tmp_path / "out"), scratch_folder(tmp_path / "out") as folder:
         (folder / "complete").touch()
         folder.rename(tmp_path / "out")
@@ -74,16 +76,16 @@ def test_only_leftovers_of_killed_runs_are_removed(tmp_path, other):
 
 def test_removal_between_creation_and_lock_is_retried(tmp_path, monkeypatch):
     """Another run removes the folder three times before it can be locked; it is created again."""
-    real_open, removals = os.open, iter([True] * 3)
+    original_open, removals = os.open, iter([True] * 3)
 
-    def interrupted(path, *arguments, **options):
+    def open_after_removal(path, *arguments, **options):
         if Path(path).name.startswith(".pcbench-") and next(removals, False):
             with monkeypatch.context() as patch:
-                patch.setattr(os, "open", real_open)
+                patch.setattr(os, "open", original_open)
                 remove_leftovers(tmp_path)
-        return real_open(path, *arguments, **options)
+        return original_open(path, *arguments, **options)
 
-    monkeypatch.setattr(os, "open", interrupted)
+    monkeypatch.setattr(os, "open", open_after_removal)
     with scratch_folder(tmp_path / "out") as folder:
         assert folder.is_dir()
     assert next(removals, None) is None
@@ -97,25 +99,25 @@ def test_missing_parent_folder_is_an_error(tmp_path):
 
 def test_two_processes_in_one_folder_keep_their_files(tmp_path):
     """Each process removes leftovers from the shared folder 1,000 times."""
-    run = [sys.executable, "-c", BUSY, tmp_path / "out"]
-    processes = [subprocess.Popen(run, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    command = [sys.executable, "-c", REPEATED_SCRATCH_SCRIPT, tmp_path / "out"]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     assert [process.communicate()[0] for process in processes] == ["0\n", "0\n"]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_leftovers_of_other_machines_are_removed_after_a_day(tmp_path):
-    young, old = (f".pcbench-00000000-{letter * 16}" for letter in "ab")
-    for name in (young, old):
+    recent_name, old_name = (f".pcbench-00000000-{letter * 16}" for letter in "ab")
+    for name in (recent_name, old_name):
         (tmp_path / name).mkdir()
         (tmp_path / f"{name}.tmp").write_text("half")
-    long_ago = time.time() - 2 * 86_400
-    for path in tmp_path.glob(f"{old}*"):
-        os.utime(path, (long_ago, long_ago))
+    old_time = time.time() - 2 * 86_400
+    for path in tmp_path.glob(f"{old_name}*"):
+        os.utime(path, (old_time, old_time))
     remove_leftovers(tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {young, f"{young}.tmp"}
+    assert {p.name for p in tmp_path.iterdir()} == {recent_name, f"{recent_name}.tmp"}
 
 
-def test_similar_names_of_users_stay(tmp_path):
+def test_similar_names_are_not_removed(tmp_path):
     names = [
         ".pcbench.txt",
         ".pcbench-notes",

@@ -14,7 +14,7 @@ from pcbench import systems
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 
-# Modules that are missing, and names of `os` and `signal`. `sys.platform` is set to the name.
+# Modules and names of `os` and `signal` that the system lacks, and its value of `sys.platform`.
 _MACOS = ("os.sched_getaffinity os.sched_setaffinity os.waitid os.P_PID os.WNOWAIT", "darwin")
 _WINDOWS = (
     "fcntl resource termios pwd grp os.fork os.setsid os.killpg os.waitid os.wait os.wait4 os.P_PID os.WNOWAIT "
@@ -24,7 +24,7 @@ _WINDOWS = (
     "win32",
 )
 
-# Libraries are imported first and subprocess keeps its own names: only pcbench runs on the simulated system.
+# Libraries are imported before names are removed, and subprocess keeps them, so that only pcbench is affected.
 SIMULATION = """
 import ctypes.util, fcntl, importlib, json, multiprocessing, os, pkgutil, platform, shutil, signal, subprocess, sys
 import tempfile, types
@@ -53,20 +53,20 @@ if sys.platform == "win32":
 
 
 @pytest.fixture(params=[_MACOS, _WINDOWS], ids=["macos", "windows"])
-def simulated(request):
+def run_simulated(request):
     """Return a function that runs Python lines on the simulated system and returns their output."""
 
-    def run(lines, *arguments, before=""):
-        code = [sys.executable, "-c", before + SIMULATION + lines, *request.param, *map(str, arguments)]
-        ended = subprocess.run(code, capture_output=True, text=True, cwd=ROOT)
-        assert ended.returncode == 0, ended.stderr
-        return ended.stdout
+    def run_lines(lines, *arguments, setup=""):
+        command = [sys.executable, "-c", setup + SIMULATION + lines, *request.param, *map(str, arguments)]
+        process = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+        assert process.returncode == 0, process.stderr
+        return process.stdout
 
-    return run
+    return run_lines
 
 
-def test_every_module_imports(simulated):
-    heavy = """
+def test_every_module_imports(run_simulated):
+    heavy_imports = """
 import contextlib
 with contextlib.suppress(ImportError):
     import torch
@@ -88,30 +88,33 @@ for package in ("pcbench", "reconstructors"):
 print(count)
 """
     sources = [p for package in ("pcbench", "reconstructors") for p in (ROOT / package).rglob("*.py")]
-    assert int(simulated(lines, before=heavy)) >= len(sources) - 3  # the two packages themselves and cli/__main__.py
+    # The two packages themselves and cli/__main__.py are not imported.
+    assert int(run_simulated(lines, setup=heavy_imports)) >= len(sources) - 3
 
 
-def test_compare_gives_the_same_numbers(simulated, tmp_path):
+def test_compare_gives_the_same_numbers(run_simulated, tmp_path):
     rng = np.random.default_rng(5)
     points = np.c_[rng.uniform(0, 4, (3000, 2)), rng.normal(0, 0.01, 3000)]
-    for name, moved in (("reference", points), ("candidate", points + [0, 0, 0.02])):
-        write_cloud(tmp_path / f"{name}.ply", Cloud(moved))
+    for name, cloud_points in (("reference", points), ("candidate", points + [0, 0, 0.02])):
+        write_cloud(tmp_path / f"{name}.ply", Cloud(cloud_points))
     lines = """
 from pcbench import cli
 sys.argv = ["pcbench", "compare", *sys.argv[3:], "--register", "none", "--no-figures", "--quiet"]
 cli.main()
 """
     clouds = [tmp_path / f"{name}.ply" for name in ("reference", "candidate")]
-    simulated(lines, *clouds, "--out", tmp_path / "there")
+    run_simulated(lines, *clouds, "--out", tmp_path / "there")
     code = "from pcbench import cli; cli.main()"
     arguments = [*clouds, "--register", "none", "--no-figures", "--quiet", "--out", tmp_path / "here"]
     subprocess.run([sys.executable, "-c", code, "compare", *arguments], check=True)
-    there, here = (json.loads((tmp_path / name / "comparison.json").read_text()) for name in ("there", "here"))
-    assert there["candidates"][0]["metrics"] == here["candidates"][0]["metrics"]
+    simulated_result, native_result = (
+        json.loads((tmp_path / name / "comparison.json").read_text()) for name in ("there", "here")
+    )
+    assert simulated_result["candidates"][0]["metrics"] == native_result["candidates"][0]["metrics"]
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".pcbench-")]
 
 
-def test_locked_output_is_refused(simulated, tmp_path):
+def test_locked_output_is_refused(run_simulated, tmp_path):
     lines = """
 from pathlib import Path
 from pcbench.errors import InputError
@@ -126,11 +129,11 @@ with lock_output(out):
 with lock_output(out), scratch_folder(out) as folder:
     folder.rename(out)
 """
-    assert simulated(lines, tmp_path / "out") == "refused\n"
+    assert run_simulated(lines, tmp_path / "out") == "refused\n"
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-def test_child_runs_and_is_ended(simulated, tmp_path):
+def test_children_run_and_end_at_the_time_limit(run_simulated, tmp_path):
     """Without process groups a fake `taskkill` ends the child."""
     (tmp_path / "taskkill").write_text('#!/bin/sh\nkill -15 "$4"\n')
     (tmp_path / "taskkill").chmod(0o755)
@@ -143,9 +146,9 @@ print(run_script(sys.argv[3] + "/quick.py", limits=Limits(cpu_seconds=60, memory
 ended = run_script(sys.argv[3] + "/sleeper.py", limits=Limits(seconds=5))
 print(ended.timed_out, ended.output.strip())
 """
-    quick, slow = simulated(lines, tmp_path).splitlines()
-    timed_out, pid = slow.split()
-    assert (quick, timed_out) == ("3", "True")
+    exit_code, timeout_line = run_simulated(lines, tmp_path).splitlines()
+    timed_out, pid = timeout_line.split()
+    assert (exit_code, timed_out) == ("3", "True")
     assert has_ended(int(pid))
 
 

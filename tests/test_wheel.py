@@ -10,7 +10,7 @@ import pytest
 from repository import ROOT
 
 # The only C++ sources in the wheel: headers from which CUDA kernels are compiled at first use.
-READ_AT_RUN_TIME = {"reconstructors/splat/maths.h", "reconstructors/splat/pinhole.h"}
+RUN_TIME_HEADERS = {"reconstructors/splat/maths.h", "reconstructors/splat/pinhole.h"}
 MODULES = {
     "pcbench/native/_core",
     "reconstructors/mvs/native/_patchmatch",
@@ -38,20 +38,22 @@ def test_contents(wheel):
     """The wheel contains required sources, compiled modules, the OpenMP library and metadata, nothing else."""
     names = {name for name in wheel.namelist() if not name.endswith("/")}
     print("\n".join(sorted(names)))
-    tracked = subprocess.run(
+    tracked_files = subprocess.run(
         ["git", "ls-files", "pcbench", "reconstructors"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.split()
-    sources = {name for name in tracked if PurePosixPath(name).suffix not in (".cpp", ".h") or name in READ_AT_RUN_TIME}
+    sources = {
+        name for name in tracked_files if PurePosixPath(name).suffix not in (".cpp", ".h") or name in RUN_TIME_HEADERS
+    }
     modules = {module + sysconfig.get_config_var("EXT_SUFFIX") for module in MODULES}
-    others = names - sources - modules
+    other_names = names - sources - modules
     assert sources - names == set()
     assert modules - names == set()
-    info = metadata_folder(wheel)
+    metadata = metadata_folder(wheel)
     files = ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")
-    libraries = {name for name in others if name.startswith("pcbench.libs/libgomp")}
+    libraries = {name for name in other_names if name.startswith("pcbench.libs/libgomp")}
     assert len(libraries) == 1
-    assert others - libraries - {name for name in others if name.startswith(f"{info}/sboms/")} == {
-        f"{info}/{name}" for name in files
+    assert other_names - libraries - {name for name in other_names if name.startswith(f"{metadata}/sboms/")} == {
+        f"{metadata}/{name}" for name in files
     }
 
 

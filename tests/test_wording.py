@@ -7,7 +7,7 @@ from wording import check_error, check_text, texts_of
 
 from pcbench.errors import InputError
 
-HERE = "tests/test_wording.py::test_texts_are_compared_after_a_test_has_passed"
+TEST_ID = "tests/test_wording.py::test_texts_are_compared_after_a_test_has_passed"
 
 
 def test_masking_of_numbers_and_folders(tmp_path):
@@ -18,32 +18,32 @@ def test_masking_of_numbers_and_folders(tmp_path):
 
 
 def test_texts_are_compared_after_a_test_has_passed():
-    golden = {HERE: ["one of #", "two\n\nlines"]}
-    with texts_of(HERE, golden, None):
+    golden = {TEST_ID: ["one of #", "two\n\nlines"]}
+    with texts_of(TEST_ID, golden, None):
         check_text("one of 12")
         check_text("two\n\nlines")
     for texts in (["one of 12"], ["one of 12", "two\n\nlines", "three"], ["another", "two\n\nlines"]):
-        with pytest.raises(pytest.fail.Exception, match="make wording"), texts_of(HERE, golden, None):
+        with pytest.raises(pytest.fail.Exception, match="make wording"), texts_of(TEST_ID, golden, None):
             for text in texts:
                 check_text(text)
 
 
 def test_failure_of_the_test_takes_precedence():
-    with pytest.raises(ZeroDivisionError), texts_of(HERE, {HERE: ["never passed"]}, None):
+    with pytest.raises(ZeroDivisionError), texts_of(TEST_ID, {TEST_ID: ["never passed"]}, None):
         1 / 0  # noqa: B018
 
 
 def test_renewal_keeps_tests_that_did_not_run_and_drops_deleted_ones(tmp_path, monkeypatch):
     monkeypatch.setattr(wording, "GOLDEN", tmp_path / "wording.txt")
-    deleted, gone = (
-        HERE.replace("texts_are_compared_after_a_test_has_passed", "renewing_keeps"),
+    deleted_test, test_of_deleted_file = (
+        TEST_ID.replace("texts_are_compared_after_a_test_has_passed", "renewing_keeps"),
         "tests/gone.py::test_it",
     )
-    assert wording.is_stale(deleted) and wording.is_stale(gone) and not wording.is_stale(HERE)
-    other = "tests/test_wording.py::test_failure_of_the_test_takes_precedence"
-    wording.renew({HERE: ["one", "two\n\nlines\n  and - an indent"], gone: ["x"], other: ["y"]})
-    wording.renew({other: []})
-    assert wording.read() == {HERE: ["one", "two\n\nlines\n  and - an indent"]}
+    assert wording.is_stale(deleted_test) and wording.is_stale(test_of_deleted_file) and not wording.is_stale(TEST_ID)
+    other_test = "tests/test_wording.py::test_failure_of_the_test_takes_precedence"
+    wording.renew({TEST_ID: ["one", "two\n\nlines\n  and - an indent"], test_of_deleted_file: ["x"], other_test: ["y"]})
+    wording.renew({other_test: []})
+    assert wording.read() == {TEST_ID: ["one", "two\n\nlines\n  and - an indent"]}
 
 
 def test_golden_file_has_no_texts_of_deleted_tests():

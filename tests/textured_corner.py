@@ -54,11 +54,11 @@ def photograph(camera, seed=0):
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = -camera.position[axis] / rays[..., axis]
         points = camera.position + depth[..., None] * rays
-        u, v = (points[..., other] / SIDE for other in range(3) if other != axis)
-        seen = (depth > 0) & (depth < nearest) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+        u, v = (points[..., other_axis] / SIDE for other_axis in range(3) if other_axis != axis)
+        is_visible = (depth > 0) & (depth < nearest) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
         plane = texture(seed + axis)
-        image[seen] = bilinear(plane, u[seen] * (len(plane) - 1), v[seen] * (len(plane) - 1))
-        nearest[seen] = depth[seen]
+        image[is_visible] = bilinear(plane, u[is_visible] * (len(plane) - 1), v[is_visible] * (len(plane) - 1))
+        nearest[is_visible] = depth[is_visible]
     return (255 * image).round().astype(np.uint8)
 
 

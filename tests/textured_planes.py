@@ -10,7 +10,7 @@ from reconstructors.mvs.patchmatch import GrayView
 
 
 class PlaneScene(NamedTuple):
-    views: list  # of View
+    views: list  # of GrayView
     depths: list  # of (H, W) float32
     focal: float
     baseline: float
@@ -25,21 +25,21 @@ def plane_scene(normal=(0.0, 0.0, -1.0), *, distance=10.0, contrast=50.0, width=
     focal, baseline = 1.2 * width, 1.2
     rng = np.random.default_rng(5)
     waves = rng.normal(0, 6.0, (60, 3))
-    phases, strengths = rng.uniform(0, 2 * np.pi, 60), np.full(60, contrast / np.sqrt(30))
+    phases, amplitudes = rng.uniform(0, 2 * np.pi, 60), np.full(60, contrast / np.sqrt(30))
     steps = [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1)][: sources + 1]
     views, depths = [], []
     for number, (dx, dy) in enumerate(steps):
         angle = 0.05 * number
-        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
         position = baseline * np.array([dx, dy, 0.1 * number])
         intrinsics = Intrinsics(width, height, focal, focal, 0.5 * width + 3, 0.5 * height - 2)
-        camera = Camera(f"{number}.png", intrinsics, Similarity(turn, -turn @ position))
+        camera = Camera(f"{number}.png", intrinsics, Similarity(rotation, -rotation @ position))
         x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         rays = intrinsics.directions(np.column_stack([x.ravel(), y.ravel()]))
-        world = rays @ turn  # of depth 1
-        depth = (normal[2] * distance - normal @ position) / (world @ normal)
-        points = position + world * depth[:, None]
-        gray = 128 + (strengths * np.cos(points @ waves.T + phases)).sum(axis=1) + rng.normal(0, noise, len(points))
+        world_rays = rays @ rotation  # of depth 1
+        depth = (normal[2] * distance - normal @ position) / (world_rays @ normal)
+        points = position + world_rays * depth[:, None]
+        gray = 128 + (amplitudes * np.cos(points @ waves.T + phases)).sum(axis=1) + rng.normal(0, noise, len(points))
         gray = np.clip(np.rint(gray), 0, 255).astype(np.uint8).reshape(height, width)
         views.append(GrayView(gray, camera))
         depths.append(depth.reshape(height, width).astype(np.float32))

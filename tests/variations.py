@@ -1,4 +1,4 @@
-"""Run parts of the suite as on other machines: `python tests/variations.py [NAME ...]`, all variations by default.
+"""Run parts of the test suite as on other machines: `python tests/variations.py [NAME ...]`, all variations by default.
 
 Each variation runs only the tests that depend on it, so all of them take a few minutes on two cores.
 """
@@ -79,13 +79,13 @@ def is_supported(environment: dict[str, str]) -> bool:
 
 
 def main(names: list[str], seed: int) -> int:
-    failed = []
+    failed_names = []
     with TemporaryDirectory() as folder:
-        known = variations(Path(folder))
-        if unknown := set(names) - set(known):
-            sys.exit(f"expected variations among {', '.join(known)}, got {', '.join(sorted(unknown))}")
-        for name in names or known:
-            environment, tests = known[name]
+        all_variations = variations(Path(folder))
+        if unknown := set(names) - set(all_variations):
+            sys.exit(f"expected variations among {', '.join(all_variations)}, got {', '.join(sorted(unknown))}")
+        for name in names or all_variations:
+            environment, tests = all_variations[name]
             print(
                 f"-- {name}: --shuffle={seed} {' '.join(f'{key}={value!r}' for key, value in environment.items())}",
                 flush=True,
@@ -96,8 +96,8 @@ def main(names: list[str], seed: int) -> int:
             # Report failures only.
             command = [sys.executable, "-m", "pytest", "-n", "2", "-q", "-r", "fE", f"--shuffle={seed}", *tests]
             if subprocess.run(command, cwd=ROOT, env=os.environ | environment).returncode:
-                failed.append(name)
-    return print(f"failed: {', '.join(failed)}") or 1 if failed else 0
+                failed_names.append(name)
+    return print(f"failed: {', '.join(failed_names)}") or 1 if failed_names else 0
 
 
 if __name__ == "__main__":

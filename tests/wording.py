@@ -76,11 +76,11 @@ def _without_folders(text: str) -> str:
 def texts_of(test: str, golden: Texts, renewed: Texts | None) -> Iterator[None]:
     """Collect the texts of a test and compare them with the golden file, or add them to the renewed texts."""
     global _texts
-    before, _texts = _texts, (texts := [])
+    outer_texts, _texts = _texts, (texts := [])
     try:
         yield
     finally:
-        _texts = before
+        _texts = outer_texts
     if renewed is not None:
         renewed[test] = texts
     elif texts != golden.get(test, []):
@@ -92,17 +92,17 @@ def texts_of(test: str, golden: Texts, renewed: Texts | None) -> Iterator[None]:
 
 def read() -> Texts:
     """Read the golden file."""
-    found: Texts = {}
+    result: Texts = {}
     lines = GOLDEN.read_text(encoding="utf-8").splitlines() if GOLDEN.exists() else []
     texts: list[str] = []
     for line in lines:
         if line.startswith(_HEADING):
-            found[line.removeprefix(_HEADING)] = texts = []
+            result[line.removeprefix(_HEADING)] = texts = []
         elif line.startswith("- "):
             texts.append(line[2:])
         elif texts:
             texts[-1] += "\n" + line[2:]
-    return {test: [text.rstrip("\n") for text in texts] for test, texts in found.items()}
+    return {test: [text.rstrip("\n") for text in texts] for test, texts in result.items()}
 
 
 def renew(renewed: Texts) -> None:

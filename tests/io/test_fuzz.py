@@ -5,26 +5,26 @@ import pytest
 from optional import import_or_skip
 
 
-def run(form, count, seed, folder):
-    if form == "laz":
+def check_corpus(corpus, count, seed, folder):
+    if corpus == "laz":
         import_or_skip("lazrs")
-    if form == "e57":
+    if corpus == "e57":
         import_or_skip("pye57")
-    fuzz_worker.run(form, count, seed, folder)
+    fuzz_worker.run(corpus, count, seed, folder)
 
 
 # Each LAZ file with a valid header starts a child process (about 15 ms), and so does each E57 file (about 200 ms).
 @pytest.mark.parametrize(
-    ("form", "count"),
+    ("corpus", "count"),
     [("ply", 1000), ("las", 500), ("laz", 250), ("pcd", 500), ("txt", 500), ("meshes", 500), ("e57", 25), ("mvs", 500)],
 )
-def test_some_damaged_files(tmp_path, form, count):
-    run(form, count, 1, tmp_path)
+def test_damaged_files(tmp_path, corpus, count):
+    check_corpus(corpus, count, 1, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("form", "count"),
+    ("corpus", "count"),
     [
         ("ply", 20_000),
         ("las", 20_000),
@@ -36,5 +36,5 @@ def test_some_damaged_files(tmp_path, form, count):
         ("mvs", 20_000),
     ],
 )
-def test_many_damaged_files(tmp_path, form, count):
-    run(form, count, 2, tmp_path)
+def test_many_damaged_files(tmp_path, corpus, count):
+    check_corpus(corpus, count, 2, tmp_path)

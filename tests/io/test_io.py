@@ -20,9 +20,9 @@ from pcbench.io import files, read_cloud, write_cloud
 from pcbench.io.meshes import read_mesh
 
 NAN = float("nan")
-HEAD = "ply\nformat binary_little_endian 1.0\n"
-VERTEX = HEAD + "element vertex {}\nproperty float x\nproperty float y\nproperty float z\n{}end_header\n"
-PLAIN = {form: corpus()[f"{form} plain"] for form in ("ascii", "binary_little_endian")}
+HEADER_START = "ply\nformat binary_little_endian 1.0\n"
+VERTEX_HEADER = HEADER_START + "element vertex {}\nproperty float x\nproperty float y\nproperty float z\n{}end_header\n"
+PLAIN_PLY = {form: corpus()[f"{form} plain"] for form in ("ascii", "binary_little_endian")}
 FACES = ("face", ["list uchar int i"], [((0, 1, 2),)] * 4)
 
 
@@ -38,11 +38,11 @@ def test_round_trip_by_extension(tmp_path, extension):
     )
     path = tmp_path / f"cloud{extension}"
     write_cloud(path, cloud)
-    again = read_cloud(str(path))
-    np.testing.assert_array_equal(again.points, cloud.points)
-    np.testing.assert_array_equal(again.colors, cloud.colors)
-    np.testing.assert_array_equal(again.attributes["intensity"], cloud.attributes["intensity"])
-    assert (again.crs, again.unit, again.normals) == ("EPSG:32617", "m", None)
+    result = read_cloud(str(path))
+    np.testing.assert_array_equal(result.points, cloud.points)
+    np.testing.assert_array_equal(result.colors, cloud.colors)
+    np.testing.assert_array_equal(result.attributes["intensity"], cloud.attributes["intensity"])
+    assert (result.crs, result.unit, result.normals) == ("EPSG:32617", "m", None)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
@@ -52,13 +52,13 @@ def test_public_names():
 
 
 @pytest.mark.parametrize("name", ["small_gicp", "dmetric"])
-def test_real_files(name):
+def test_point_counts_of_real_files(name):
     paths = sorted(data_folder(name).glob("*.ply"))
     assert paths
     for path in paths:
         cloud = read_cloud(path)
-        declared = next(line for line in path.read_bytes().split(b"\n") if line.startswith(b"element vertex"))
-        assert len(cloud) == int(declared.split()[-1])
+        vertex_line = next(line for line in path.read_bytes().split(b"\n") if line.startswith(b"element vertex"))
+        assert len(cloud) == int(vertex_line.split()[-1])
         assert np.abs(cloud.points).max() < 1e4
 
 
@@ -87,7 +87,7 @@ def test_cloud_with_only_nan_is_refused(tmp_path):
 
 def test_signalling_nan_gives_no_numpy_warning(tmp_path):
     path = tmp_path / "a.ply"
-    path.write_bytes(VERTEX.format(2, "").encode() + bytes.fromhex("0100807f") * 3 + bytes(12))
+    path.write_bytes(VERTEX_HEADER.format(2, "").encode() + bytes.fromhex("0100807f") * 3 + bytes(12))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read_cloud(path, on_warning=lambda note: None)) == 1
@@ -124,29 +124,29 @@ def write_refusal(path):
 
 def test_permission_denied(tmp_path, monkeypatch):
     path = tmp_path / "a.ply"
-    path.write_bytes(PLAIN["ascii"])
+    path.write_bytes(PLAIN_PLY["ascii"])
 
-    def denied(*args, **kwargs):
+    def deny_access(*args, **kwargs):
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "open", denied)  # root ignores the mode bits
+    monkeypatch.setattr(Path, "open", deny_access)  # root ignores the mode bits
     refusal(path)
 
 
-def test_out_of_memory_is_a_one_line_error(tmp_path, monkeypatch):
+def test_out_of_memory_gives_a_one_line_error(tmp_path, monkeypatch):
     path = tmp_path / "a.ply"
-    path.write_bytes(PLAIN["ascii"])
+    path.write_bytes(PLAIN_PLY["ascii"])
 
-    def full(file):
+    def run_out_of_memory(file):
         raise MemoryError
 
-    monkeypatch.setattr("pcbench.io.ply_body.read_rest", full)
+    monkeypatch.setattr("pcbench.io.ply_body.read_rest", run_out_of_memory)
     refusal(path)
 
 
 # ---- damaged PLY ----
 
-HEADERS = {
+DAMAGED_HEADERS = {
     "wrong magic": b"LASF" + bytes(200),
     "magic only": b"ply\n",
     "no end": b"ply\nformat ascii 1.0\n",
@@ -159,60 +159,60 @@ HEADERS = {
     "two formats": b"ply\nformat ascii 1.0\nformat ascii 1.0\n",
     "format": b"ply\nformat binary 1.0\n",
     "version": b"ply\nformat ascii 2.0\n",
-    "negative": VERTEX.format(-5, "").encode(),
-    "no number": VERTEX.format("1e3", "").encode(),
-    "overflow": VERTEX.format(2**64, "").encode(),
-    "absurd": VERTEX.format(10**17, "").encode() + bytes(24),
-    "type": VERTEX.format(1, "property int64 id\n").encode(),
-    "list of float length": VERTEX.format(1, "property list float int a\n").encode(),
-    "half a list": VERTEX.format(1, "property list uchar a\n").encode(),
+    "negative": VERTEX_HEADER.format(-5, "").encode(),
+    "no number": VERTEX_HEADER.format("1e3", "").encode(),
+    "overflow": VERTEX_HEADER.format(2**64, "").encode(),
+    "absurd": VERTEX_HEADER.format(10**17, "").encode() + bytes(24),
+    "type": VERTEX_HEADER.format(1, "property int64 id\n").encode(),
+    "list of float length": VERTEX_HEADER.format(1, "property list float int a\n").encode(),
+    "half a list": VERTEX_HEADER.format(1, "property list uchar a\n").encode(),
     "orphan": b"ply\nformat ascii 1.0\nproperty float x\n",
-    "two vertex elements": VERTEX.format(1, "element vertex 2\n").encode(),
-    "duplicate": VERTEX.format(1, "property float x\n").encode(),
-    "no z": (HEAD + "element vertex 1\nproperty float x\nproperty float y\nend_header\n").encode(),
-    "x is a list": VERTEX.format(1, "").encode().replace(b"float x", b"list uchar float x"),
-    "no vertex": (HEAD + "element face 0\nelement edge 0\nend_header\n").encode(),
-    "no element": (HEAD + "end_header\n").encode(),
-    "no points": VERTEX.format(0, "").encode(),
-    "header and no body": VERTEX.format(9, "").encode(),
-    "header cut at its end": VERTEX.format(9, "").encode().rstrip(),
+    "two vertex elements": VERTEX_HEADER.format(1, "element vertex 2\n").encode(),
+    "duplicate": VERTEX_HEADER.format(1, "property float x\n").encode(),
+    "no z": (HEADER_START + "element vertex 1\nproperty float x\nproperty float y\nend_header\n").encode(),
+    "x is a list": VERTEX_HEADER.format(1, "").encode().replace(b"float x", b"list uchar float x"),
+    "no vertex": (HEADER_START + "element face 0\nelement edge 0\nend_header\n").encode(),
+    "no element": (HEADER_START + "end_header\n").encode(),
+    "no points": VERTEX_HEADER.format(0, "").encode(),
+    "header and no body": VERTEX_HEADER.format(9, "").encode(),
+    "header cut at its end": VERTEX_HEADER.format(9, "").encode().rstrip(),
 }  # fmt: skip
 
-VIEWS = ("vertex", [*XYZ, "list uchar uint v"], [(*p, tuple(range(i % 3))) for i, p in enumerate(points(6))])
-TAGGED = ("vertex", [*VIEWS[1], "short id"], [(*row, 7) for row in VIEWS[2]])
-MESH = {form: ply(form, ("vertex", XYZ, points(4)), FACES) for form in ("ascii", "binary_big_endian")}
-NEGATIVE = ply("binary_little_endian", ("vertex", [*XYZ, "list char int v"], [(1.0, 2.0, 3.0, ())]))[:-1] + b"\xff"
-ASCII = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
-BODIES = {
-    "truncated": PLAIN["binary_little_endian"][:-120],
-    "truncated inside a row": PLAIN["binary_little_endian"][:-1],
-    "truncated ascii": b"\n".join(PLAIN["ascii"].split(b"\n")[:17]),
-    "truncated lists": ply("binary_big_endian", VIEWS)[:-1],
-    "truncated after a list": ply("binary_big_endian", TAGGED)[:-1],
-    "truncated faces": MESH["binary_big_endian"][:-14],
-    "truncated ascii faces": MESH["ascii"][:-9],
+LIST_VERTICES = ("vertex", [*XYZ, "list uchar uint v"], [(*p, tuple(range(i % 3))) for i, p in enumerate(points(6))])
+LIST_AND_ID_VERTICES = ("vertex", [*LIST_VERTICES[1], "short id"], [(*row, 7) for row in LIST_VERTICES[2]])
+MESH_PLY = {form: ply(form, ("vertex", XYZ, points(4)), FACES) for form in ("ascii", "binary_big_endian")}
+NEGATIVE_LIST = ply("binary_little_endian", ("vertex", [*XYZ, "list char int v"], [(1.0, 2.0, 3.0, ())]))[:-1] + b"\xff"
+ASCII_HEADER = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+DAMAGED_BODIES = {
+    "truncated": PLAIN_PLY["binary_little_endian"][:-120],
+    "truncated inside a row": PLAIN_PLY["binary_little_endian"][:-1],
+    "truncated ascii": b"\n".join(PLAIN_PLY["ascii"].split(b"\n")[:17]),
+    "truncated lists": ply("binary_big_endian", LIST_VERTICES)[:-1],
+    "truncated after a list": ply("binary_big_endian", LIST_AND_ID_VERTICES)[:-1],
+    "truncated faces": MESH_PLY["binary_big_endian"][:-14],
+    "truncated ascii faces": MESH_PLY["ascii"][:-9],
     "truncated unknown": ply("binary_big_endian", ("box", ["int a"], [(1,)]))[:-2].replace(
         b"end_header", b"element vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header"),
-    "trailing bytes": PLAIN["binary_little_endian"] + b"abc",
-    "trailing lines": PLAIN["ascii"] + b"1 2 3\n\n4 5 6\n",
-    "negative list": NEGATIVE,
-    "short line": ASCII + b"end_header\n1 2 3\n4 5\n",
-    "long lines": ASCII + b"end_header\n1 2 3 4\n4 5 6 7\n",
-    "word": ASCII + b"end_header\n1 2 3\n4 five 6\n",
-    "underscore": ASCII + b"end_header\n1 2 3\n4 5_0 6\n",
-    "nul in ascii": ASCII + b"end_header\n1 2 3\n4 5\0 6\n",
-    "not ascii": ASCII + b"end_header\n1 2 3\n4 5\xe9 6\n",
-    "uchar 300": ASCII + b"property uchar a\nend_header\n1 2 3 4\n4 5 6 300\n",
-    "fraction": ASCII + b"property int id\nend_header\n1 2 3 4.5\n4 5 6 3\n",
-    "nan integer": ASCII + b"property int id\nend_header\n1 2 3 nan\n4 5 6 3\n",
-    "ascii list": ASCII + b"property list uchar int v\nend_header\n1 2 3 0\n4 5 6 3 1 2\n",
-    "negative ascii": ASCII + b"property list char int v\nend_header\n1 2 3 0\n4 5 6 -1\n",
+    "trailing bytes": PLAIN_PLY["binary_little_endian"] + b"abc",
+    "trailing lines": PLAIN_PLY["ascii"] + b"1 2 3\n\n4 5 6\n",
+    "negative list": NEGATIVE_LIST,
+    "short line": ASCII_HEADER + b"end_header\n1 2 3\n4 5\n",
+    "long lines": ASCII_HEADER + b"end_header\n1 2 3 4\n4 5 6 7\n",
+    "word": ASCII_HEADER + b"end_header\n1 2 3\n4 five 6\n",
+    "underscore": ASCII_HEADER + b"end_header\n1 2 3\n4 5_0 6\n",
+    "nul in ascii": ASCII_HEADER + b"end_header\n1 2 3\n4 5\0 6\n",
+    "not ascii": ASCII_HEADER + b"end_header\n1 2 3\n4 5\xe9 6\n",
+    "uchar 300": ASCII_HEADER + b"property uchar a\nend_header\n1 2 3 4\n4 5 6 300\n",
+    "fraction": ASCII_HEADER + b"property int id\nend_header\n1 2 3 4.5\n4 5 6 3\n",
+    "nan integer": ASCII_HEADER + b"property int id\nend_header\n1 2 3 nan\n4 5 6 3\n",
+    "ascii list": ASCII_HEADER + b"property list uchar int v\nend_header\n1 2 3 0\n4 5 6 3 1 2\n",
+    "negative ascii": ASCII_HEADER + b"property list char int v\nend_header\n1 2 3 0\n4 5 6 -1\n",
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*HEADERS, *BODIES])
+@pytest.mark.parametrize("name", [*DAMAGED_HEADERS, *DAMAGED_BODIES])
 def test_damaged_ply(tmp_path, name):
-    refusal(tmp_path / "a.ply", {**HEADERS, **BODIES}[name])
+    refusal(tmp_path / "a.ply", {**DAMAGED_HEADERS, **DAMAGED_BODIES}[name])
 
 
 # ---- atomic writing ----
@@ -236,9 +236,9 @@ def test_write_follows_links_and_umask(tmp_path):
     write_cloud(link, Cloud(np.ones((2, 3))))
     assert link.is_symlink()
     assert np.load(tmp_path / "real" / "b.npy").shape == (2, 3)
-    plain = tmp_path / "plain"
-    plain.touch()
-    assert (tmp_path / "real" / "b.npy").stat().st_mode == plain.stat().st_mode
+    new_file = tmp_path / "plain"
+    new_file.touch()
+    assert (tmp_path / "real" / "b.npy").stat().st_mode == new_file.stat().st_mode
 
 
 def test_write_errors_are_os_errors(tmp_path):
@@ -251,7 +251,7 @@ def test_write_errors_are_os_errors(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["folder.ply"]
 
 
-FULL_DISK = """
+FULL_DISK_SCRIPT = """
 import resource, sys
 import numpy as np
 from pcbench.geometry.cloud import Cloud
@@ -266,11 +266,11 @@ sys.exit("written past the limit")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.npy", "a.npz"])
-def test_full_disk_leaves_no_files(tmp_path, name):
+def test_full_disk_keeps_the_existing_file(tmp_path, name):
     write_cloud(tmp_path / name, Cloud(np.zeros((5, 3))))
-    old = (tmp_path / name).read_bytes()
-    subprocess.run([sys.executable, "-c", FULL_DISK, str(tmp_path / name)], check=True, timeout=60)
-    assert (tmp_path / name).read_bytes() == old
+    old_bytes = (tmp_path / name).read_bytes()
+    subprocess.run([sys.executable, "-c", FULL_DISK_SCRIPT, str(tmp_path / name)], check=True, timeout=60)
+    assert (tmp_path / name).read_bytes() == old_bytes
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 

@@ -15,17 +15,17 @@ from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap import read_points3d
 
 
-def point(number, track):
+def point_bytes(number, track):
     return struct.pack(
         "<Q3d3BdQ", number, number * 0.5, -number, 1e6 + number, 10, 20, number % 256, 0.25 * number, track
     ) + (struct.pack("<2i", 7, number) * track)
 
 
-def model(count, tracks=(2, 0, 5)):
-    return struct.pack("<Q", count) + b"".join(point(i + 1, tracks[i % len(tracks)]) for i in range(count))
+def model_bytes(count, tracks=(2, 0, 5)):
+    return struct.pack("<Q", count) + b"".join(point_bytes(i + 1, tracks[i % len(tracks)]) for i in range(count))
 
 
-TEXT = b"""# 3D point list with one line of data per point:
+MODEL_TEXT = b"""# 3D point list with one line of data per point:
 #   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)
 # Number of points: 3, mean track length: 1.6666
 63 1.67241 0.292931 0.609726 115 121 122 1.33927 16 6542 15 7345 6 6714
@@ -35,26 +35,26 @@ TEXT = b"""# 3D point list with one line of data per point:
 """
 
 
-def test_binary(tmp_path):
+def test_binary_points(tmp_path):
     path = tmp_path / "points3D.bin"
-    path.write_bytes(model(7))
+    path.write_bytes(model_bytes(7))
     cloud = read_cloud(path)
-    number = np.arange(1, 8)
-    np.testing.assert_array_equal(cloud.points, np.column_stack([number * 0.5, -number, 1e6 + number]))
-    np.testing.assert_array_equal(cloud.colors, np.column_stack([[10] * 7, [20] * 7, number]))
-    np.testing.assert_array_equal(cloud.attributes["point3D_id"], number)
-    np.testing.assert_array_equal(cloud.attributes["reprojection_error"], 0.25 * number)
+    ids = np.arange(1, 8)
+    np.testing.assert_array_equal(cloud.points, np.column_stack([ids * 0.5, -ids, 1e6 + ids]))
+    np.testing.assert_array_equal(cloud.colors, np.column_stack([[10] * 7, [20] * 7, ids]))
+    np.testing.assert_array_equal(cloud.attributes["point3D_id"], ids)
+    np.testing.assert_array_equal(cloud.attributes["reprojection_error"], 0.25 * ids)
     np.testing.assert_array_equal(cloud.attributes["track_length"], [2, 0, 5, 2, 0, 5, 2])
-    assert {name: a.dtype.str[1:] for name, a in cloud.attributes.items()} == {
+    assert {name: values.dtype.str[1:] for name, values in cloud.attributes.items()} == {
         "point3D_id": "u8",
         "reprojection_error": "f8",
         "track_length": "i8",
     }
 
 
-def test_text(tmp_path):
+def test_text_points(tmp_path):
     path = tmp_path / "points3D.txt"
-    path.write_bytes(TEXT)
+    path.write_bytes(MODEL_TEXT)
     cloud = read_cloud(path)
     np.testing.assert_array_equal(cloud.points[1:], [(2.01848, 0.108877, -0.0260841), (1, 2, 3)])
     np.testing.assert_array_equal(cloud.colors[0], (115, 121, 122))
@@ -63,7 +63,7 @@ def test_text(tmp_path):
     np.testing.assert_array_equal(cloud.attributes["reprojection_error"], [1.33927, 1.73449, -1])
 
 
-def test_as_pycolmap_writes_it(tmp_path):
+def test_files_written_by_pycolmap(tmp_path):
     pycolmap = import_or_skip("pycolmap")
     rng = np.random.default_rng(1)
     reconstruction = pycolmap.Reconstruction()
@@ -82,13 +82,13 @@ def test_as_pycolmap_writes_it(tmp_path):
         np.testing.assert_array_equal(cloud.attributes["track_length"], 0)
 
 
-@pytest.mark.parametrize("place", [".", "0", "sparse", "sparse/0"])
-def test_folders(tmp_path, place):
-    folder = tmp_path / place
+@pytest.mark.parametrize("subfolder", [".", "0", "sparse", "sparse/0"])
+def test_model_folders(tmp_path, subfolder):
+    folder = tmp_path / subfolder
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "points3D.txt").write_bytes(TEXT)
+    (folder / "points3D.txt").write_bytes(MODEL_TEXT)
     assert len(read_cloud(tmp_path)) == 3
-    (folder / "points3D.bin").write_bytes(model(5))
+    (folder / "points3D.bin").write_bytes(model_bytes(5))
     assert len(read_cloud(tmp_path)) == 5  # binary first
     for source in (tmp_path, str(folder), folder / "points3D.bin"):
         assert len(read_points3d(source)) == 5
@@ -104,33 +104,33 @@ def test_folders_without_a_model(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-HUGE = model(2)[:51] + struct.pack("<Q", 2**63) + model(2)[59:]
-DAMAGED = {
+HUGE_TRACK = model_bytes(2)[:51] + struct.pack("<Q", 2**63) + model_bytes(2)[59:]
+DAMAGED_FILES = {
     "points3D.bin": {
         "not a count": b"abc",
-        "no points": model(0),
-        "half": model(1000, (0,))[: 8 + 500 * 51 + 20],
-        "the last byte": model(9)[:-1],
-        "absurd count": struct.pack("<Q", 2**64 - 1) + point(1, 0),
-        "absurd track": HUGE,
-        "trailing bytes": model(3) + b"abc",
+        "no points": model_bytes(0),
+        "half": model_bytes(1000, (0,))[: 8 + 500 * 51 + 20],
+        "the last byte": model_bytes(9)[:-1],
+        "absurd count": struct.pack("<Q", 2**64 - 1) + point_bytes(1, 0),
+        "absurd track": HUGE_TRACK,
+        "trailing bytes": model_bytes(3) + b"abc",
     },
     "points3D.txt": {
         "nothing": b"# nothing\n",
-        "half": TEXT[: TEXT.index(b"60 2.0")],
-        "short line": TEXT + b"1 2 3\n",
-        "colour 256": TEXT.replace(b"115", b"256"),
-        "colour nan": TEXT.replace(b"115", b"nan"),
-        "half a pair": TEXT.replace(b"16 6542", b"16"),
+        "half": MODEL_TEXT[: MODEL_TEXT.index(b"60 2.0")],
+        "short line": MODEL_TEXT + b"1 2 3\n",
+        "colour 256": MODEL_TEXT.replace(b"115", b"256"),
+        "colour nan": MODEL_TEXT.replace(b"115", b"nan"),
+        "half a pair": MODEL_TEXT.replace(b"16 6542", b"16"),
         "digits": b"9" * 5000 + b" 1 2 3 4 5 6 7\n",
     },
 }
 
 
-@pytest.mark.parametrize(("name", "case"), [(name, case) for name, cases in DAMAGED.items() for case in cases])
-def test_damaged(tmp_path, name, case):
+@pytest.mark.parametrize(("name", "case"), [(name, case) for name, cases in DAMAGED_FILES.items() for case in cases])
+def test_damaged_files(tmp_path, name, case):
     path = tmp_path / name
-    path.write_bytes(DAMAGED[name][case])
+    path.write_bytes(DAMAGED_FILES[name][case])
     with check_error() as caught:
         read_cloud(tmp_path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -140,7 +140,7 @@ def test_damaged(tmp_path, name, case):
 def test_random_damage(tmp_path):
     rng = random.Random(1)
     failures = 0
-    for name, data in (("points3D.bin", model(9)), ("points3D.txt", TEXT)):
+    for name, data in (("points3D.bin", model_bytes(9)), ("points3D.txt", MODEL_TEXT)):
         for _ in range(300):
             (tmp_path / name).write_bytes(damage(data, rng))
             try:

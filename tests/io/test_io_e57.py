@@ -18,7 +18,7 @@ from pcbench.geometry.cameras import nearest_rotation
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.uniform(-5, 5, (200, 3))
-HALF = np.sqrt(0.5)
+SQRT_HALF = np.sqrt(0.5)
 
 
 @pytest.fixture
@@ -26,8 +26,8 @@ def pye57():
     return import_or_skip("pye57")
 
 
-def cartesian(points, **more):
-    return dict(zip(XYZ, points.T, strict=True)) | more
+def cartesian(points, **columns):
+    return dict(zip(XYZ, points.T, strict=True)) | columns
 
 
 def spherical(points):
@@ -43,11 +43,14 @@ def read(path):
 
 def test_scan_poses_are_applied(pye57, tmp_path):
     # A quarter turn about z, and another about x.
-    poses = [((HALF, 0, 0, HALF), (100, 200, 300)), ((HALF, HALF, 0, 0), (-1, 0, 1))]
-    turns = [nearest_rotation([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), nearest_rotation([[1, 0, 0], [0, 0, -1], [0, 1, 0]])]
+    poses = [((SQRT_HALF, 0, 0, SQRT_HALF), (100, 200, 300)), ((SQRT_HALF, SQRT_HALF, 0, 0), (-1, 0, 1))]
+    rotations = [
+        nearest_rotation([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        nearest_rotation([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    ]
     scans = [cartesian(POINTS, pose=poses[0]), spherical(POINTS) | {"pose": poses[1]}, cartesian(POINTS)]
     cloud, notes = read(write(tmp_path / "a.e57", scans))
-    expected = [POINTS @ turn.T + pose[1] for turn, pose in zip(turns, poses, strict=True)]
+    expected = [POINTS @ rotation.T + pose[1] for rotation, pose in zip(rotations, poses, strict=True)]
     # Doubles throughout; angles and sines differ by rounding.
     np.testing.assert_allclose(cloud.points, np.concatenate([*expected, POINTS]), atol=1e-12)
     np.testing.assert_array_equal(cloud.attributes["scan"], np.repeat([0, 1, 2], 200))
@@ -56,24 +59,26 @@ def test_scan_poses_are_applied(pye57, tmp_path):
 
 
 def test_colours_intensity_normals_and_invalid_points(pye57, tmp_path):
-    invalid = np.arange(200) % 4 == 3
+    is_invalid = np.arange(200) % 4 == 3
     colors = RNG.integers(0, 65536, (200, 3))
     normals = POINTS / np.linalg.norm(POINTS, axis=1)[:, None]
     scan = cartesian(
-        POINTS, cartesianInvalidState=np.where(invalid, np.arange(200) % 3, 0), intensity=POINTS[:, 0] ** 2
+        POINTS, cartesianInvalidState=np.where(is_invalid, np.arange(200) % 3, 0), intensity=POINTS[:, 0] ** 2
     )
     scan |= dict(zip(("colorRed", "colorGreen", "colorBlue"), colors.T, strict=True))
     scan |= dict(zip(("nor:normalX", "nor:normalY", "nor:normalZ"), normals.T, strict=True))
-    kept = np.asarray(scan["cartesianInvalidState"]) == 0
-    scan |= {"limits": (0, 65535), "pose": ((HALF, 0, 0, HALF), (0, 0, 0))}
+    is_valid = np.asarray(scan["cartesianInvalidState"]) == 0
+    scan |= {"limits": (0, 65535), "pose": ((SQRT_HALF, 0, 0, SQRT_HALF), (0, 0, 0))}
     cloud, notes = read(write(tmp_path / "a.e57", [scan], crs="EPSG:25832"))
-    np.testing.assert_array_equal(cloud.colors, np.rint(colors[kept] * (255 / 65535)))
-    np.testing.assert_array_equal(cloud.attributes["intensity"], (POINTS[:, 0] ** 2)[kept])
-    turned = normals[kept] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).T
-    np.testing.assert_allclose(cloud.normals, turned, atol=1e-12)
+    np.testing.assert_array_equal(cloud.colors, np.rint(colors[is_valid] * (255 / 65535)))
+    np.testing.assert_array_equal(cloud.attributes["intensity"], (POINTS[:, 0] ** 2)[is_valid])
+    rotated_normals = normals[is_valid] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).T
+    np.testing.assert_allclose(cloud.normals, rotated_normals, atol=1e-12)
     assert "scan" not in cloud.attributes
     assert cloud.crs == "EPSG:25832"
-    assert notes == [f"{tmp_path / 'a.e57'}: dropped {200 - kept.sum()} of 200 points that the file marks as invalid"]
+    assert notes == [
+        f"{tmp_path / 'a.e57'}: dropped {200 - is_valid.sum()} of 200 points that the file marks as invalid"
+    ]
 
 
 def test_fields_missing_in_some_scans_are_left_out(pye57, tmp_path):
@@ -85,7 +90,7 @@ def test_fields_missing_in_some_scans_are_left_out(pye57, tmp_path):
     assert any("only some of 2 scans have: intensity" in note for note in notes)
 
 
-def test_more_points_than_one_block(pye57, tmp_path):
+def test_points_in_several_blocks(pye57, tmp_path):
     points = RNG.uniform(-5, 5, (600_000, 3))
     cloud, _ = read(write(tmp_path / "a.e57", [cartesian(points)]))
     np.testing.assert_array_equal(cloud.points, points)
@@ -116,14 +121,14 @@ def test_damaged_and_empty_files_of_other_programs(pye57):
         assert "\n" not in str(caught.value)
 
 
-def test_files_of_other_formats(pye57, tmp_path):
-    good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
-    flipped = good[:3000] + bytes([good[3000] ^ 1]) + good[3001:]
+def test_invalid_files_are_refused(pye57, tmp_path):
+    valid_data = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
+    flipped_bit_data = valid_data[:3000] + bytes([valid_data[3000] ^ 1]) + valid_data[3001:]
     (tmp_path / "zero.e57").write_bytes(write(tmp_path / "b.e57", []).read_bytes())
     for data, message in (
         (b"ply\nformat ascii", "starts with ASTM-E57"),
-        (good[:2000], "damaged E57 data"),
-        (flipped, "checksum"),
+        (valid_data[:2000], "damaged E57 data"),
+        (flipped_bit_data, "checksum"),
         ((tmp_path / "zero.e57").read_bytes(), "scans: 0"),
         (
             write(tmp_path / "b.e57", [cartesian(POINTS, pose=((2, 0, 0, 0), (0, 0, 0)))]).read_bytes(),
@@ -141,8 +146,8 @@ def test_files_of_other_formats(pye57, tmp_path):
 
 
 def test_checksums_match_the_library(pye57, tmp_path):
-    good = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
-    assert e57_bytes.add_checksums(good) == good
+    data = write(tmp_path / "a.e57", [cartesian(POINTS)]).read_bytes()
+    assert e57_bytes.add_checksums(data) == data
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is full")
@@ -167,7 +172,7 @@ def test_without_pye57(monkeypatch, tmp_path):
         read(tmp_path / "a.e57")
 
 
-def test_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
+def test_pye57_that_cannot_be_imported(monkeypatch, tmp_path, pye57):
     path = write(tmp_path / "a.e57", [cartesian(POINTS)])
     (tmp_path / "broken/pye57").mkdir(parents=True)
     (tmp_path / "broken/pye57/__init__.py").write_text(
@@ -178,7 +183,7 @@ def test_pye57_that_does_not_load(monkeypatch, tmp_path, pye57):
         read(path)
 
 
-def test_reason_why_pye57_does_not_load_is_reported(monkeypatch, tmp_path):
+def test_import_error_of_pye57_is_reported(monkeypatch, tmp_path):
     (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
     error = "ImportError('libxerces-c-3.2.so: cannot open shared object file: No such file or directory')"
     break_library(monkeypatch, tmp_path / "packages", "pye57", error)

@@ -19,10 +19,10 @@ from pcbench.errors import InputError, MissingExtra
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import las_header, laz, read_cloud, write_cloud
 
-COMPRESSED = pytest.mark.parametrize("compress", [None, "chunks"])
+COMPRESSIONS = pytest.mark.parametrize("compress", [None, "chunks"])
 
 
-def needs_lazrs():
+def skip_without_lazrs():
     import_or_skip("lazrs")
 
 
@@ -32,7 +32,7 @@ def read(tmp_path, data, **options):
     return read_cloud(path, **options)
 
 
-def noted(tmp_path, data):
+def read_with_notes(tmp_path, data):
     notes = []
     cloud = read(tmp_path, data, on_warning=notes.append)
     return cloud, [note.removeprefix(f"{tmp_path / 'a.las'}: ") for note in notes]
@@ -45,11 +45,11 @@ def refusal(tmp_path, data, **options):
 # ---- reading ----
 
 
-@COMPRESSED
+@COMPRESSIONS
 @pytest.mark.parametrize("form", list(las_bytes.RECORDS))
 def test_point_formats(tmp_path, form, compress):
     if compress:
-        needs_lazrs()
+        skip_without_lazrs()
     count = 200
     cloud = read(tmp_path, las(form, count, compress=compress))
     # Exactly integer * scale + offset, in this order, in float64.
@@ -91,8 +91,8 @@ def test_8_bit_colors_are_unchanged(tmp_path):
     assert read(tmp_path, las(2, 3, color=1)).colors.tolist() == [[i, 7, 255] for i in range(3)]
 
 
-def test_copc_like_chunks(tmp_path):
-    needs_lazrs()
+def test_chunks_of_variable_size(tmp_path):
+    skip_without_lazrs()
     info = vlr(b"copc", 1, bytes(160))
     hierarchy = vlr(b"copc", 1000, bytes(32), extended=True)
     data = las(7, 300, vlrs=[info], evlrs=[hierarchy], compress="variable")
@@ -111,7 +111,7 @@ def test_extra_bytes(tmp_path):
     )
     data = las(0, 4, vlrs=[descriptions],
                tail=lambda i: struct.pack("<fHxxiBBB", i / 4, i, -1 if i == 2 else i, i, 2 * i, 9))  # fmt: skip
-    cloud, notes = noted(tmp_path, data)
+    cloud, notes = read_with_notes(tmp_path, data)
     assert notes == ["left out the extra bytes 'intensity': the name is already used or not printable"]
     extra_names = ["plain", "scaled", "gaps", "pair[0]", "pair[1]"]
     assert list(cloud.attributes)[-5:] == extra_names
@@ -124,29 +124,29 @@ def test_extra_bytes(tmp_path):
 
 
 def test_extra_bytes_that_do_not_fit_are_left_out(tmp_path):
-    cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 10))], tail=lambda i: b"1234"))
+    cloud, notes = read_with_notes(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 10))], tail=lambda i: b"1234"))
     assert notes == ["left out the extra bytes: the descriptions need 8 bytes, a point has 4"]
     assert "a" not in cloud.attributes
-    cloud, notes = noted(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 31))], tail=lambda i: b"1234"))
+    cloud, notes = read_with_notes(tmp_path, las(0, 4, vlrs=[extras(extra(b"a", 31))], tail=lambda i: b"1234"))
     assert notes == ["left out the extra bytes: expected a type from 0 to 30, got 31"]
 
 
 def test_withheld_points_are_reported(tmp_path):
     data = bytearray(las(0, 4))
     data[227 + 15] |= 128
-    cloud, notes = noted(tmp_path, data)
+    cloud, notes = read_with_notes(tmp_path, data)
     assert (len(cloud), notes) == (4, ["kept 1 of 4 points that are marked as withheld"])
     assert cloud.attributes["classification"][0] == 6
 
 
 @pytest.mark.parametrize("name", ["autzen-bmx-2010", "autzen-bmx-2023", "autzen-thin", "autzen_trim"])
-def test_real_files_as_laspy_reads_them(name):
+def test_real_files_agree_with_laspy(name):
     laspy = import_or_skip("laspy")
     path = data_folder("autzen") / f"{name}.las"
-    cloud, other = read_cloud(path, on_warning=lambda note: None), laspy.read(path)
-    np.testing.assert_array_equal(cloud.points, np.stack([other.x, other.y, other.z], axis=1))
+    cloud, laspy_file = read_cloud(path, on_warning=lambda note: None), laspy.read(path)
+    np.testing.assert_array_equal(cloud.points, np.stack([laspy_file.x, laspy_file.y, laspy_file.z], axis=1))
     for dimension, values in cloud.attributes.items():
-        np.testing.assert_array_equal(values, other[dimension])
+        np.testing.assert_array_equal(values, laspy_file[dimension])
 
 
 # ---- filters ----
@@ -154,20 +154,20 @@ def test_real_files_as_laspy_reads_them(name):
 
 def test_filters(tmp_path):
     data = las(6, 12)
-    every = read(tmp_path, data)
-    number, kind = every.attributes["return_number"], every.attributes["classification"]
+    full_cloud = read(tmp_path, data)
+    return_numbers, classes = full_cloud.attributes["return_number"], full_cloud.attributes["classification"]
     for options, mask in [
-        ({"classes": (2,)}, kind == 2),
-        ({"classes": [2, 6, 9]}, kind > 0),
-        ({"returns": "first"}, number == 1),
-        ({"returns": "last"}, number == 3),
-        ({"returns": (1, 2)}, number < 3),
-        ({"returns": "1,2"}, number < 3),
-        ({"classes": {6}, "returns": "first"}, (kind == 6) & (number == 1)),
+        ({"classes": (2,)}, classes == 2),
+        ({"classes": [2, 6, 9]}, classes > 0),
+        ({"returns": "first"}, return_numbers == 1),
+        ({"returns": "last"}, return_numbers == 3),
+        ({"returns": (1, 2)}, return_numbers < 3),
+        ({"returns": "1,2"}, return_numbers < 3),
+        ({"classes": {6}, "returns": "first"}, (classes == 6) & (return_numbers == 1)),
     ]:
         cloud = read(tmp_path, data, **options)
-        np.testing.assert_array_equal(cloud.points, every.points[mask])
-        np.testing.assert_array_equal(cloud.attributes["gps_time"], every.attributes["gps_time"][mask])
+        np.testing.assert_array_equal(cloud.points, full_cloud.points[mask])
+        np.testing.assert_array_equal(cloud.attributes["gps_time"], full_cloud.attributes["gps_time"][mask])
 
 
 def test_filters_without_matches_report_the_contents(tmp_path):
@@ -177,16 +177,16 @@ def test_filters_without_matches_report_the_contents(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{"classes": ()}, {"classes": (300,)}, {"classes": 2}, {"classes": ("ground",)}])
-def test_wrong_classes(tmp_path, options):
+def test_invalid_classes_are_refused(tmp_path, options):
     refusal(tmp_path, las(0, 3), **options)
 
 
 @pytest.mark.parametrize("returns", ["firts", (), (-1,)])
-def test_wrong_returns(tmp_path, returns):
+def test_invalid_returns_are_refused(tmp_path, returns):
     refusal(tmp_path, las(0, 3), returns=returns)
 
 
-def test_filters_of_other_formats(tmp_path):
+def test_filters_are_refused_for_other_formats(tmp_path):
     np.save(tmp_path / "a.npy", np.ones((2, 3)))
     with check_error():
         read_cloud(tmp_path / "a.npy", classes=(2,))
@@ -195,8 +195,8 @@ def test_filters_of_other_formats(tmp_path):
 # ---- coordinate reference systems ----
 
 
-def projected(tmp_path, *vlrs):
-    cloud, notes = noted(tmp_path, las(0, 3, vlrs=vlrs))
+def read_crs(tmp_path, *vlrs):
+    cloud, notes = read_with_notes(tmp_path, las(0, 3, vlrs=vlrs))
     return cloud.crs, cloud.unit, notes
 
 
@@ -215,27 +215,27 @@ def projected(tmp_path, *vlrs):
 )
 def test_crs(tmp_path, record, crs, unit):
     import_or_skip("pyproj")
-    found = projected(tmp_path, record)
-    assert found[:2] == (crs, unit)
+    result = read_crs(tmp_path, record)
+    assert result[:2] == (crs, unit)
 
 
-def test_unknown_systems_are_warnings(tmp_path):
+def test_unknown_coordinate_systems_give_warnings(tmp_path):
     import_or_skip("pyproj")
-    crs, unit, notes = projected(tmp_path, wkt("PROJCS[hello"))
+    crs, unit, notes = read_crs(tmp_path, wkt("PROJCS[hello"))
     assert (crs, unit, len(notes)) == (None, None, 1)
     assert notes[0].startswith("could not interpret the coordinate reference system: ")
-    crs, unit, notes = projected(tmp_path, geo_keys(model=1, projected=32767, unit=9002))
+    crs, unit, notes = read_crs(tmp_path, geo_keys(model=1, projected=32767, unit=9002))
     assert (crs, unit) == (None, "ft")
     assert notes == ["could not interpret the coordinate reference system: its GeoTIFF keys contain no EPSG code"]
 
 
-def test_system_without_a_code_is_unchanged(tmp_path):
+def test_crs_without_an_epsg_code_is_unchanged(tmp_path):
     import_or_skip("pyproj")
     text = UTM.replace(',AUTHORITY["EPSG","32617"]', "").replace('central_meridian",-81', 'central_meridian",-80.3')
-    assert projected(tmp_path, wkt(text))[:2] == (text, "m")
+    assert read_crs(tmp_path, wkt(text))[:2] == (text, "m")
 
 
-def test_heights_in_another_unit_are_a_warning():
+def test_heights_in_another_unit_give_a_warning():
     import_or_skip("pyproj")
     notes = []
     cloud = read_cloud(data_folder("autzen") / "autzen-bmx-2010.las", on_warning=notes.append)
@@ -246,8 +246,8 @@ def test_heights_in_another_unit_are_a_warning():
 
 def test_without_pyproj(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    assert projected(tmp_path, wkt(UTM)) == (UTM, None, [])
-    assert projected(tmp_path, geo_keys(model=1, projected=2992, unit=9002)) == ("EPSG:2992", "ft", [])
+    assert read_crs(tmp_path, wkt(UTM)) == (UTM, None, [])
+    assert read_crs(tmp_path, geo_keys(model=1, projected=2992, unit=9002)) == ("EPSG:2992", "ft", [])
     with check_error(MissingExtra):
         write_cloud(tmp_path / "b.las", Cloud(np.zeros((1, 3)), crs="EPSG:32617"))
     assert not (tmp_path / "b.las").exists()
@@ -256,79 +256,79 @@ def test_without_pyproj(tmp_path, monkeypatch):
 # ---- damage ----
 
 
-def patched(data, place, code, *numbers):
+def patch(data, offset, code, *values):
     data = bytearray(data)
-    struct.pack_into(f"<{code}", data, place, *numbers)
+    struct.pack_into(f"<{code}", data, offset, *values)
     return bytes(data)
 
 
-PLAIN, LONG = las(0, 10), las(6, 10)
-ONE = las(0, 10, vlrs=[vlr(b"x", 1, b"12")])
-HEADERS = {
-    "magic": b"ply\n" + PLAIN,
+FORMAT_0, FORMAT_6 = las(0, 10), las(6, 10)
+ONE_VLR = las(0, 10, vlrs=[vlr(b"x", 1, b"12")])
+DAMAGED_HEADERS = {
+    "magic": b"ply\n" + FORMAT_0,
     "random": b"LASF" + bytes(range(7, 250)) * 2,
-    "short": PLAIN[:100],
-    "version": patched(PLAIN, 25, "B", 5),
-    "header size": patched(LONG, 94, "H", 227),
-    "start": patched(PLAIN, 96, "I", 100),
-    "start behind": patched(PLAIN, 96, "I", 2**31),
-    "records": patched(PLAIN, 100, "I", 2**32 - 1),
-    "record length": patched(ONE, 227 + 20, "H", 3),
-    "format": patched(PLAIN, 104, "B", 11),
-    "point size": patched(PLAIN, 105, "H", 19),
-    "scale": patched(PLAIN, 131, "d", 0.0),
-    "scale nan": patched(PLAIN, 139, "d", float("nan")),
-    "offset": patched(PLAIN, 155, "d", float("inf")),
-    "two counts": patched(LONG, 107, "I", 9),
-    "none": patched(PLAIN, 107, "I", 0),
-    "absurd": patched(LONG, 247, "Q", 2**63),
-    "truncated": PLAIN[:-101],
-    "header only": PLAIN[:227],
+    "short": FORMAT_0[:100],
+    "version": patch(FORMAT_0, 25, "B", 5),
+    "header size": patch(FORMAT_6, 94, "H", 227),
+    "start": patch(FORMAT_0, 96, "I", 100),
+    "start behind": patch(FORMAT_0, 96, "I", 2**31),
+    "records": patch(FORMAT_0, 100, "I", 2**32 - 1),
+    "record length": patch(ONE_VLR, 227 + 20, "H", 3),
+    "format": patch(FORMAT_0, 104, "B", 11),
+    "point size": patch(FORMAT_0, 105, "H", 19),
+    "scale": patch(FORMAT_0, 131, "d", 0.0),
+    "scale nan": patch(FORMAT_0, 139, "d", float("nan")),
+    "offset": patch(FORMAT_0, 155, "d", float("inf")),
+    "two counts": patch(FORMAT_6, 107, "I", 9),
+    "none": patch(FORMAT_0, 107, "I", 0),
+    "absurd": patch(FORMAT_6, 247, "Q", 2**63),
+    "truncated": FORMAT_0[:-101],
+    "header only": FORMAT_0[:227],
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", HEADERS)
+@pytest.mark.parametrize("name", DAMAGED_HEADERS)
 def test_damaged_headers(tmp_path, name):
-    refusal(tmp_path, HEADERS[name])
+    refusal(tmp_path, DAMAGED_HEADERS[name])
 
 
 def test_more_points_than_the_header_states(tmp_path):
-    cloud, notes = noted(tmp_path, las(0, 10, said=4))
+    cloud, notes = read_with_notes(tmp_path, las(0, 10, stated_count=4))
     assert len(cloud) == 4
     assert notes == ["the header states 4 points, the file has space for 10: left out the rest"]
 
 
-def test_damaged_extended_records_are_a_warning(tmp_path):
+def test_damaged_extended_records_give_a_warning(tmp_path):
     data = las(6, 10, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
     assert read(tmp_path, data).crs in ("EPSG:32617", UTM)
-    cloud, notes = noted(tmp_path, data[:-5])
+    cloud, notes = read_with_notes(tmp_path, data[:-5])
     assert (len(cloud), cloud.crs, len(notes)) == (10, None, 1)
     check_text(notes[0])
 
 
 def test_damaged_laz(tmp_path):
-    needs_lazrs()
+    skip_without_lazrs()
     data = las(3, 1000, compress="chunks")
-    start = struct.unpack_from("<I", data, 96)[0]
-    (table,) = struct.unpack_from("<q", data, start)
-    chunk_size = start - struct.calcsize("<IqqH") - 3 * 6
+    points_start = struct.unpack_from("<I", data, 96)[0]
+    (table_start,) = struct.unpack_from("<q", data, points_start)
+    chunk_size = points_start - struct.calcsize("<IqqH") - 3 * 6
     assert struct.unpack_from("<I", data, chunk_size) == (50_000,)
-    for damaged in (
-        data[: table - 100],
-        data[:start],  # before its points
-        patched(data, 227 + 18, "H", 1),  # no LASzip record
-        patched(data, 227 + 54, "H", 7),  # another compressor
-        patched(data, start - 20, "H", 99),
-        patched(data, 105, "H", 35),
-        patched(data, table + 4, "I", 2**31),
-        patched(data, 107, "I", 50_001),
-        patched(data, 107, "I", 9000),
+    for damaged_data in (
+        data[: table_start - 100],
+        data[:points_start],  # before its points
+        patch(data, 227 + 18, "H", 1),  # no LASzip record
+        patch(data, 227 + 54, "H", 7),  # another compressor
+        patch(data, points_start - 20, "H", 99),
+        patch(data, 105, "H", 35),
+        patch(data, table_start + 4, "I", 2**31),
+        patch(data, 107, "I", 50_001),
+        patch(data, 107, "I", 9000),
     ):
-        refusal(tmp_path, damaged)
+        refusal(tmp_path, damaged_data)
 
 
-def test_aborting_decompressor_is_a_one_line_error(tmp_path, monkeypatch):
-    needs_lazrs()
+def test_failing_decompressor_gives_a_one_line_error(tmp_path, monkeypatch):
+    skip_without_lazrs()
     for line in ("import os; os.abort()", "import time; time.sleep(60)", "import sys; sys.stdout.write('1234')"):
         worker = tmp_path / "worker.py"
         worker.write_text(line)
@@ -338,18 +338,18 @@ def test_aborting_decompressor_is_a_one_line_error(tmp_path, monkeypatch):
 
 
 def test_memory_of_the_decompressor_is_limited(tmp_path, monkeypatch):
-    needs_lazrs()
-    worker, seen = tmp_path / "worker.py", tmp_path / "seen"
+    skip_without_lazrs()
+    worker, limit_file = tmp_path / "worker.py", tmp_path / "seen"
     worker.write_text(
-        f"import resource\nopen({str(seen)!r}, 'w').write(str(resource.getrlimit(resource.RLIMIT_AS)[0]))"
+        f"import resource\nopen({str(limit_file)!r}, 'w').write(str(resource.getrlimit(resource.RLIMIT_AS)[0]))"
     )
     monkeypatch.setattr(laz, "_WORKER", str(worker))
     refusal(tmp_path, las(0, 10, compress="chunks"))
-    assert int(seen.read_text()) == (1 << 30) + 2 * 10 * 20  # points of 20 bytes
+    assert int(limit_file.read_text()) == (1 << 30) + 2 * 10 * 20  # points of 20 bytes
 
 
-def test_lazrs_that_does_not_load(tmp_path, monkeypatch):
-    needs_lazrs()
+def test_lazrs_that_cannot_be_imported(tmp_path, monkeypatch):
+    skip_without_lazrs()
     worker = tmp_path / "worker.py"
     worker.write_text("import sys\nsys.path[:] = []\n" + Path(laz._WORKER).read_text())
     monkeypatch.setattr(laz, "_WORKER", str(worker))
@@ -358,9 +358,9 @@ def test_lazrs_that_does_not_load(tmp_path, monkeypatch):
         read_cloud(tmp_path / "a.laz")
 
 
-def test_laz_from_any_program(tmp_path):
+def test_laz_is_read_from_any_script(tmp_path):
     """LAZ can be read by a script without a main guard, in a folder with modules of conflicting names."""
-    needs_lazrs()
+    skip_without_lazrs()
     (tmp_path / "a.laz").write_bytes(las(0, 10, compress="chunks"))
     for name in ("lazrs", "json", "resource"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong module')")
@@ -368,14 +368,14 @@ def test_laz_from_any_program(tmp_path):
     script = tmp_path / "sub" / "script.py"
     script.write_text("import pcbench\nprint(len(pcbench.read_cloud('a.laz')))\n")
     environment = os.environ | {"PYTHONSTARTUP": "none.py", "PYTHONWARNINGS": "ignore"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
     )
-    assert (done.stdout, done.stderr) == ("10\n", "")
+    assert (process.stdout, process.stderr) == ("10\n", "")
 
 
 def test_without_lazrs(tmp_path, monkeypatch):
-    needs_lazrs()
+    skip_without_lazrs()
     data = las(0, 10, compress="chunks")
     break_library(monkeypatch, tmp_path / "packages", "lazrs", None)
     with check_error(MissingExtra):
@@ -386,67 +386,67 @@ def test_without_lazrs(tmp_path, monkeypatch):
     assert len(read(tmp_path, las(0, 10))) == 10
 
 
-def test_laz_that_encodes_to_other_bytes_is_damaged(tmp_path):
+def test_laz_that_encodes_to_other_bytes_is_refused(tmp_path):
     """lazrs silently decodes a chunk with one flipped bit in the colours or the undescribed bytes."""
-    needs_lazrs()
+    skip_without_lazrs()
     rng = np.random.default_rng(0)
-    noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
-    data = las(7, 3000, tail=lambda i: noise[i].tobytes(), compress="variable")
-    start = struct.unpack_from("<I", data, 96)[0]
-    (table,) = struct.unpack_from("<q", data, start)
-    whole = read(tmp_path, data)
+    extra_bytes = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
+    data = las(7, 3000, tail=lambda i: extra_bytes[i].tobytes(), compress="variable")
+    points_start = struct.unpack_from("<I", data, 96)[0]
+    (table_start,) = struct.unpack_from("<q", data, points_start)
+    expected = read(tmp_path, data)
     messages = []
-    for place in range(table - 1900, table - 300, 200):  # in the last layers of the second chunk
-        damaged = bytearray(data)
-        damaged[place] ^= 4
-        messages.append(refusal(tmp_path, bytes(damaged)))
+    for offset in range(table_start - 1900, table_start - 300, 200):  # in the last layers of the second chunk
+        damaged_data = bytearray(data)
+        damaged_data[offset] ^= 4
+        messages.append(refusal(tmp_path, bytes(damaged_data)))
     assert any("2000 of 3000 points, from point 1001 on" in message for message in messages), messages
-    np.testing.assert_array_equal(read(tmp_path, data).points, whole.points)  # undamaged points are unchanged
+    np.testing.assert_array_equal(read(tmp_path, data).points, expected.points)  # undamaged points are unchanged
 
 
-def test_unverifiable_laz_is_a_warning(tmp_path, monkeypatch):
+def test_unverifiable_laz_gives_a_warning(tmp_path, monkeypatch):
     """The only chunk encodes to other bytes, so it is damaged or written by an unknown program."""
-    needs_lazrs()
+    skip_without_lazrs()
     rng = np.random.default_rng(0)
-    noise = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
-    data = las(7, 3000, tail=lambda i: noise[i].tobytes(), compress="chunks")
-    (table,) = struct.unpack_from("<q", data, struct.unpack_from("<I", data, 96)[0])
+    extra_bytes = rng.integers(0, 256, (3000, 2), dtype=np.uint8)
+    data = las(7, 3000, tail=lambda i: extra_bytes[i].tobytes(), compress="chunks")
+    (table_start,) = struct.unpack_from("<q", data, struct.unpack_from("<I", data, 96)[0])
     outcomes = []
-    for place in range(table - 1900, table - 300, 200):
-        damaged = bytearray(data)
-        damaged[place] ^= 4
+    for offset in range(table_start - 1900, table_start - 300, 200):
+        damaged_data = bytearray(data)
+        damaged_data[offset] ^= 4
         try:
-            outcomes.append(noted(tmp_path, bytes(damaged))[1])
+            outcomes.append(read_with_notes(tmp_path, bytes(damaged_data))[1])
         except InputError:
             outcomes.append(["refused"])
     assert all(outcomes)
     check_text(next(notes[0] for notes in outcomes if notes != ["refused"]))
-    assert noted(tmp_path, data)[1] == []
+    assert read_with_notes(tmp_path, data)[1] == []
 
 
-@COMPRESSED
-def test_points_that_contradict_the_header_are_warnings(tmp_path, compress):
+@COMPRESSIONS
+def test_points_that_contradict_the_header_give_warnings(tmp_path, compress):
     if compress:
-        needs_lazrs()
+        skip_without_lazrs()
     data, expected = las(1, 9, compress=compress), read(tmp_path, las(1, 9))
     (low_x, low_y, low_z), (high_x, high_y, high_z) = expected.bounds
-    right = patched(data, 179, "6d", high_x, low_x, high_y, low_y, high_z, low_z)
-    right = patched(right, 111, "5I", 3, 3, 3, 0, 0)
-    assert noted(tmp_path, right)[1] == []
-    unsure = "the header was not updated, or points are damaged"
-    assert noted(tmp_path, patched(right, 195, "d", high_y - 0.5))[1] == [
-        f"points lie up to 0.5 units outside the header's bounds in y: {unsure}"
+    consistent_data = patch(data, 179, "6d", high_x, low_x, high_y, low_y, high_z, low_z)
+    consistent_data = patch(consistent_data, 111, "5I", 3, 3, 3, 0, 0)
+    assert read_with_notes(tmp_path, consistent_data)[1] == []
+    explanation = "the header was not updated, or points are damaged"
+    assert read_with_notes(tmp_path, patch(consistent_data, 195, "d", high_y - 0.5))[1] == [
+        f"points lie up to 0.5 units outside the header's bounds in y: {explanation}"
     ]
-    assert noted(tmp_path, patched(right, 219, "d", low_z + 2))[1] == [
-        f"points lie up to 2 units outside the header's bounds in z: {unsure}"
+    assert read_with_notes(tmp_path, patch(consistent_data, 219, "d", low_z + 2))[1] == [
+        f"points lie up to 2 units outside the header's bounds in z: {explanation}"
     ]
-    assert noted(tmp_path, patched(right, 111, "5I", 3, 4, 2, 0, 0))[1] == [
-        f"3 points are return 2, the header states 4: {unsure}"
+    assert read_with_notes(tmp_path, patch(consistent_data, 111, "5I", 3, 4, 2, 0, 0))[1] == [
+        f"3 points are return 2, the header states 4: {explanation}"
     ]
 
 
-def test_impossible_returns_are_a_warning(tmp_path):
-    data = patched(las(6, 10), 375 + 14, "B", 5 | 3 << 4)  # the first point: return 5 of 3
-    assert noted(tmp_path, data)[1] == [
+def test_impossible_returns_give_a_warning(tmp_path):
+    data = patch(las(6, 10), 375 + 14, "B", 5 | 3 << 4)  # the first point: return 5 of 3
+    assert read_with_notes(tmp_path, data)[1] == [
         "1 of 10 points have a return number above the returns of their pulse: damaged returns"
     ]

@@ -44,28 +44,28 @@ def test_round_trip(tmp_path, extension):
     cloud, path = full_cloud(), tmp_path / f"a{extension}"
     write_cloud(path, cloud)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    again = read_cloud(path)
-    assert np.abs(again.points - cloud.points).max() <= 5.1e-5  # half the scale, and rounding at 4e6
-    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
-    np.testing.assert_array_equal(again.colors, cloud.colors)
-    assert again.attributes.keys() == cloud.attributes.keys()
+    result = read_cloud(path)
+    assert np.abs(result.points - cloud.points).max() <= 5.1e-5  # half the scale, and rounding at 4e6
+    np.testing.assert_array_equal(result.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(result.colors, cloud.colors)
+    assert result.attributes.keys() == cloud.attributes.keys()
     for name, values in cloud.attributes.items():
-        np.testing.assert_array_equal(again.attributes[name], values)
-    assert (again.crs, again.unit) == ("EPSG:32617", "m")
+        np.testing.assert_array_equal(result.attributes[name], values)
+    assert (result.crs, result.unit) == ("EPSG:32617", "m")
 
-    other = laspy.read(path)
-    np.testing.assert_array_equal(np.stack([other.x, other.y, other.z], axis=1), again.points)
-    assert other.header.parse_crs().to_epsg() == 32617
-    np.testing.assert_array_equal(other.header.mins, again.points.min(axis=0))
-    np.testing.assert_array_equal(other.header.maxs, again.points.max(axis=0))
+    laspy_file = laspy.read(path)
+    np.testing.assert_array_equal(np.stack([laspy_file.x, laspy_file.y, laspy_file.z], axis=1), result.points)
+    assert laspy_file.header.parse_crs().to_epsg() == 32617
+    np.testing.assert_array_equal(laspy_file.header.mins, result.points.min(axis=0))
+    np.testing.assert_array_equal(laspy_file.header.maxs, result.points.max(axis=0))
     counts = np.bincount(cloud.attributes["return_number"], minlength=16)[1:]
-    np.testing.assert_array_equal(other.header.number_of_points_by_return, counts)
+    np.testing.assert_array_equal(laspy_file.header.number_of_points_by_return, counts)
     for name in ("id", "confidence", "intensity", "gps_time", "return_number"):
-        np.testing.assert_array_equal(other[name], cloud.attributes[name])
-    np.testing.assert_array_equal(other.red, cloud.colors[:, 0] * np.uint16(257))
+        np.testing.assert_array_equal(laspy_file[name], cloud.attributes[name])
+    np.testing.assert_array_equal(laspy_file.red, cloud.colors[:, 0] * np.uint16(257))
 
 
-def test_the_same_cloud_gives_the_same_bytes(tmp_path):
+def test_equal_clouds_give_equal_bytes(tmp_path):
     cloud = Cloud(np.random.default_rng(3).normal(size=(100, 3)))
     for name in ("a.las", "b.las"):
         write_cloud(tmp_path / name, cloud)
@@ -73,17 +73,17 @@ def test_the_same_cloud_gives_the_same_bytes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("extent", "step"),
+    ("extent", "scale"),
     [(0.0, 1e-4), (1e-3, 1e-9), (2.0, 1e-6), (99.0, 1e-5), (1e3, 1e-4), (4e5, 1e-4), (8e5, 2e-4)],
 )
 @pytest.mark.parametrize("centre", [0.0, 0.499, -5e6 + 0.5])
-def test_precision_follows_the_extent(tmp_path, extent, step, centre):
+def test_precision_follows_the_extent(tmp_path, extent, scale, centre):
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 3)) * extent + centre
     points[:2] = [[centre - extent / 2] * 3, [centre + extent / 2] * 3]
     write_cloud(tmp_path / "a.las", Cloud(points))
-    assert struct.unpack_from("<d", (tmp_path / "a.las").read_bytes(), 131) == (step,)
+    assert struct.unpack_from("<d", (tmp_path / "a.las").read_bytes(), 131) == (scale,)
     rounding = 4 * np.spacing(np.abs(points).max())
-    assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= step / 2 + rounding
+    assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= scale / 2 + rounding
 
 
 def test_tiny_extent(tmp_path):
@@ -91,7 +91,7 @@ def test_tiny_extent(tmp_path):
     assert read_cloud(tmp_path / "a.las").points.tolist() == [[0.0] * 3] * 2
 
 
-def test_hundredths_are_exact(tmp_path):
+def test_decimal_coordinates_are_exact(tmp_path):
     """Coordinates in hundredths are multiples of the finer step, so they are written exactly."""
     points = np.round(np.random.default_rng(2).uniform(0, 1000, (200, 3)), 2) + [636_000, 849_000, 0]
     write_cloud(tmp_path / "a.las", Cloud(points))
@@ -105,8 +105,8 @@ def check_refusal(path, cloud):
 
 
 def test_extent_beyond_32_bits(tmp_path):
-    for reach in (1e6, 1e90):
-        cloud = Cloud(np.array([[-reach] * 3, [reach] * 3]))
+    for half_extent in (1e6, 1e90):
+        cloud = Cloud(np.array([[-half_extent] * 3, [half_extent] * 3]))
         check_refusal(tmp_path / "a.las", cloud)
 
 
@@ -130,9 +130,9 @@ def test_attributes_that_las_cannot_store(tmp_path, name, values):
     check_refusal(tmp_path / "a.las", cloud)
 
 
-def test_other_refusals(tmp_path):
-    many = Cloud(np.zeros((1, 3)), attributes={f"a{k}": np.zeros(1) for k in range(400)})
-    check_refusal(tmp_path / "a.las", many)
+def test_clouds_that_las_cannot_store(tmp_path):
+    cloud = Cloud(np.zeros((1, 3)), attributes={f"a{k}": np.zeros(1) for k in range(400)})
+    check_refusal(tmp_path / "a.las", cloud)
     check_refusal(tmp_path / "a.copc.laz", Cloud(np.zeros((1, 3))))
     import_or_skip("pyproj")
     check_refusal(tmp_path / "a.las", Cloud(np.zeros((1, 3)), crs="the village"))

@@ -16,7 +16,7 @@ from pcbench.errors import InputError, MissingExtra, PcbenchError
 from pcbench.io.meshes import holds_mesh, read_mesh
 
 
-def is_the_cube(mesh):
+def check_cube(mesh):
     assert (len(mesh.vertices), len(mesh)) == (8, 12)
     assert mesh.is_closed
     assert mesh.area == 24
@@ -29,7 +29,7 @@ def test_builtin_readers(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(CUBES[name])
     mesh = read_mesh(path, on_warning=pytest.fail)
-    is_the_cube(mesh)
+    check_cube(mesh)
     assert (mesh.crs, mesh.unit) == (("EPSG:32632", "m") if name.endswith("ply") else (None, None))
     assert holds_mesh(path)
 
@@ -82,7 +82,7 @@ def test_polygons_become_fans_and_omissions_are_reported(tmp_path):
     path = tmp_path / "a.obj"
     path.write_bytes(obj() + b"l 1 2\np 1\n")
     notes.clear()
-    is_the_cube(read_mesh(path, on_warning=notes.append))
+    check_cube(read_mesh(path, on_warning=notes.append))
     assert notes == [f"{path}: left out 2 point and line elements"]
 
 
@@ -97,18 +97,18 @@ def test_holds_mesh(tmp_path):
     (tmp_path / "none.ply").write_bytes(
         ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), ("face", ["list uchar int a"], []))
     )
-    head = ply_mesh().partition(b"end_header\n")
-    (tmp_path / "head.ply").write_bytes(head[0] + head[1])  # the body is not read
+    header_parts = ply_mesh().partition(b"end_header\n")
+    (tmp_path / "head.ply").write_bytes(header_parts[0] + header_parts[1])  # the body is not read
     (tmp_path / "damaged.ply").write_bytes(b"plyply")
-    names = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False, "missing.ply": False}
-    names |= {"a.obj": True, "a.GLB": True, "a.npy": False, "a": False}
-    assert {name: holds_mesh(tmp_path / name) for name in names} == names
+    expected = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False, "missing.ply": False}
+    expected |= {"a.obj": True, "a.GLB": True, "a.npy": False, "a": False}
+    assert {name: holds_mesh(tmp_path / name) for name in expected} == expected
 
 
 # ---- damage ----
 
 
-def one_line(path):
+def read_error(path):
     with pytest.raises(InputError) as caught:
         read_mesh(path, on_warning=lambda note: None)
     message = str(caught.value)
@@ -116,8 +116,8 @@ def one_line(path):
     return message.removeprefix(f"{path}: ")
 
 
-PLY = ply_mesh("binary_little_endian")
-REFUSED = {
+BINARY_PLY = ply_mesh("binary_little_endian")
+REFUSED_FILES = {
     "a.xyz": b"1 2 3",
     "empty.stl": b"",
     "short.stl": b"abc",
@@ -140,7 +140,7 @@ REFUSED = {
     "points.ply": ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)])),
     "no faces.ply": ply_mesh(polygons=[]),
     "no faces binary.ply": ply_mesh("binary_big_endian", polygons=[]),
-    "cut.ply": PLY[:-30],
+    "cut.ply": BINARY_PLY[:-30],
     "high.ply": ply_mesh(polygons=[(0, 1, 8)]),
     "low.ply": ply_mesh(polygons=[(0, 1, -1)]),
     "half.ply": ply_mesh(types="uchar float", polygons=[(0, 1, 2.5)]),
@@ -160,10 +160,10 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_refusals(tmp_path, name):
+@pytest.mark.parametrize("name", REFUSED_FILES)
+def test_invalid_files_are_refused(tmp_path, name):
     path = tmp_path / name
-    path.write_bytes(REFUSED[name])
+    path.write_bytes(REFUSED_FILES[name])
     with check_error():
         read_mesh(path)
 
@@ -181,7 +181,7 @@ def test_refusals(tmp_path, name):
 def test_damage_reported_by_libraries(tmp_path, name, data, expected):
     """The rest of the message comes from the library and depends on its version."""
     (tmp_path / name).write_bytes(data)
-    assert expected in one_line(tmp_path / name)
+    assert expected in read_error(tmp_path / name)
 
 
 def test_missing_file(tmp_path):
@@ -205,17 +205,17 @@ def test_missing_file(tmp_path):
 def test_files_that_trimesh_refuses(tmp_path, name, data):
     path = tmp_path / name
     path.write_bytes(data)
-    one_line(path)
+    read_error(path)
 
 
 @pytest.mark.usefixtures("trimesh")
-def test_crash_hang_or_memory_growth_is_a_one_line_error(tmp_path, monkeypatch):
+def test_crash_hang_or_memory_growth_gives_a_one_line_error(tmp_path, monkeypatch):
     path = tmp_path / "a.glb"
     path.write_bytes(glb())
     child = tmp_path / "child.py"
     monkeypatch.setattr("pcbench.io.trimesh_child.__file__", str(child))
-    limits = "import resource, sys\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\n"
-    for code in ("import os\nos.abort()", limits + "while True: pass", "raise ValueError('two\\nlines')"):
+    cpu_limit = "import resource, sys\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\n"
+    for code in ("import os\nos.abort()", cpu_limit + "while True: pass", "raise ValueError('two\\nlines')"):
         child.write_text(code)
         with check_error():
             read_mesh(path)
@@ -223,11 +223,11 @@ def test_crash_hang_or_memory_growth_is_a_one_line_error(tmp_path, monkeypatch):
 
     monkeypatch.undo()
     outputs = str(tmp_path / "v.npy"), str(tmp_path / "f.npy")
-    done = run_script(trimesh_child.__file__, str(path), *outputs, limits=Limits(memory=60 << 20, cpu_seconds=9))
-    assert done.code != 0
+    result = run_script(trimesh_child.__file__, str(path), *outputs, limits=Limits(memory=60 << 20, cpu_seconds=9))
+    assert result.code != 0
 
 
-def damaged_glb(tmp_path, count, seed):
+def check_damaged_glb(tmp_path, count, seed):
     rng = random.Random(seed)
     for _ in range(count):
         data = bytearray(damage(glb(), rng))
@@ -241,10 +241,10 @@ def damaged_glb(tmp_path, count, seed):
 
 @pytest.mark.usefixtures("trimesh")
 def test_damaged_glb(tmp_path):
-    damaged_glb(tmp_path, 20, 1)  # a valid header starts a child process
+    check_damaged_glb(tmp_path, 20, 1)  # a valid header starts a child process
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("trimesh")
-def test_random_damage_of_glb(tmp_path):
-    damaged_glb(tmp_path, 500, 2)
+def test_many_damaged_glb(tmp_path):
+    check_damaged_glb(tmp_path, 500, 2)

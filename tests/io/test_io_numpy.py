@@ -16,17 +16,17 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
 
 
-def npy(array, version=None):
+def npy_bytes(array, version=None):
     buffer = io.BytesIO()
     np.lib.format.write_array(buffer, np.asarray(array), version=version)
     return buffer.getvalue()
 
 
-def npz(**arrays):
-    return archive({f"{name}.npy": npy(array) for name, array in arrays.items()})
+def npz_bytes(**arrays):
+    return zip_bytes({f"{name}.npy": npy_bytes(array) for name, array in arrays.items()})
 
 
-def archive(members, compression=zipfile.ZIP_STORED):
+def zip_bytes(members, compression=zipfile.ZIP_STORED):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", compression) as file:
         for name, data in members.items():
@@ -34,7 +34,7 @@ def archive(members, compression=zipfile.ZIP_STORED):
     return buffer.getvalue()
 
 
-def header(descr="'<f8'", shape="(4, 3)"):
+def npy_header(descr="'<f8'", shape="(4, 3)"):
     text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
 
@@ -45,9 +45,9 @@ def header(descr="'<f8'", shape="(4, 3)"):
 @pytest.mark.parametrize("dtype", ["<f2", "<f4", ">f4", "<f8", ">f8", "<i1", "<u2", ">i4", "<i8"])
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("version", [(1, 0), (2, 0)])
-def test_npy_of_any_type(tmp_path, dtype, order, version):
+def test_npy_types_and_orders(tmp_path, dtype, order, version):
     points = np.array(np.arange(12).reshape(4, 3), dtype=dtype, order=order)
-    (tmp_path / "a.npy").write_bytes(npy(points, version))
+    (tmp_path / "a.npy").write_bytes(npy_bytes(points, version))
     cloud = read_cloud(tmp_path / "a.npy")
     np.testing.assert_array_equal(cloud.points, np.arange(12).reshape(4, 3))
     assert cloud.normals is None
@@ -67,7 +67,7 @@ def test_npy_drops_nan(tmp_path):
         assert read_cloud(tmp_path / "a.npy").points.tolist() == [[1, 2, 3]]
 
 
-def test_npy_written_by_us_is_read_by_numpy(tmp_path):
+def test_numpy_reads_written_npy(tmp_path):
     points = np.random.default_rng(5).normal(size=(7, 3))
     write_cloud(tmp_path / "a.npy", Cloud(points, normals=points))
     np.testing.assert_array_equal(np.load(tmp_path / "a.npy", allow_pickle=False), points)
@@ -77,31 +77,31 @@ def test_npy_written_by_us_is_read_by_numpy(tmp_path):
 POINTS = np.arange(12.0).reshape(4, 3)
 DAMAGED_NPY = {
     "magic": b"ply\n" + bytes(40),
-    "version": b"\x93NUMPY\x03\x00" + npy(POINTS)[8:],
-    "no header": npy(POINTS)[:9],
-    "half a header": npy(POINTS)[:60],
+    "version": b"\x93NUMPY\x03\x00" + npy_bytes(POINTS)[8:],
+    "no header": npy_bytes(POINTS)[:9],
+    "half a header": npy_bytes(POINTS)[:60],
     "huge header": b"\x93NUMPY\x02\x00\xff\xff\xff\xff",
     "no dictionary": b"\x93NUMPY\x01\x00\x04\x00abc\n",
-    "truncated": npy(POINTS)[:-30],
-    "trailing": npy(POINTS) + b"abc",
-    "absurd": header(shape=f"({10**17}, 3)"),
-    "overflow": header(shape=f"({2**64}, 3)"),
-    "negative": header(shape="(-4, 3)"),
-    "pickle": header("'|O'"),
-    "text": header("'<U5'"),
-    "complex": header("'<c16'"),
-    "odd float": header("'<f3'"),
-    "deep": header(shape="(" * 9000),  # may crash Python's parser
-    "signs": header(shape="-" * 9000 + "4"),
-    "sum": header(shape="1+" * 4500 + "1"),
-    "digits": header(shape=f"({'9' * 9000}, 3)"),
-    "records": header("[('x', '<f8')]"),
-    "rows of rows": header("'(2,)<f8'"),
-    "bool": npy(np.ones((4, 3), bool)),
-    "flat": npy(np.arange(12.0)),
-    "wide": npy(np.zeros((3, 4))),
-    "no points": npy(np.zeros((0, 3))),
-    "nan": npy(np.full((2, 3), np.nan)),
+    "truncated": npy_bytes(POINTS)[:-30],
+    "trailing": npy_bytes(POINTS) + b"abc",
+    "absurd": npy_header(shape=f"({10**17}, 3)"),
+    "overflow": npy_header(shape=f"({2**64}, 3)"),
+    "negative": npy_header(shape="(-4, 3)"),
+    "pickle": npy_header("'|O'"),
+    "text": npy_header("'<U5'"),
+    "complex": npy_header("'<c16'"),
+    "odd float": npy_header("'<f3'"),
+    "deep": npy_header(shape="(" * 9000),  # may crash Python's parser
+    "signs": npy_header(shape="-" * 9000 + "4"),
+    "sum": npy_header(shape="1+" * 4500 + "1"),
+    "digits": npy_header(shape=f"({'9' * 9000}, 3)"),
+    "records": npy_header("[('x', '<f8')]"),
+    "rows of rows": npy_header("'(2,)<f8'"),
+    "bool": npy_bytes(np.ones((4, 3), bool)),
+    "flat": npy_bytes(np.arange(12.0)),
+    "wide": npy_bytes(np.zeros((3, 4))),
+    "no points": npy_bytes(np.zeros((0, 3))),
+    "nan": npy_bytes(np.full((2, 3), np.nan)),
 }
 
 
@@ -129,24 +129,24 @@ def test_npz_stores_all_data(tmp_path):
     )
     path = tmp_path / "a.npz"
     write_cloud(path, cloud)
-    again = read_cloud(path)
+    result = read_cloud(path)
     for name in ("points", "normals", "colors"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(cloud, name))
-    assert list(again.attributes) == list(cloud.attributes)
+        np.testing.assert_array_equal(getattr(result, name), getattr(cloud, name))
+    assert list(result.attributes) == list(cloud.attributes)
     for name, values in cloud.attributes.items():
-        np.testing.assert_array_equal(again.attributes[name], values)
-        assert again.attributes[name].dtype == values.dtype.newbyteorder("=")
-    assert (again.crs, again.unit) == (cloud.crs, cloud.unit)
-    with np.load(path, allow_pickle=False) as loaded:
-        np.testing.assert_array_equal(loaded["points"], cloud.points)
-        assert str(loaded["crs"]) == cloud.crs
-    first = path.read_bytes()
+        np.testing.assert_array_equal(result.attributes[name], values)
+        assert result.attributes[name].dtype == values.dtype.newbyteorder("=")
+    assert (result.crs, result.unit) == (cloud.crs, cloud.unit)
+    with np.load(path, allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays["points"], cloud.points)
+        assert str(arrays["crs"]) == cloud.crs
+    first_bytes = path.read_bytes()
     write_cloud(path, cloud)
-    assert path.read_bytes() == first
+    assert path.read_bytes() == first_bytes
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_npz_of_numpy(tmp_path, save):
+def test_npz_written_by_numpy(tmp_path, save):
     save(tmp_path / "a.npz", points=POINTS.astype(np.float32), gps=np.arange(4))
     cloud = read_cloud(tmp_path / "a.npz")
     np.testing.assert_array_equal(cloud.points, POINTS)
@@ -163,7 +163,7 @@ def test_npz_of_a_single_array(tmp_path):
     assert (cloud.unit, cloud.crs) == ("m", None)
 
 
-def test_npz_leaves_out_other_shapes(tmp_path):
+def test_npz_arrays_of_other_shapes_are_left_out(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, points=POINTS, K=np.eye(3))
     notes = []
@@ -171,28 +171,28 @@ def test_npz_leaves_out_other_shapes(tmp_path):
     assert notes == [f"{path}: left out 'K': expected an attribute of shape (4,), got (3, 3)"]
 
 
-BIG = npy(np.zeros((4_000_000, 3)))
-ENCRYPTED = bytearray(npz(points=POINTS))
-ENCRYPTED[ENCRYPTED.index(b"PK\x01\x02") + 8] |= 1
-WRONG_SUM = bytearray(npz(points=POINTS))
-WRONG_SUM[WRONG_SUM.index(npy(POINTS)[-20:]) + 3] ^= 1
+LARGE_NPY = npy_bytes(np.zeros((4_000_000, 3)))
+ENCRYPTED_NPZ = bytearray(npz_bytes(points=POINTS))
+ENCRYPTED_NPZ[ENCRYPTED_NPZ.index(b"PK\x01\x02") + 8] |= 1
+WRONG_CHECKSUM_NPZ = bytearray(npz_bytes(points=POINTS))
+WRONG_CHECKSUM_NPZ[WRONG_CHECKSUM_NPZ.index(npy_bytes(POINTS)[-20:]) + 3] ^= 1
 DAMAGED_NPZ = {
     "no zip": b"ply\n" + bytes(100),
-    "truncated": npz(points=POINTS)[:-30],
-    "check sum": bytes(WRONG_SUM),
-    "encrypted": bytes(ENCRYPTED),
-    "empty": archive({}),
-    "no points": npz(a=POINTS, b=POINTS),
-    "no array": archive({"readme.txt": b"hello"}),
-    "bzip2": archive({"points.npy": npy(POINTS)}, zipfile.ZIP_BZIP2),
-    "shape and size": archive({"points.npy": header(shape="(10000000, 3)")}),
-    "trailing": archive({"points.npy": npy(POINTS) + b"a"}),
-    "pickle": npz(points=POINTS, a=np.array([{}] * 4)),
-    "normals": npz(points=POINTS, normals=POINTS[:2]),
-    "colors": npz(points=POINTS, colors=POINTS),
-    "crs": npz(points=POINTS, crs=np.arange(4)),
-    "unit": npz(points=POINTS, unit=np.array(["m", "m"])),
-    "no code point": archive({"points.npy": npy(POINTS), "unit.npy": header("'<U1'", "()") + b"\xff" * 4}),
+    "truncated": npz_bytes(points=POINTS)[:-30],
+    "check sum": bytes(WRONG_CHECKSUM_NPZ),
+    "encrypted": bytes(ENCRYPTED_NPZ),
+    "empty": zip_bytes({}),
+    "no points": npz_bytes(a=POINTS, b=POINTS),
+    "no array": zip_bytes({"readme.txt": b"hello"}),
+    "bzip2": zip_bytes({"points.npy": npy_bytes(POINTS)}, zipfile.ZIP_BZIP2),
+    "shape and size": zip_bytes({"points.npy": npy_header(shape="(10000000, 3)")}),
+    "trailing": zip_bytes({"points.npy": npy_bytes(POINTS) + b"a"}),
+    "pickle": npz_bytes(points=POINTS, a=np.array([{}] * 4)),
+    "normals": npz_bytes(points=POINTS, normals=POINTS[:2]),
+    "colors": npz_bytes(points=POINTS, colors=POINTS),
+    "crs": npz_bytes(points=POINTS, crs=np.arange(4)),
+    "unit": npz_bytes(points=POINTS, unit=np.array(["m", "m"])),
+    "no code point": zip_bytes({"points.npy": npy_bytes(POINTS), "unit.npy": npy_header("'<U1'", "()") + b"\xff" * 4}),
 }
 
 
@@ -201,42 +201,44 @@ def test_damaged_npz(tmp_path, name):
     refusal(tmp_path / "a.npz", DAMAGED_NPZ[name])
 
 
-def test_bomb_is_refused_by_its_size(tmp_path):
-    (tmp_path / "a.npz").write_bytes(archive({"points.npy": BIG}, zipfile.ZIP_DEFLATED))
-    with pytest.raises(InputError, match=f"decompress to {len(BIG)} bytes"):  # the compressed size depends on zlib
+def test_zip_bomb_is_refused(tmp_path):
+    (tmp_path / "a.npz").write_bytes(zip_bytes({"points.npy": LARGE_NPY}, zipfile.ZIP_DEFLATED))
+    with pytest.raises(
+        InputError, match=f"decompress to {len(LARGE_NPY)} bytes"
+    ):  # the compressed size depends on zlib
         read_cloud(tmp_path / "a.npz")
 
 
-def test_npz_refuses_two_arrays_of_one_name(tmp_path):
+def test_npz_refuses_repeated_array_names(tmp_path):
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        file.writestr("points.npy", npy(POINTS))
-        file.writestr("points.npy", npy(POINTS))
+        file.writestr("points.npy", npy_bytes(POINTS))
+        file.writestr("points.npy", npy_bytes(POINTS))
     refusal(tmp_path / "a.npz", buffer.getvalue())
 
 
 @pytest.mark.parametrize(("name", "values"), [("crs", [1]), ("", [1]), ("a\0b", [1]), ("a", ["text"]), ("a", [None])])
-def test_npz_refuses_attributes(tmp_path, name, values):
+def test_npz_refuses_invalid_attributes(tmp_path, name, values):
     with check_error():
         write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={name: np.array(values)}))
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("extension", ["npy", "npz"])
-def test_mutations_only_raise_input_errors(tmp_path, extension):
+def test_damaged_files_raise_only_input_errors(tmp_path, extension):
     """400 damaged files give a cloud or InputError, never another error or a warning."""
     rng = random.Random(11)
     if extension == "npy":
-        corpus = [npy(POINTS), npy(POINTS.astype("<f4")), npy(np.arange(24).reshape(4, 6))]
+        corpus = [npy_bytes(POINTS), npy_bytes(POINTS.astype("<f4")), npy_bytes(np.arange(24).reshape(4, 6))]
     else:
         members = {
-            "points.npy": npy(POINTS),
-            "a.npy": npy(np.arange(4)),
-            "unit.npy": npy("m"),
-            "colors.npy": npy(np.ones((4, 3), np.uint8)),
+            "points.npy": npy_bytes(POINTS),
+            "a.npy": npy_bytes(np.arange(4)),
+            "unit.npy": npy_bytes("m"),
+            "colors.npy": npy_bytes(np.ones((4, 3), np.uint8)),
         }
-        corpus = [archive(members), archive(members, zipfile.ZIP_DEFLATED)]
+        corpus = [zip_bytes(members), zip_bytes(members, zipfile.ZIP_DEFLATED)]
     path = tmp_path / f"a.{extension}"
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -13,7 +13,7 @@ from pcbench.io import read_cloud, write_cloud
 
 EXTREMES = {"b": (-128, 127), "B": (0, 255), "h": (-32768, 32767), "H": (0, 65535), "i": (-(2**31), 2**31 - 1),
             "I": (0, 2**32 - 1), "f": (-1.5, 0.25), "d": (1 / 3, -1e99)}  # fmt: skip
-form = pytest.mark.parametrize("form", FORMATS)
+ALL_FORMATS = pytest.mark.parametrize("form", FORMATS)
 
 
 def read(tmp_path, data):
@@ -22,50 +22,53 @@ def read(tmp_path, data):
     return read_cloud(path)
 
 
-@form
+@ALL_FORMATS
 @pytest.mark.parametrize("kind", TYPES)
-def test_every_type(tmp_path, form, kind):
-    low, high = EXTREMES[TYPES[kind]]
+def test_property_types(tmp_path, form, kind):
+    minimum, maximum = EXTREMES[TYPES[kind]]
     coordinates = [f"{kind} x", f"{kind} y", f"{kind} z"]
-    cloud = read(tmp_path, ply(form, ("vertex", [*coordinates, f"{kind} a"], [(low, high, 1, high), (1, 2, 3, low)])))
-    np.testing.assert_array_equal(cloud.points, [[low, high, 1], [1, 2, 3]])
+    cloud = read(
+        tmp_path,
+        ply(form, ("vertex", [*coordinates, f"{kind} a"], [(minimum, maximum, 1, maximum), (1, 2, 3, minimum)])),
+    )
+    np.testing.assert_array_equal(cloud.points, [[minimum, maximum, 1], [1, 2, 3]])
     attribute = cloud.attributes["a"]
     assert attribute.dtype == np.dtype(TYPES[kind]) and attribute.dtype.isnative
-    assert attribute.tolist() == [high, low]
+    assert attribute.tolist() == [maximum, minimum]
     assert cloud.points.flags.c_contiguous and cloud.points.flags.aligned
 
 
-@form
-def test_any_order_of_properties(tmp_path, form):
+@ALL_FORMATS
+def test_properties_in_any_order(tmp_path, form):
     cloud = read(tmp_path, ply(form, ("vertex", ["float z", "uchar a", "double y", "float x"], [(3.0, 9, 2.0, 1.0)])))
     assert cloud.points.tolist() == [[1, 2, 3]]
     assert cloud.attributes["a"].tolist() == [9]
 
 
-@form
+@ALL_FORMATS
 @pytest.mark.parametrize("sizes", [[3, 3, 3], [3, 4, 0, 3], [0, 0]])
-def test_faces_before_after_and_between(tmp_path, form, sizes):
+def test_elements_in_any_order(tmp_path, form, sizes):
     faces = ("face", ["list uchar int vertex_indices", "float q"], [(tuple(range(n)), 0.5) for n in sizes])
     strips = ("tristrips", ["list int int a", "list ushort double b"], [((1, 2, -1), (0.5,)), ((), (1.0, 2.0))])
-    empty, bare = ("edge", ["int a"], []), ("nothing", [], [(), ()])
+    no_rows, no_properties = ("edge", ["int a"], []), ("nothing", [], [(), ()])
     vertices = ("vertex", [*XYZ, "uchar a"], [(*p, 7) for p in points(5)])
-    for order in ([faces, vertices, strips], [vertices, empty, faces], [bare, strips, faces, vertices]):
-        cloud = read(tmp_path, ply(form, *order))
+    for elements in ([faces, vertices, strips], [vertices, no_rows, faces], [no_properties, strips, faces, vertices]):
+        cloud = read(tmp_path, ply(form, *elements))
         assert cloud.points.tolist() == [list(p) for p in points(5)]
         assert cloud.attributes["a"].tolist() == [7] * 5
 
 
-@form
-@pytest.mark.parametrize("views", [[2, 2, 2, 2], [0, 3, 1, 255]])
-def test_lists_in_the_vertex_element_are_skipped(tmp_path, form, views):
+@ALL_FORMATS
+@pytest.mark.parametrize("list_lengths", [[2, 2, 2, 2], [0, 3, 1, 255]])
+def test_lists_in_the_vertex_element_are_skipped(tmp_path, form, list_lengths):
     properties = ["float x", "list uchar uint view_indices", "float y", "float z", "list uchar float w", "short id"]
-    rows = [(float(i), tuple(range(n)), i + 0.5, -1.0, (0.5,) * n, i) for i, n in enumerate(views)]
+    rows = [(float(i), tuple(range(n)), i + 0.5, -1.0, (0.5,) * n, i) for i, n in enumerate(list_lengths)]
     cloud = read(tmp_path, ply(form, ("vertex", properties, rows)))
     assert cloud.points.tolist() == [[i, i + 0.5, -1] for i in range(4)]
     assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"id": [0, 1, 2, 3]}
 
 
-@form
+@ALL_FORMATS
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 def test_comments_and_line_ends(tmp_path, form, newline):
     comments = [
@@ -81,9 +84,9 @@ def test_comments_and_line_ends(tmp_path, form, newline):
     assert (len(cloud), cloud.crs, cloud.unit) == (3, "EPSG:32617", "m")
 
 
-@form
+@ALL_FORMATS
 @pytest.mark.parametrize(
-    ("origin", "added"),
+    ("origin", "offset"),
     [
         ("448262 5411932 -12.5", (448262, 5411932, -12.5)),
         ("1 2", (0, 0, 0)),
@@ -92,12 +95,12 @@ def test_comments_and_line_ends(tmp_path, form, newline):
         ("", (0, 0, 0)),
     ],
 )
-def test_coordinates_about_an_origin(tmp_path, form, origin, added):
+def test_coordinates_about_an_origin(tmp_path, form, origin, offset):
     """A comment without three coordinates is an ordinary comment."""
     comments = [f"comment coordinates about {origin}"]
-    moved = read(tmp_path, ply(form, ("vertex", XYZ, points(3)), comments=comments))
-    still = read(tmp_path, ply(form, ("vertex", XYZ, points(3))))
-    assert np.array_equal(moved.points, still.points + added)
+    shifted_cloud = read(tmp_path, ply(form, ("vertex", XYZ, points(3)), comments=comments))
+    cloud = read(tmp_path, ply(form, ("vertex", XYZ, points(3))))
+    assert np.array_equal(shifted_cloud.points, cloud.points + offset)
 
 
 def test_comments_in_another_encoding(tmp_path):
@@ -122,7 +125,7 @@ def test_ascii_float_coordinates_keep_their_digits(tmp_path):
 # ---- properties ----
 
 
-@form
+@ALL_FORMATS
 @pytest.mark.parametrize("names", ["red green blue", "r g b", "diffuse_red diffuse_green diffuse_blue"])
 def test_colors(tmp_path, form, names):
     properties = [*XYZ, *(f"uchar {name}" for name in names.split()), "uchar alpha"]
@@ -133,14 +136,14 @@ def test_colors(tmp_path, form, names):
 
 
 @pytest.mark.parametrize("kind", ["float", "ushort"])
-def test_other_colors_stay_attributes(tmp_path, kind):
+def test_colors_of_other_types_are_attributes(tmp_path, kind):
     properties = [*XYZ, *(f"{kind} {name}" for name in ("red", "green", "blue"))]
     cloud = read(tmp_path, ply("binary_little_endian", ("vertex", properties, [(0.0, 0.0, 0.0, 1, 0, 1)])))
     assert cloud.colors is None
     assert list(cloud.attributes) == ["red", "green", "blue"]
 
 
-@form
+@ALL_FORMATS
 def test_normals(tmp_path, form):
     properties = ["float nz", *XYZ, "float nx", "float ny"]
     cloud = read(tmp_path, ply(form, ("vertex", properties, [(3.0, 0.0, 0.0, 0.0, 1.0, 2.0)])))
@@ -150,8 +153,8 @@ def test_normals(tmp_path, form):
     assert list(cloud.attributes) == ["nz", "nx"]
 
 
-@form
-def test_splat(tmp_path, form):
+@ALL_FORMATS
+def test_splat_properties_are_attributes(tmp_path, form):
     names = [*(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45)), "opacity"]
     names += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
     properties = [*XYZ, "float nx", "float ny", "float nz", *(f"float {name}" for name in names)]
@@ -167,9 +170,9 @@ def test_splat(tmp_path, form):
 def test_corpus_is_equal_in_all_formats(tmp_path):
     clouds = {name: read(tmp_path, data) for name, data in corpus().items()}
     for name, cloud in clouds.items():
-        twin = clouds["ascii" + name.removeprefix(name.split()[0])]
-        np.testing.assert_array_equal(cloud.points, twin.points)
-        assert cloud.attributes.keys() == twin.attributes.keys()
+        ascii_cloud = clouds["ascii" + name.removeprefix(name.split()[0])]
+        np.testing.assert_array_equal(cloud.points, ascii_cloud.points)
+        assert cloud.attributes.keys() == ascii_cloud.attributes.keys()
 
 
 # ---- writer ----
@@ -203,17 +206,17 @@ def test_all_fields_round_trip(tmp_path):
     )
     path = tmp_path / "a.ply"
     write_cloud(path, cloud)
-    again = read_cloud(path)
-    np.testing.assert_array_equal(again.points, cloud.points)
-    np.testing.assert_array_equal(again.normals, cloud.normals.astype(np.float32))
-    np.testing.assert_array_equal(again.colors, cloud.colors)
-    assert {name: values.dtype for name, values in again.attributes.items()} == {
+    result = read_cloud(path)
+    np.testing.assert_array_equal(result.points, cloud.points)
+    np.testing.assert_array_equal(result.normals, cloud.normals.astype(np.float32))
+    np.testing.assert_array_equal(result.colors, cloud.colors)
+    assert {name: values.dtype for name, values in result.attributes.items()} == {
         code: np.dtype(code) for code in attributes
     }
-    for name, values in again.attributes.items():
+    for name, values in result.attributes.items():
         np.testing.assert_array_equal(values, attributes[name])
-    assert again.crs == 'PROJCRS["Höhe", BASEGEOGCRS["WGS 84"]]'
-    assert again.unit == "US survey foot"
+    assert result.crs == 'PROJCRS["Höhe", BASEGEOGCRS["WGS 84"]]'
+    assert result.unit == "US survey foot"
 
 
 @pytest.mark.parametrize(
@@ -231,13 +234,13 @@ def test_all_fields_round_trip(tmp_path):
 )
 def test_types_that_ply_lacks(tmp_path, values, dtype):
     write_cloud(tmp_path / "a.ply", Cloud(np.zeros((2, 3)), attributes={"a": values}))
-    again = read_cloud(tmp_path / "a.ply").attributes["a"]
-    assert again.dtype == dtype
-    np.testing.assert_array_equal(again, values)
+    result = read_cloud(tmp_path / "a.ply").attributes["a"]
+    assert result.dtype == dtype
+    np.testing.assert_array_equal(result, values)
 
 
 @pytest.mark.parametrize("name", ["", "two words", "tab\t", "line\n", "Größe", "x", "nx", "red"])
-def test_refuses_names(tmp_path, name):
+def test_invalid_attribute_names_are_refused(tmp_path, name):
     cloud = Cloud(
         np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
     )
@@ -247,13 +250,13 @@ def test_refuses_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
-def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
+def test_attributes_that_are_not_numbers_are_refused(tmp_path, values):
     with check_error():
         write_cloud(tmp_path / "a.ply", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())
 
 
-def test_header_as_written(tmp_path):
+def test_written_header(tmp_path):
     write_cloud(
         tmp_path / "a.ply", Cloud(np.ones((2, 3)), attributes={"i": np.zeros(2, np.int16)}, crs="EPSG:2", unit="m")
     )

@@ -52,7 +52,7 @@ def test_crs_and_unit(tmp_path):
     assert (cloud.crs, cloud.unit) == ("EPSG:32617", "US survey foot")
 
 
-def test_points_of_nan_are_dropped(tmp_path):
+def test_nan_points_are_dropped(tmp_path):
     notes = []
     cloud = read(tmp_path, "1 2 3\nnan nan NaN\n4 5 inf\n", on_warning=notes.append)
     assert (len(cloud), notes) == (1, [f"{tmp_path / 'a.txt'}: dropped 2 of 3 points with NaN or Inf coordinates"])
@@ -91,7 +91,7 @@ def test_header_with_blanks_in_names(tmp_path):
 
 
 @pytest.mark.parametrize("values", ["0.5,0.5,0.5", "256,0,0", "-1,0,0", "nan,0,0"])
-def test_other_colors_stay_attributes(tmp_path, values):
+def test_colors_out_of_range_are_attributes(tmp_path, values):
     cloud = read(tmp_path, f"x,y,z,r,g,b\n1,2,3,{values}\n")
     assert cloud.colors is None
     assert list(cloud.attributes) == ["red", "green", "blue"]
@@ -117,12 +117,12 @@ def test_six_columns(tmp_path):
     assert list(cloud.attributes) == ["column_4", "column_5", "column_6"]
 
 
-def test_other_widths(tmp_path):
+def test_other_column_counts(tmp_path):
     assert list(read(tmp_path, "1 2 3 4\n").attributes) == ["column_4"]
     assert list(read(tmp_path, "1 2 3 4 5 6 7\n").attributes) == ["column_4", "column_5", "column_6", "column_7"]
 
 
-def test_pts(tmp_path):
+def test_pts_columns(tmp_path):
     cloud = read(tmp_path, "2\n1 2 3 -2048 10 20 30\n4 5 6 2047 40 50 60\n", "a.pts")
     assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert cloud.colors.tolist() == [[10, 20, 30], [40, 50, 60]]
@@ -139,7 +139,7 @@ def test_real_files():
 
 # ---- damage ----
 
-DAMAGED = {
+DAMAGED_TEXTS = {
     "binary": b"1 2 3\n\0\0",
     "utf-16": "1 2 3\n".encode("utf-16"),
     "blank": "\n \n# nothing\n",
@@ -167,9 +167,9 @@ DAMAGED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", DAMAGED)
-def test_damaged(tmp_path, name):
-    assert len(refusal(tmp_path, DAMAGED[name])) < 200
+@pytest.mark.parametrize("name", DAMAGED_TEXTS)
+def test_damaged_files(tmp_path, name):
+    assert len(refusal(tmp_path, DAMAGED_TEXTS[name])) < 200
 
 
 # ---- writer ----
@@ -197,17 +197,17 @@ def test_all_fields_round_trip(tmp_path, extension):
     )
     path = tmp_path / f"a.{extension}"
     write_cloud(path, cloud)
-    again = read_cloud(path)
-    np.testing.assert_array_equal(again.points, cloud.points)
-    np.testing.assert_array_equal(again.normals, cloud.normals)
-    np.testing.assert_array_equal(again.colors, cloud.colors)
-    assert list(again.attributes) == ["id", "flag", "f"]
+    result = read_cloud(path)
+    np.testing.assert_array_equal(result.points, cloud.points)
+    np.testing.assert_array_equal(result.normals, cloud.normals)
+    np.testing.assert_array_equal(result.colors, cloud.colors)
+    assert list(result.attributes) == ["id", "flag", "f"]
     for name, values in cloud.attributes.items():
-        np.testing.assert_array_equal(again.attributes[name], values)
-    assert (again.crs, again.unit) == ((None, None) if extension == "csv" else ("EPSG:32617", "US survey foot"))
+        np.testing.assert_array_equal(result.attributes[name], values)
+    assert (result.crs, result.unit) == ((None, None) if extension == "csv" else ("EPSG:32617", "US survey foot"))
 
 
-def test_as_written(tmp_path):
+def test_written_text(tmp_path):
     cloud = Cloud(np.array([[0.1, 1e-300, 3]]), colors=np.array([[1, 2, 3]], np.uint8), unit="m")
     write_cloud(tmp_path / "a.csv", cloud)
     assert (tmp_path / "a.csv").read_text() == "x,y,z,red,green,blue\n0.1,1e-300,3.0,1,2,3\n"
@@ -223,7 +223,7 @@ def test_pts_is_not_written(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a,b", "a;b", "#a", "x", "nx", "R", 'a"b', "a//b", "Y"])
-def test_refuses_names(tmp_path, name):
+def test_invalid_attribute_names_are_refused(tmp_path, name):
     cloud = Cloud(
         np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
     )
@@ -233,7 +233,7 @@ def test_refuses_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])
-def test_refuses_attributes_that_are_not_numbers(tmp_path, values):
+def test_attributes_that_are_not_numbers_are_refused(tmp_path, values):
     with check_error():
         write_cloud(tmp_path / "a.csv", Cloud(np.zeros((1, 3)), attributes={"a": values}))
     assert not list(tmp_path.iterdir())

@@ -49,7 +49,7 @@ def package(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "edited, counts",
+    "edited_file, is_code",
     [
         ("mine.py", True),
         ("beside.py", True),
@@ -61,23 +61,23 @@ def package(tmp_path, monkeypatch):
         ("beside.pyc", False),
     ],
 )
-def test_digest_covers_a_plugins_package(package, edited, counts):
+def test_digest_covers_a_plugins_package(package, edited_file, is_code):
     importlib.import_module("some_plugin.mine")
-    before = digest_files(plugin_files("some_plugin.mine"))
-    assert digest_files(plugin_files("some_plugin.mine")) == before
-    with (package / edited).open("ab") as file:
+    old_digest = digest_files(plugin_files("some_plugin.mine"))
+    assert digest_files(plugin_files("some_plugin.mine")) == old_digest
+    with (package / edited_file).open("ab") as file:
         file.write(b"\n")
-    assert (digest_files(plugin_files("some_plugin.mine")) != before) == counts
+    assert (digest_files(plugin_files("some_plugin.mine")) != old_digest) == is_code
 
 
 def test_digest_covers_pcbench_and_its_reconstructors():
     files = dict(_files_of_packages(["pcbench", "reconstructors"]))
-    compiled = {name.partition(".")[0] for name, file in files.items() if file.suffix == ".so"}
+    compiled_modules = {name.partition(".")[0] for name, file in files.items() if file.suffix == ".so"}
     assert {
         "pcbench/native/_core",
         "reconstructors/mvs/native/_patchmatch",
         "reconstructors/splat/cpu/_rasterizer",
-    } <= compiled
+    } <= compiled_modules
     assert {"reconstructors/splat/train.py", "reconstructors/splat/maths.h", "pcbench/measure/scores.py"} <= set(files)
     assert any(name.startswith("reconstructors/splat/cuda/") and name.endswith(".cu") for name in files)
     assert len(library_versions()["code"]) == 64
@@ -98,37 +98,37 @@ def photographs(tmp_path):
 def test_editing_a_plugins_package_outdates_its_stage(package, photographs, tmp_path):
     job = ReconstructionJob("some_plugin.mine:Mine", photographs)
 
-    def log_and_point():
+    def run_job():
         result = run(job, tmp_path / "work")
         return result.log.read_text(), result.require_reconstruction().cloud.points[0, 0]
 
-    assert log_and_point() == ("made\n", 1.0)
-    assert log_and_point() == ("", 1.0)
-    before = describe(job.plugin).sha256
+    assert run_job() == ("made\n", 1.0)
+    assert run_job() == ("", 1.0)
+    old_digest = describe(job.plugin).sha256
     (package / "beside.py").write_text("def value(): return 2.0\n")
-    assert log_and_point() == ("made\n", 2.0)
+    assert run_job() == ("made\n", 2.0)
     (package / "cuda/kernel.cu").write_text("// 2")
-    assert log_and_point() == ("made\n", 2.0)
-    assert describe(job.plugin).sha256 != before
+    assert run_job() == ("made\n", 2.0)
+    assert describe(job.plugin).sha256 != old_digest
 
 
-def test_editing_next_to_a_plugin_file_outdates_its_stage(photographs, tmp_path):
+def test_editing_a_module_next_to_a_plugin_file_outdates_its_stage(photographs, tmp_path):
     """A plugin in one file may import modules next to it, also inside a function."""
     folder = tmp_path / "loose"
     (folder / "below").mkdir(parents=True)
-    head = "import sys, pathlib; sys.path.insert(0, str(pathlib.Path(__file__).parent)); import below.deep\n"
-    (folder / "mine.py").write_text(head + PLUGIN.format(importing="from beside import value"))
+    import_line = "import sys, pathlib; sys.path.insert(0, str(pathlib.Path(__file__).parent)); import below.deep\n"
+    (folder / "mine.py").write_text(import_line + PLUGIN.format(importing="from beside import value"))
     (folder / "beside.py").write_text("def value(): return 1.0\n")
     (folder / "below/deep.py").write_text("")
     job = ReconstructionJob(f"{folder}/mine.py:Mine", photographs)
 
-    def log():
+    def run_job():
         return run(job, tmp_path / "work").log.read_text()
 
-    assert (log(), log()) == ("made\n", "")
+    assert (run_job(), run_job()) == ("made\n", "")
     (folder / "beside.py").write_text("def value(): return 2.0\n")
-    assert (log(), log()) == ("made\n", "")
+    assert (run_job(), run_job()) == ("made\n", "")
     (folder / "below/deep.py").write_text("# edited")
-    assert (log(), log()) == ("made\n", "")
+    assert (run_job(), run_job()) == ("made\n", "")
     (folder / "notes.txt").write_text("not code")
-    assert log() == ""
+    assert run_job() == ""

@@ -25,7 +25,7 @@ from pcbench.registration import SurveyResiduals
 
 POINTS = np.random.default_rng(0).normal(size=(30, 3))
 
-HEAD = """
+IMPORTS = """
 import os, sys, time, signal
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,16 +56,16 @@ def scene(tmp_path):
 def plugin(tmp_path):
     """Return a function that writes a reconstructor with a given method body and returns its spec."""
 
-    def write(body, fields="pass"):
+    def write_plugin(body, fields="pass"):
         method = textwrap.indent("def reconstruct(self, scene, workspace):\n" + textwrap.indent(body, "    "), "    ")
-        text = f"{HEAD}\n@dataclass(frozen=True)\nclass Mine:\n{textwrap.indent(fields, '    ')}\n{method}\n"
+        text = f"{IMPORTS}\n@dataclass(frozen=True)\nclass Mine:\n{textwrap.indent(fields, '    ')}\n{method}\n"
         (tmp_path / "mine.py").write_text(text)
         return f"{tmp_path / 'mine.py'}:Mine"
 
-    return write
+    return write_plugin
 
 
-GOOD = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["all well"])'
+VALID_BODY = 'return Reconstruction(scene.points, "georeferenced", scene.cameras, ["all well"])'
 
 
 def test_documented_plugin_runs(scene, tmp_path):
@@ -77,34 +77,36 @@ def test_documented_plugin_runs(scene, tmp_path):
     (tmp_path / "mine.py").write_text(code[1])
     command = code[2].split()
     assert command[:4] == ["pcbench", "reconstruct", "mine.py:Subsampled", "photos/"]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "pcbench.cli", *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "10 points, georeferenced, 3 cameras" in done.stdout
+    assert (process.returncode, process.stderr) == (0, "")
+    assert "10 points, georeferenced, 3 cameras" in process.stdout
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.ply").points, POINTS[::3])
 
 
 def test_run_returns_the_complete_reconstruction(scene, plugin, tmp_path):
-    spec = plugin("print('hello'); print(self.n, self.how, file=sys.stderr);" + GOOD, "n: int = 2\nhow: str = 'x'")
+    spec = plugin(
+        "print('hello'); print(self.n, self.how, file=sys.stderr);" + VALID_BODY, "n: int = 2\nhow: str = 'x'"
+    )
     result = run(
         ReconstructionJob(spec, scene, {"n": "5"}, image_scale=0.5, images=("0.png", "2.png")), tmp_path / "work"
     )
     assert (result.status, result.message) == ("ok", "")
     assert result.settings == {"n": "5", "how": "x"}
     assert result.log.read_text() == "hello\n5 x\n"
-    made = result.require_reconstruction()
-    np.testing.assert_array_equal(made.cloud.points, POINTS)
-    assert (made.gauge, made.notes) == ("georeferenced", ("all well",))
-    assert list(made.cameras) == ["0.png", "2.png"]
-    assert made.cameras["2.png"].intrinsics.width == 20
+    reconstruction = result.require_reconstruction()
+    np.testing.assert_array_equal(reconstruction.cloud.points, POINTS)
+    assert (reconstruction.gauge, reconstruction.notes) == ("georeferenced", ("all well",))
+    assert list(reconstruction.cameras) == ["0.png", "2.png"]
+    assert reconstruction.cameras["2.png"].intrinsics.width == 20
     assert result.cpu_s > 0
     assert result.wall_s > 0
     assert 10e6 < result.peak_rss_bytes < 10e9  # an interpreter with numpy is some 40 MB
 
 
 def test_blas_uses_one_thread_unless_the_user_sets_it(scene, plugin, tmp_path, monkeypatch):
-    job = ReconstructionJob(plugin("print(os.environ['OPENBLAS_NUM_THREADS']);" + GOOD), scene)
+    job = ReconstructionJob(plugin("print(os.environ['OPENBLAS_NUM_THREADS']);" + VALID_BODY), scene)
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     assert run(job, tmp_path / "work").log.read_text() == "1\n"
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
@@ -141,14 +143,14 @@ def test_blas_uses_one_thread_unless_the_user_sets_it(scene, plugin, tmp_path, m
         *("a cloud", "an array", "no numbers", "gauge", "camera", "name of a camera"),
     ],
 )
-def test_failures_are_results(scene, plugin, tmp_path, body, status):
+def test_failures_are_reported_as_results(scene, plugin, tmp_path, body, status):
     result = run(ReconstructionJob(plugin(body), scene), tmp_path / "work")
     assert result.status == status
     assert result.reconstruction is None
-    with check_error(ReconstructionError) as raised:
+    with check_error(ReconstructionError) as caught:
         result.require_reconstruction()
-    assert f"{status}: {result.message}" in str(raised.value)
-    assert "log.txt" in str(raised.value)
+    assert f"{status}: {result.message}" in str(caught.value)
+    assert "log.txt" in str(caught.value)
 
 
 def test_hanging_plugin_is_ended_with_its_children(scene, plugin, tmp_path):
@@ -157,18 +159,20 @@ def test_hanging_plugin_is_ended_with_its_children(scene, plugin, tmp_path):
     assert result.status == "timeout"
     assert " 3 s" in check_text(result.message)
     assert result.wall_s < 60
-    child = int(result.log.read_text())
-    assert has_ended(child)
+    child_pid = int(result.log.read_text())
+    assert has_ended(child_pid)
 
 
 def test_old_result_is_not_used_after_a_crash(scene, plugin, tmp_path):
-    assert run(ReconstructionJob(plugin(GOOD), scene), tmp_path / "work").status == "ok"
+    assert run(ReconstructionJob(plugin(VALID_BODY), scene), tmp_path / "work").status == "ok"
     result = run(ReconstructionJob(plugin("os.abort()"), scene), tmp_path / "work")
     assert (result.status, result.reconstruction) == ("crashed", None)
 
 
-def test_user_mistakes_are_refused(scene, plugin, tmp_path):
-    spec = plugin(GOOD, "n: int = 2\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None")
+def test_invalid_jobs_are_refused(scene, plugin, tmp_path):
+    spec = plugin(
+        VALID_BODY, "n: int = 2\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None"
+    )
 
     def check_refusal(job):
         result = run(job, tmp_path / "work")
@@ -189,42 +193,51 @@ def test_user_mistakes_are_refused(scene, plugin, tmp_path):
 
 def test_settings_are_converted(plugin):
     fields = "n: int = 2\nx: float = 1\nflag: bool = False\nhow: Literal['a', 'b'] = 'a'\nmaybe: float | None = None"
-    found = find_plugin(plugin(GOOD, fields + "\nwhere: Path = Path('.')"))
-    made = found.configure({"n": "5", "x": "1e-3", "flag": "yes", "how": "b", "maybe": "2", "where": "/tmp"})
-    assert (made.n, made.x, made.flag, made.how, made.maybe, made.where) == (5, 1e-3, True, "b", 2.0, Path("/tmp"))
-    assert found.configure({"maybe": "none"}).maybe is None
-    assert found.configure({"flag": "off"}).flag is False
-    assert [(s.name, s.type, s.default) for s in found.settings][2:5] == [
+    reconstructor = find_plugin(plugin(VALID_BODY, fields + "\nwhere: Path = Path('.')"))
+    instance = reconstructor.configure(
+        {"n": "5", "x": "1e-3", "flag": "yes", "how": "b", "maybe": "2", "where": "/tmp"}
+    )
+    assert (instance.n, instance.x, instance.flag, instance.how, instance.maybe, instance.where) == (
+        5,
+        1e-3,
+        True,
+        "b",
+        2.0,
+        Path("/tmp"),
+    )
+    assert reconstructor.configure({"maybe": "none"}).maybe is None
+    assert reconstructor.configure({"flag": "off"}).flag is False
+    assert [(s.name, s.type, s.default) for s in reconstructor.settings][2:5] == [
         ("flag", "bool", "False"),
         ("how", "a|b", "a"),
         ("maybe", "float|none", "None"),
     ]
     for name, text in (("flag", "maybe"), ("n", "1.5"), ("maybe", "much")):
         with check_error():
-            found.configure({name: text})
+            reconstructor.configure({name: text})
 
 
 @pytest.mark.parametrize("text", ["99999999999999999999", "2147483648", "-2147483649", "9" * 5000, "1_" + "0" * 30])
 def test_integer_settings_have_32_bits(plugin, text):
     """C++ libraries refuse larger ones with unreadable messages."""
-    found = find_plugin(plugin(GOOD, "n: int = 2\nmaybe: int | None = None"))
-    assert found.configure({"n": "2147483647"}).n == 2**31 - 1
+    reconstructor = find_plugin(plugin(VALID_BODY, "n: int = 2\nmaybe: int | None = None"))
+    assert reconstructor.configure({"n": "2147483647"}).n == 2**31 - 1
     for name in ("n", "maybe"):
         with check_error() as caught:
-            found.configure({name: text})
+            reconstructor.configure({name: text})
         assert len(str(caught.value)) < 200
 
 
 def test_help_is_the_docstring(plugin):
-    assert find_plugin(plugin(GOOD)).help == ""  # not the signature that Python generates for dataclasses
-    assert find_plugin(plugin(GOOD, '"""What it\n    does.\n\n    More."""')).help == "What it does."
+    assert find_plugin(plugin(VALID_BODY)).help == ""  # not the signature that Python generates for dataclasses
+    assert find_plugin(plugin(VALID_BODY, '"""What it\n    does.\n\n    More."""')).help == "What it does."
 
 
 def test_required_settings_are_named(plugin):
-    found = find_plugin(plugin(GOOD, "n: int"))
-    assert found.settings[0].default is None
+    reconstructor = find_plugin(plugin(VALID_BODY, "n: int"))
+    assert reconstructor.settings[0].default is None
     with check_error():
-        found.configure({})
+        reconstructor.configure({})
 
 
 def test_invalid_reconstructors_are_refused(tmp_path):
@@ -237,8 +250,8 @@ def test_invalid_reconstructors_are_refused(tmp_path):
 
 
 def test_entry_points(monkeypatch):
-    points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
-    monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: points)
+    entry_points = [EntryPoint("one", "a:A", "g"), EntryPoint("two", "a:A", "g"), EntryPoint("two", "b.c:C", "g")]
+    monkeypatch.setattr("pcbench.plugins.plugin.entry_points", lambda group: entry_points)
     assert plugins.installed_reconstructors() == ("one", "two")
     with check_error():
         find_plugin("two")
@@ -258,11 +271,11 @@ if not (workspace / "again").exists():
 return Reconstruction(Cloud(np.load(folder / "points.npy")), "arbitrary")
 """
     job = ReconstructionJob(plugin(body), scene)
-    first = run(job, tmp_path / "work")
-    assert (first.status, first.log.read_text()) == ("crashed", "slow stage\n")
-    second = run(job, tmp_path / "work")
-    assert (second.status, second.log.read_text()) == ("ok", "")
-    np.testing.assert_array_equal(second.require_reconstruction().cloud.points, POINTS)
+    killed_run = run(job, tmp_path / "work")
+    assert (killed_run.status, killed_run.log.read_text()) == ("crashed", "slow stage\n")
+    resumed_run = run(job, tmp_path / "work")
+    assert (resumed_run.status, resumed_run.log.read_text()) == ("ok", "")
+    np.testing.assert_array_equal(resumed_run.require_reconstruction().cloud.points, POINTS)
 
 
 def test_survey_residuals_are_returned(scene, plugin, tmp_path):
@@ -271,12 +284,14 @@ def test_survey_residuals_are_returned(scene, plugin, tmp_path):
     found = SurveyResiduals.of(["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True)
     return Reconstruction(scene.points, "georeferenced", residuals=found)
     """
-    made = run(ReconstructionJob(plugin(textwrap.dedent(body)), scene), tmp_path / "work").require_reconstruction()
-    assert made.residuals == SurveyResiduals.of(
+    reconstruction = run(
+        ReconstructionJob(plugin(textwrap.dedent(body)), scene), tmp_path / "work"
+    ).require_reconstruction()
+    assert reconstruction.residuals == SurveyResiduals.of(
         ["a", "b"], np.array([[0.1, 0.2, 0.3], [1, 2, 3]]), [False, True], z_is_up=True
     )
-    outcome = tmp_path / "work/outcome.json"
-    outcome.write_text(outcome.read_text().replace('"dx"', '"d"'))
+    outcome_file = tmp_path / "work/outcome.json"
+    outcome_file.write_text(outcome_file.read_text().replace('"dx"', '"d"'))
     with check_error(ValueError):
         read_reconstruction(tmp_path / "work")
 
@@ -289,25 +304,27 @@ def test_invalid_reconstruction_is_refused():
 
 
 def test_child_can_read_the_images(scene, plugin, tmp_path):
-    result = run(ReconstructionJob(plugin("print(scene.read_image('2.png')[0, 0]);" + GOOD), scene), tmp_path / "work")
+    result = run(
+        ReconstructionJob(plugin("print(scene.read_image('2.png')[0, 0]);" + VALID_BODY), scene), tmp_path / "work"
+    )
     assert result.log.read_text() == "[2 0 0]\n"
     assert read_image_header(scene / "images/2.png").width == 40
 
 
 def test_foreign_folder_is_refused_as_workspace(scene, plugin, tmp_path, request):
     run_cli = request.getfixturevalue("run")  # the fixture, not pcbench.plugins.run.run
-    work = tmp_path / "work"
-    (work / "cameras").mkdir(parents=True)
-    (work / "cameras" / "mine.txt").write_text("mine")
+    workspace = tmp_path / "work"
+    (workspace / "cameras").mkdir(parents=True)
+    (workspace / "cameras" / "mine.txt").write_text("mine")
     out = tmp_path / "cloud.ply"
     spec = plugin("return Reconstruction(scene.points, 'metric')")
-    code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--workspace", work)
+    code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--workspace", workspace)
     assert code == 2
     check_text(err)
-    assert (work / "cameras" / "mine.txt").read_text() == "mine"
-    before = sorted((scene / "sparse").iterdir())
+    assert (workspace / "cameras" / "mine.txt").read_text() == "mine"
+    old_files = sorted((scene / "sparse").iterdir())
     code, _, err = run_cli("reconstruct", spec, scene, "-o", out, "--write-cameras", scene / "sparse")
-    assert (code, sorted((scene / "sparse").iterdir())) == (2, before)
+    assert (code, sorted((scene / "sparse").iterdir())) == (2, old_files)
     check_text(err)
     for _ in range(2):  # a reconstruction's workspace may be used again
         assert run_cli("reconstruct", spec, scene, "-o", out, "--workspace", tmp_path / "new")[0] == 0

@@ -23,7 +23,7 @@ from pcbench.io.transforms_json import read_transforms, write_transforms
 from pcbench.scenes import read_scene, write_cameras
 
 
-def same(cameras, expected, atol=1e-12):
+def check_cameras(cameras, expected, atol=1e-12):
     # Quaternions and inverses differ by rounding.
     assert [c.name for c in cameras] == [c.name for c in expected]
     for a, b in zip(cameras, expected, strict=True):
@@ -41,7 +41,7 @@ def test_colmap_text_round_trip(photographs, intrinsics):
     cameras = orbit(NAMES, intrinsics)
     write_colmap_model(photographs / "sparse/0", cameras, Cloud([[1.0, 2.0, 3.0]], colors=[[1, 2, 3]]))
     scene = read_scene(photographs)
-    same(scene_cameras(scene), cameras)
+    check_cameras(scene_cameras(scene), cameras)
     np.testing.assert_array_equal(scene.points.points, [[1, 2, 3]])
     np.testing.assert_array_equal(scene.points.colors, [[1, 2, 3]])
 
@@ -62,29 +62,29 @@ def test_colmap_agrees_with_pycolmap(photographs, tmp_path):
         expected = model.cameras[image.camera_id].img_from_cam(image.cam_from_world() * point)
         np.testing.assert_allclose(camera.project(point[None])[0][0], expected, atol=1e-9)
     model.write_binary(str(tmp_path / "binary"))
-    same(read_colmap_cameras(tmp_path / "binary"), cameras)
+    check_cameras(read_colmap_cameras(tmp_path / "binary"), cameras)
 
 
 @pytest.mark.parametrize("model, params", [("SIMPLE_RADIAL", (50, 31, 25, 0.1)), ("RADIAL", (50, 31, 25, 0.1, 0.2))])
 def test_colmap_camera_models(tmp_path, model, params):
     write_colmap_model(tmp_path, orbit(["a.png"]))
     (tmp_path / "cameras.txt").write_text(f"1 {model} 64 48 {' '.join(map(str, params))}\n")
-    found = read_colmap_cameras(tmp_path)[0].intrinsics
-    assert (found.fx, found.fy, found.cx, found.cy) == (50, 50, 31, 25)
-    assert found.distortion == (*params[3:], *[0] * (7 - len(params)))
+    intrinsics = read_colmap_cameras(tmp_path)[0].intrinsics
+    assert (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy) == (50, 50, 31, 25)
+    assert intrinsics.distortion == (*params[3:], *[0] * (7 - len(params)))
 
 
 def test_transforms_round_trip(photographs):
     cameras = orbit(NAMES)
     write_transforms(photographs / "transforms.json", cameras)
-    same(scene_cameras(read_scene(photographs)), cameras)
-    mixed = [*cameras[:5], *orbit(NAMES, Intrinsics(64, 48, 40, 40, 32, 24))[5:]]
-    write_transforms(photographs / "transforms.json", mixed)
-    same(scene_cameras(read_scene(photographs)), mixed)
+    check_cameras(scene_cameras(read_scene(photographs)), cameras)
+    mixed_cameras = [*cameras[:5], *orbit(NAMES, Intrinsics(64, 48, 40, 40, 32, 24))[5:]]
+    write_transforms(photographs / "transforms.json", mixed_cameras)
+    check_cameras(scene_cameras(read_scene(photographs)), mixed_cameras)
 
 
-def test_transforms_with_only_an_angle_and_no_extensions(photographs):
-    """The synthetic sets of NeRF: camera_angle_x, no size, names without .png."""
+def test_transforms_with_a_field_of_view_and_names_without_extension(photographs):
+    """As in the synthetic scenes of NeRF: camera_angle_x, no image size, file names without .png."""
     matrix = np.eye(4)
     matrix[:3, 3] = [1, 2, 3]
     document = {
@@ -103,7 +103,7 @@ def test_transforms_with_only_an_angle_and_no_extensions(photographs):
 
 
 def test_transforms_apply_the_pose(tmp_path):
-    """One point, projected by hand: x right, y up, z backwards."""
+    """The expected pixel is computed from the axes of the format: x right, y up, z backwards."""
     document = {
         "w": 64,
         "h": 48,
@@ -124,12 +124,12 @@ def test_write_cameras(photographs, tmp_path):
     write_colmap_model(photographs / "sparse", cameras)
     scene = read_scene(photographs)
     write_cameras(photographs / "transforms.json", scene.cameras, scene.folder)
-    same(scene_cameras(read_scene(photographs, cameras=photographs / "transforms.json")), cameras)
+    check_cameras(scene_cameras(read_scene(photographs, cameras=photographs / "transforms.json")), cameras)
     write_cameras(tmp_path / "model", scene.cameras, scene.folder)
-    same(read_colmap_cameras(tmp_path / "model"), cameras)
+    check_cameras(read_colmap_cameras(tmp_path / "model"), cameras)
 
 
-def test_strecha_is_camera_to_world(tmp_path):
+def test_strecha_poses_are_camera_to_world(tmp_path):
     pose = look_at([1, 2, 3], [0, 0, 0])
     rows = [[50, 0, 32], [0, 51, 24], [0, 0, 1], [0, 0, 0], *pose.rotation.T.tolist(), [1, 2, 3], [64, 48]]
     path = tmp_path / "a.jpg.camera"
@@ -151,10 +151,10 @@ def test_earth_studio_agrees_with_its_authors_conversion():
         pytest.approx(12.2469, abs=1e-3),
     )
     for camera, frame in zip(cameras, frames, strict=True):
-        # The author's axes: x east, y up, z south. A nanometre: the earth's radius has nine digits before that.
+        # The author's axes: x east, y up, z south. The earth's radius of 6.4e6 m limits the precision to about 1e-9 m.
         east, up, south = (frame["position"][axis] for axis in "xyz")
         np.testing.assert_allclose(camera.position, [east, -south, up], atol=1e-8)
-        # Pan counts from north to west, tilt 90 is level, there is no roll.
+        # Pan increases from north to west; a tilt of 90 degrees is level; there is no roll.
         pan = np.radians(frame["rotation"]["pan"])
         np.testing.assert_allclose(camera.direction, [-np.sin(pan), np.cos(pan), 0], atol=2e-4)
         np.testing.assert_allclose(camera.cam_from_world.rotation[1], [0, 0, -1], atol=2e-4)  # image down is down
@@ -163,24 +163,26 @@ def test_earth_studio_agrees_with_its_authors_conversion():
     assert cameras[0].intrinsics.fy == pytest.approx(1080 * focal, rel=1e-9)
 
 
-def sphere(latitude, longitude, altitude):
+def point_on_sphere(latitude, longitude, altitude):
     a, b = np.radians(latitude), np.radians(longitude)
     return (EARTH_RADIUS + altitude) * np.array([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)])
 
 
-def earth_studio(turn, origin, coordinates, *, local):
-    """An export with one track point as its origin, positions in axes that `turn` brings to the earth's."""
+def earth_studio_export(rotation, origin, coordinates, *, local):
+    """Return an export with one track point as its origin; `rotation` maps its local axes to those of the earth."""
     frames = []
     for latitude, longitude, altitude in coordinates:
-        centred = sphere(latitude, longitude, altitude)
-        position = turn.T @ (centred - sphere(*origin)) if local else centred
-        # Looking at the earth's centre, with Rx Ry Rz of the matrix in these axes.
-        forward = -centred / np.linalg.norm(centred)
+        from_centre = point_on_sphere(latitude, longitude, altitude)
+        position = rotation.T @ (from_centre - point_on_sphere(*origin)) if local else from_centre
+        # The camera looks at the earth's centre; its angles are those of Rx Ry Rz in these axes.
+        forward = -from_centre / np.linalg.norm(from_centre)
         right = np.cross(forward, [0, 0, 1.0])
         right /= np.linalg.norm(right)
-        m = np.stack([right, np.cross(forward, right), forward], axis=1)
-        m = turn.T @ m if local else m
-        angles = np.degrees([np.arctan2(-m[1, 2], m[2, 2]), np.arcsin(m[0, 2]), np.arctan2(-m[0, 1], m[0, 0])])
+        axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+        axes = rotation.T @ axes if local else axes
+        angles = np.degrees(
+            [np.arctan2(-axes[1, 2], axes[2, 2]), np.arcsin(axes[0, 2]), np.arctan2(-axes[0, 1], axes[0, 0])]
+        )
         frames.append(
             {
                 "position": dict(zip("xyz", position, strict=True)),
@@ -190,11 +192,11 @@ def earth_studio(turn, origin, coordinates, *, local):
             }
         )
     sliders = []
-    for name, value, reach in zip(("latitude", "longitude", "altitude"), origin, (90, 180, 1e4), strict=True):
-        relative = (value + reach) / (2 * reach)
-        sliders.append({"type": name, "value": {"minValueRange": -reach, "maxValueRange": reach, "relative": relative}})
-    at = np.zeros(3) if local else sphere(*origin)
-    point = {"position": dict(zip("xyz", at, strict=True)), "coordinate": {"isOrigin": True}}
+    for name, value, bound in zip(("latitude", "longitude", "altitude"), origin, (90, 180, 1e4), strict=True):
+        relative = (value + bound) / (2 * bound)
+        sliders.append({"type": name, "value": {"minValueRange": -bound, "maxValueRange": bound, "relative": relative}})
+    origin_position = np.zeros(3) if local else point_on_sphere(*origin)
+    point = {"position": dict(zip("xyz", origin_position, strict=True)), "coordinate": {"isOrigin": True}}
     point["coordinate"]["position"] = {"attributes": sliders}
     return {"width": 64, "height": 48, "numFrames": 10, "cameraFrames": frames, "trackPoints": [point]}
 
@@ -202,24 +204,24 @@ def earth_studio(turn, origin, coordinates, *, local):
 COORDINATES = [(48 + 0.01 * np.cos(a), 11 + 0.01 * np.sin(a), 500 + 40 * a) for a in np.linspace(0, 3, 11)]
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_earth_studio_local_is_the_same_as_global(tmp_path, turned):
-    turn = look_at([1, 2, 3], [0, 0, 0]).rotation if turned else np.eye(3)
-    found = []
+@pytest.mark.parametrize("is_rotated", [False, True])
+def test_earth_studio_local_and_global_positions_agree(tmp_path, is_rotated):
+    rotation = look_at([1, 2, 3], [0, 0, 0]).rotation if is_rotated else np.eye(3)
+    results = []
     for local in (False, True):
         path = tmp_path / f"{local}.json"
-        path.write_text(json.dumps(earth_studio(turn, (48.0, 11.0, 100.0), COORDINATES, local=local)))
-        found.append(read_earth_studio(path))
-    (cameras, origin), (from_local, origin_too) = found
-    assert tuple(origin_too) == pytest.approx(tuple(origin), abs=1e-8)
-    # 1e-6 m on a sphere of 6.4e6 m: half of float64's digits are left for the fit.
-    same(from_local, cameras, atol=1e-5)
+        path.write_text(json.dumps(earth_studio_export(rotation, (48.0, 11.0, 100.0), COORDINATES, local=local)))
+        results.append(read_earth_studio(path))
+    (cameras, origin), (local_cameras, local_origin) = results
+    assert tuple(local_origin) == pytest.approx(tuple(origin), abs=1e-8)
+    # Positions on a sphere of 6.4e6 m leave a precision of about 1e-6 m for the fit of the axes.
+    check_cameras(local_cameras, cameras, atol=1e-5)
     np.testing.assert_allclose(cameras[0].position[2], 400, atol=1)  # 500 m above sea level, with the origin at 100 m
     assert cameras[0].direction[2] < -0.999
 
 
-def on_wgs84(coordinates, origin):
-    """East, north and up by PROJ, of rows of latitude, longitude and altitude."""
+def wgs84_to_enu(coordinates, origin):
+    """Convert rows of latitude, longitude and altitude to east, north and up with PROJ."""
     pyproj = import_or_skip("pyproj")
     cartesian = pyproj.Transformer.from_crs(4979, 4978)
     pipeline = f"+proj=topocentric +ellps=WGS84 +lat_0={origin[0]} +lon_0={origin[1]} +h_0={origin[2]}"
@@ -234,78 +236,80 @@ def test_earth_studio_in_wgs84_metres(tmp_path):
     for name in names:
         Image.new("RGB", (192, 108)).save(tmp_path / name)
     (tmp_path / "export.json").write_text(json.dumps(document | {"width": 192, "height": 108}))
-    told = []
-    scene = read_scene(tmp_path, on_warning=told.append)
-    check_text(told[0])
-    assert "-0.26 %" in told[0]
-    assert "+0.11 %" in told[0]
-    converted = scene.in_wgs84()
-    check_text("\n".join(converted.describe()))
+    notes = []
+    scene = read_scene(tmp_path, on_warning=notes.append)
+    check_text(notes[0])
+    assert "-0.26 %" in notes[0]
+    assert "+0.11 %" in notes[0]
+    wgs84_scene = scene.in_wgs84()
+    check_text("\n".join(wgs84_scene.describe()))
     coordinates = [
         [f["coordinate"][k] for k in ("latitude", "longitude", "altitude")] for f in document["cameraFrames"]
     ]
-    found = np.stack([converted.cameras[name].position for name in names])
-    np.testing.assert_allclose(found, on_wgs84(coordinates, scene.origin), atol=1e-6)
+    positions = np.stack([wgs84_scene.cameras[name].position for name in names])
+    np.testing.assert_allclose(positions, wgs84_to_enu(coordinates, scene.origin), atol=1e-6)
     # The author's conversion is on the sphere, like the images; it differs by the reported percentages.
     frames = json.loads((data_folder("ges") / "fiumicino_enu_animation.json").read_text())["Frames"]
-    author = np.array([[frame["position"]["x"], -frame["position"]["z"]] for frame in frames])
+    author_positions = np.array([[frame["position"]["x"], -frame["position"]["z"]] for frame in frames])
     for axis, percent in ((0, -0.26), (1, 0.11)):
-        ratio = np.ptp(author[:, axis]) / np.ptp(found[:, axis])
+        ratio = np.ptp(author_positions[:, axis]) / np.ptp(positions[:, axis])
         assert 100 * (ratio - 1) == pytest.approx(percent, abs=0.01)
     for name in names:  # directions are the same: east is east on either
-        rotations = (cameras[name].cam_from_world.rotation for cameras in (converted.cameras, scene.cameras))
+        rotations = (cameras[name].cam_from_world.rotation for cameras in (wgs84_scene.cameras, scene.cameras))
         np.testing.assert_array_equal(*rotations)
     with check_error():
-        converted.in_wgs84()
+        wgs84_scene.in_wgs84()
 
 
 def test_points_on_the_sphere_keep_their_geographic_position():
     origin = Gps(-33.9, 151.2, 20.0)
     coordinates = np.array(origin) + np.random.default_rng(1).uniform(-1, 1, (200, 3)) * [0.01, 0.01, 300]
     axes = _enu_axes(origin)
-    points = (np.stack([sphere(*row) for row in coordinates]) - sphere(*origin)) @ axes.T
-    np.testing.assert_allclose(wgs84_from_sphere(points, origin), on_wgs84(coordinates, origin), atol=1e-6)
+    points = (np.stack([point_on_sphere(*row) for row in coordinates]) - point_on_sphere(*origin)) @ axes.T
+    np.testing.assert_allclose(wgs84_from_sphere(points, origin), wgs84_to_enu(coordinates, origin), atol=1e-6)
 
 
 def test_earth_studio_frames_match_images(photographs):
-    (photographs / "export.json").write_text(json.dumps(earth_studio(np.eye(3), (48, 11, 0), COORDINATES, local=False)))
+    (photographs / "export.json").write_text(
+        json.dumps(earth_studio_export(np.eye(3), (48, 11, 0), COORDINATES, local=False))
+    )
     cameras = read_earth_studio(photographs / "export.json").cameras
-    told = []
-    scene = read_scene(photographs, on_warning=told.append)  # eleven frames, ten images
-    check_text(told[0])
+    notes = []
+    scene = read_scene(photographs, on_warning=notes.append)  # eleven frames, ten images
+    check_text(notes[0])
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
     assert scene.origin.latitude_deg == pytest.approx(48)
     for name in ("0.png", "1.png", "4.png"):
         (photographs / "images" / name).unlink()
-    scene = read_scene(photographs, on_warning=told.append)  # now by number
+    scene = read_scene(photographs, on_warning=notes.append)  # now by number
     np.testing.assert_array_equal(scene.cameras["7.png"].position, cameras[7].position)
 
 
-def test_deeply_nested_json_is_a_one_line_error(photographs):
-    deep = photographs / "deep.json"
-    deep.write_text("[" * 100_000)
+def test_deeply_nested_json_gives_a_one_line_error(photographs):
+    nested_json = photographs / "deep.json"
+    nested_json.write_text("[" * 100_000)
     for read in (read_earth_studio, lambda path: read_transforms(path, lambda _: None)):
         with check_error():
-            read(deep)
+            read(nested_json)
     assert not read_scene(photographs).cameras  # an unrelated file next to the images
 
 
 def test_matrices_that_are_not_rotations_are_refused():
     rotation = look_at([1, 2, 3], [0, 0, 0]).rotation
-    found = nearest_rotation(np.round(rotation, 5))
-    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(found, rotation, atol=2e-5)
-    for wrong in (
+    result = nearest_rotation(np.round(rotation, 5))
+    np.testing.assert_allclose(result @ result.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(result, rotation, atol=2e-5)
+    for matrix in (
         2 * rotation,
         np.diag([1.0, 1, -1]),  # no rounding, which would appear in the message
         rotation + np.eye(3)[::-1] * 0.01,
         np.full((3, 3), np.nan),
     ):
         with check_error():
-            nearest_rotation(wrong)
+            nearest_rotation(matrix)
 
 
-def test_damaged_binary_models_are_a_one_line_error(tmp_path):
+def test_damaged_binary_models_give_a_one_line_error(tmp_path):
     pycolmap = import_or_skip("pycolmap")
     write_colmap_model(tmp_path / "text", orbit(NAMES))
     (tmp_path / "model").mkdir()

@@ -10,19 +10,19 @@ from wording import check_error, check_text
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
 
-FULL = "50 0 31\n0 51 25\n0 0 1\n"  # for images of 64 x 48 pixels
+K_TEXT = "50 0 31\n0 51 25\n0 0 1\n"  # for images of 64 x 48 pixels
 
 
-def scene_with(folder, text, **options):
+def read_with_k(folder, text, **options):
     notes = []
     (folder / "K.txt").write_text(text)
     return read_scene(folder, on_warning=notes.append, **options), notes
 
 
-@pytest.mark.parametrize("beside", [True, False])
-def test_k_for_the_image_size(photographs, beside):
-    scene, notes = scene_with(photographs / "images" if beside else photographs, FULL)
-    if beside:
+@pytest.mark.parametrize("in_image_folder", [True, False])
+def test_k_for_the_image_size(photographs, in_image_folder):
+    scene, notes = read_with_k(photographs / "images" if in_image_folder else photographs, K_TEXT)
+    if in_image_folder:
         scene = read_scene(photographs, on_warning=notes.append)
     assert notes == []
     assert list(scene.intrinsics) == NAMES
@@ -35,7 +35,7 @@ def test_k_for_the_image_size(photographs, beside):
 @pytest.mark.parametrize("factor", [2, 3, 4, 8])
 def test_k_for_larger_images_is_scaled(photographs, factor):
     text = f"{50 * factor} 0 {31 * factor}\n0 {51 * factor} {25 * factor}\n0 0 1"
-    scene, notes = scene_with(photographs, text, image_scale=0.5)
+    scene, notes = read_with_k(photographs, text, image_scale=0.5)
     k = scene.intrinsics["3.png"]
     assert (k.width, k.height) == (32, 24)
     assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((25, 25.5, 15.5, 12.5), rel=1e-12)
@@ -46,16 +46,16 @@ def test_k_for_larger_images_is_scaled(photographs, factor):
 
 def test_cameras_take_precedence(photographs):
     write_colmap_model(photographs / "sparse", orbit(NAMES)[:4])
-    scene, _ = scene_with(photographs, FULL)
+    scene, _ = read_with_k(photographs, K_TEXT)
     assert list(scene.cameras) == NAMES[:4]
     assert list(scene.intrinsics) == NAMES[4:]
 
 
 def test_intrinsics_change_the_fingerprint(photographs):
-    plain = read_scene(photographs)
-    known, _ = scene_with(photographs, FULL)
-    assert known.fingerprint() != plain.fingerprint()
-    assert known.fingerprint(cameras=False) == plain.fingerprint(cameras=False)
+    scene = read_scene(photographs)
+    scene_with_intrinsics, _ = read_with_k(photographs, K_TEXT)
+    assert scene_with_intrinsics.fingerprint() != scene.fingerprint()
+    assert scene_with_intrinsics.fingerprint(cameras=False) == scene.fingerprint(cameras=False)
 
 
 @pytest.mark.parametrize(
@@ -67,26 +67,26 @@ def test_intrinsics_change_the_fingerprint(photographs):
         "50 1 31 0 51 25 0 0 1",
         "-50 0 31 0 51 25 0 0 1",
         "50 0 31 0 51 25 0 0 2",
-        # The centre of 93 x 50, which has another aspect ratio.
+        # The principal point is the centre of 93 x 50 pixels, which is another aspect ratio.
         "50 0 46 0 51 25 0 0 1",
         "0.8 0 0.5 0 0.8 0.5 0 0 1",
         "1 0 31 0 1 25 0 0 1",
     ],
 )
-def test_invalid_matrices(photographs, text):
+def test_invalid_matrices_are_refused(photographs, text):
     with check_error() as caught:
-        scene_with(photographs, text)
+        read_with_k(photographs, text)
     assert str(caught.value).startswith(f"{photographs / 'K.txt'}: ")
 
 
-def test_fountain():
+def test_scaled_k_matches_the_cameras_of_fountain():
     folder = data_folder("fountain")
     notes = []
     scene = read_scene(folder, cameras="none", on_warning=notes.append)
-    truth = read_scene(folder, on_warning=lambda _: None)
-    assert truth.intrinsics == {}
-    assert list(scene.intrinsics) == list(truth.cameras)
-    for name, camera in truth.cameras.items():
+    posed_scene = read_scene(folder, on_warning=lambda _: None)
+    assert posed_scene.intrinsics == {}
+    assert list(scene.intrinsics) == list(posed_scene.cameras)
+    for name, camera in posed_scene.cameras.items():
         np.testing.assert_allclose(scene.intrinsics[name].matrix, camera.intrinsics.matrix, rtol=1e-12)
     assert "3072 x 2048" in notes[0]
 
@@ -95,7 +95,7 @@ def test_sfm_starts_with_the_intrinsics(photographs):
     import_or_skip("pycolmap")
     from reconstructors.sfm.features import shared_intrinsics
 
-    scene, _ = scene_with(photographs, FULL)
+    scene, _ = read_with_k(photographs, K_TEXT)
     (group,) = shared_intrinsics(scene)
     assert group.intrinsics == scene.intrinsics["0.png"]
     assert group.names == tuple(NAMES)

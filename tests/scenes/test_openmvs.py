@@ -25,25 +25,25 @@ def read(path, data):
 
 
 @pytest.mark.parametrize("version", range(1, 8))
-def test_every_version(photographs, version):
+def test_all_versions_are_read(photographs, version):
     (photographs / "scene.mvs").write_bytes(scene_bytes(CAMERAS, version))
     scene = read_scene(photographs)
     assert list(scene.cameras) == NAMES
-    for camera in CAMERAS:
-        found = scene.cameras[camera.name]
-        assert found.intrinsics == K
-        # Nine digits of a rotation's polar factor, of lengths about 5.
-        np.testing.assert_allclose(found.cam_from_world.matrix, camera.cam_from_world.matrix, atol=1e-12)
+    for expected in CAMERAS:
+        camera = scene.cameras[expected.name]
+        assert camera.intrinsics == K
+        # Lengths are about 5; the rotation is the polar factor of the stored matrix.
+        np.testing.assert_allclose(camera.cam_from_world.matrix, expected.cam_from_world.matrix, atol=1e-12)
     np.testing.assert_array_equal(scene.points.points, POINTS)
     np.testing.assert_array_equal(scene.points.colors, COLORS)
     np.testing.assert_array_equal(scene.points.attributes["track_length"], [2, 3, 1])
 
 
-def test_a_camera_on_a_platform(tmp_path):
+def test_cameras_mounted_on_a_platform(tmp_path):
     mount = look_at([1, 2, 3], [0, 0, 0]).rotation, np.array([0.1, 0.2, 0.3])
     (cameras, _), _ = read(tmp_path / "a.mvs", scene_bytes(CAMERAS, mount=mount))
-    for found, camera in zip(cameras, CAMERAS, strict=True):
-        np.testing.assert_allclose(found.cam_from_world.matrix, camera.cam_from_world.matrix, atol=1e-12)
+    for camera, expected in zip(cameras, CAMERAS, strict=True):
+        np.testing.assert_allclose(camera.cam_from_world.matrix, expected.cam_from_world.matrix, atol=1e-12)
 
 
 def test_intrinsics_without_a_size_use_the_image_size(tmp_path):
@@ -54,7 +54,7 @@ def test_intrinsics_without_a_size_use_the_image_size(tmp_path):
 
 
 def test_images_without_a_pose_normals_and_transforms(tmp_path):
-    data = scene_bytes(CAMERAS, normals=np.eye(3), transform=np.diag([2.0, 2, 2, 1]), posed=lambda k: k % 2)
+    data = scene_bytes(CAMERAS, normals=np.eye(3), transform=np.diag([2.0, 2, 2, 1]), has_pose=lambda k: k % 2)
     (cameras, points), notes = read(tmp_path / "a.mvs", data)
     assert [camera.name for camera in cameras] == [f"undistorted\\{name}" for name in NAMES[1::2]]
     np.testing.assert_array_equal(points.normals, np.eye(3))
@@ -71,7 +71,7 @@ def test_choice_among_several_scenes(photographs):
     assert len(read_scene(photographs, on_warning=lambda _: None).cameras) == 3
 
 
-GOOD = scene_bytes(CAMERAS)
+VALID_SCENE = scene_bytes(CAMERAS)
 
 
 @pytest.mark.parametrize(
@@ -79,12 +79,12 @@ GOOD = scene_bytes(CAMERAS)
     [
         pytest.param(b"", id="empty"),
         pytest.param(b"ply\nformat", id="another format"),
-        pytest.param(b"MVS\0" + GOOD[4:], id="a project"),
-        pytest.param(GOOD[:4] + b"\x63" + GOOD[5:], id="another version"),
-        pytest.param(GOOD[:12] + b"\xff" * 8 + GOOD[20:], id="absurd count"),
-        pytest.param(GOOD[:200], id="cut after 200 bytes"),
-        pytest.param(GOOD[:-130], id="cut before the end"),
-        pytest.param(scene_bytes(CAMERAS, posed=lambda k: False), id="no pose"),
+        pytest.param(b"MVS\0" + VALID_SCENE[4:], id="a project"),
+        pytest.param(VALID_SCENE[:4] + b"\x63" + VALID_SCENE[5:], id="another version"),
+        pytest.param(VALID_SCENE[:12] + b"\xff" * 8 + VALID_SCENE[20:], id="absurd count"),
+        pytest.param(VALID_SCENE[:200], id="cut after 200 bytes"),
+        pytest.param(VALID_SCENE[:-130], id="cut before the end"),
+        pytest.param(scene_bytes(CAMERAS, has_pose=lambda k: False), id="no pose"),
         pytest.param(scene_bytes(CAMERAS, colors=COLORS[:2]), id="too few colours"),
         pytest.param(scene_bytes(CAMERAS, mount=(2 * np.eye(3), np.zeros(3))), id="no rotation"),
         pytest.param(
@@ -92,7 +92,7 @@ GOOD = scene_bytes(CAMERAS)
         ),
     ],
 )
-def test_invalid_scenes(tmp_path, data):
+def test_invalid_scenes_are_refused(tmp_path, data):
     with check_error() as caught:
         read(tmp_path / "a.mvs", data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.mvs'}: ")

@@ -18,7 +18,7 @@ from pcbench.io.image_header import read_image_header
 from pcbench.scenes import read_scene
 
 
-def test_images_alone(photographs):
+def test_images_without_cameras(photographs):
     scene = read_scene(photographs)
     assert scene.images == tuple(NAMES)
     assert scene.sizes["3.png"] == (64, 48)
@@ -26,22 +26,22 @@ def test_images_alone(photographs):
     assert scene.read_image("3.png").shape == (48, 64, 3)
 
 
-def test_fountain_fox_and_brighton():
+def test_real_scenes():
     fountain = read_scene(data_folder("fountain"))
     assert len(fountain.cameras) == 11
     k = fountain.cameras["0000.jpg"].intrinsics
     assert (k.width, k.height, k.fx, k.cx) == (1536, 1024, 2759.48 / 2, 1520.69 / 2)  # K is for twice the size
     np.testing.assert_allclose(fountain.cameras["0000.jpg"].position, [-7.28137, -7.57667, 0.204446])
-    told = []
-    fox = read_scene(data_folder("fox"), on_warning=told.append, image_scale=0.5)
+    notes = []
+    fox = read_scene(data_folder("fox"), on_warning=notes.append, image_scale=0.5)
     assert len(fox.cameras) == 50
-    assert "17 of 67" in told[0]
-    check_text(told[0])
+    assert "17 of 67" in notes[0]
+    check_text(notes[0])
     assert fox.cameras["0001.jpg"].intrinsics.fx == 1375.52 / 4
     assert fox.read_image("0001.jpg").shape == (480, 270, 3)
     brighton = read_scene(data_folder("brighton"))
     assert len(brighton.gps) == 18
-    # A second reader of the same EXIF block.
+    # Pillow reads the same EXIF block.
     for name, gps in brighton.gps.items():
         with Image.open(brighton.folder / name) as file:
             tags = file.getexif().get_ifd(0x8825)
@@ -63,17 +63,17 @@ def test_masks(photographs):
         read_scene(photographs)
 
 
-def test_image_scale_scales_cameras_and_pictures(photographs, tmp_path):
+def test_image_scale_scales_cameras_and_images(photographs, tmp_path):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
-    full, half = read_scene(photographs), read_scene(photographs, image_scale=0.5)
-    assert half.read_image("0.png").shape == (24, 32, 3)
+    full_scene, half_scene = read_scene(photographs), read_scene(photographs, image_scale=0.5)
+    assert half_scene.read_image("0.png").shape == (24, 32, 3)
     point = np.array([[0.1, 0.2, 0.3]])
-    pixel = full.cameras["0.png"].project(point)[0]
-    np.testing.assert_allclose(half.cameras["0.png"].project(point)[0], pixel / 2)
-    half.write_images(tmp_path / "small")
-    written = read_scene(tmp_path / "small")
-    assert written.sizes["0.png"] == (32, 24)
-    np.testing.assert_array_equal(written.read_image("0.png"), half.read_image("0.png"))
+    pixel = full_scene.cameras["0.png"].project(point)[0]
+    np.testing.assert_allclose(half_scene.cameras["0.png"].project(point)[0], pixel / 2)
+    half_scene.write_images(tmp_path / "small")
+    small_scene = read_scene(tmp_path / "small")
+    assert small_scene.sizes["0.png"] == (32, 24)
+    np.testing.assert_array_equal(small_scene.read_image("0.png"), half_scene.read_image("0.png"))
 
 
 def test_scene_name_is_its_folder_name(photographs, tmp_path):
@@ -102,17 +102,17 @@ def test_splits(photographs):
 
 def test_fingerprint_depends_on_pixels_scale_and_poses(photographs):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
-    first = read_scene(photographs)
-    assert first.fingerprint() == read_scene(photographs).fingerprint()
-    assert first.fingerprint() != first.fingerprint(cameras=False)
-    assert first.fingerprint() != read_scene(photographs, image_scale=0.5).fingerprint()
+    scene = read_scene(photographs)
+    assert scene.fingerprint() == read_scene(photographs).fingerprint()
+    assert scene.fingerprint() != scene.fingerprint(cameras=False)
+    assert scene.fingerprint() != read_scene(photographs, image_scale=0.5).fingerprint()
     write_colmap_model(photographs / "sparse/0", orbit(NAMES[:5]) + orbit(NAMES)[5:])
-    moved = read_scene(photographs)
-    assert first.fingerprint() != moved.fingerprint()
-    assert first.fingerprint(cameras=False) == moved.fingerprint(cameras=False)
-    before = moved.fingerprint()
+    moved_scene = read_scene(photographs)
+    assert scene.fingerprint() != moved_scene.fingerprint()
+    assert scene.fingerprint(cameras=False) == moved_scene.fingerprint(cameras=False)
+    old_fingerprint = moved_scene.fingerprint()
     picture(photographs / "images/3.png", value=77)
-    assert before != read_scene(photographs).fingerprint()
+    assert old_fingerprint != read_scene(photographs).fingerprint()
 
 
 def test_image_headers(tmp_path):
@@ -125,41 +125,44 @@ def test_image_headers(tmp_path):
     header = read_image_header(tmp_path / "gps.jpg")
     assert header.gps == pytest.approx((-33.51, 151.0, -12.5))
     data = (tmp_path / "a.jpg").read_bytes()
-    for cut in range(1, 200, 7):  # truncation never hangs and is reported
-        (tmp_path / "cut.jpg").write_bytes(data[:cut])
+    for length in range(1, 200, 7):  # truncation never hangs and is reported
+        (tmp_path / "cut.jpg").write_bytes(data[:length])
         try:
             assert read_image_header(tmp_path / "cut.jpg")[:2] == (33, 17)
         except InputError as error:
             assert "truncated" in str(error) or "another format" in str(error)
 
 
-def test_refusals(photographs, tmp_path):
+def test_invalid_scenes_are_refused(photographs, tmp_path):
     def check_refusal(**options):
         with check_error():
             read_scene(photographs, **options)
 
-    def transforms(frames, **values):
+    def write_transforms(frames, **values):
         (photographs / "transforms.json").write_text(
             json.dumps({"fl_x": 50, "w": 64, "h": 48, **values, "frames": frames})
         )
 
-    eye = np.eye(4).tolist()
+    identity = np.eye(4).tolist()
     check_refusal(image_scale=0)
     check_refusal(cameras=tmp_path / "nowhere")
     check_refusal(cameras=photographs / "images")
-    transforms([{"file_path": "images/77.png", "transform_matrix": eye}])
+    write_transforms([{"file_path": "images/77.png", "transform_matrix": identity}])
     check_refusal()
-    transforms([{"file_path": "3.png", "transform_matrix": (2 * np.eye(4)).tolist()}])
+    write_transforms([{"file_path": "3.png", "transform_matrix": (2 * np.eye(4)).tolist()}])
     check_refusal()
-    transforms([{"file_path": "3.png", "transform_matrix": eye}], w=64, h=40)
+    write_transforms([{"file_path": "3.png", "transform_matrix": identity}], w=64, h=40)
     check_refusal()
-    transforms(
-        [{"file_path": "3.png", "transform_matrix": eye}, {"file_path": "images/3.png", "transform_matrix": eye}]
+    write_transforms(
+        [
+            {"file_path": "3.png", "transform_matrix": identity},
+            {"file_path": "images/3.png", "transform_matrix": identity},
+        ]
     )
     check_refusal()
-    transforms([{"file_path": "3.png"}])
+    write_transforms([{"file_path": "3.png"}])
     check_refusal()
-    transforms([{"file_path": "3.png", "transform_matrix": eye}], k3=0.1)
+    write_transforms([{"file_path": "3.png", "transform_matrix": identity}], k3=0.1)
     check_refusal()
     (photographs / "transforms.json").write_text("{")
     with pytest.raises(InputError, match=r"transforms\.json: "):  # the rest of the message comes from Python's parser
@@ -199,12 +202,12 @@ def test_undecodable_pixels_are_reported_on_reading(photographs):
 
 def test_positions_from_a_file(photographs):
     (photographs / "gps.txt").write_text("# NAME X Y Z\n3.png 1 2 3.5\n77.png 0 0 0\n")
-    told = []
-    scene = read_scene(photographs, on_warning=told.append)
-    check_text(told[0])
-    found, frame = scene.measured_positions()
-    assert list(found) == ["3.png"]
-    np.testing.assert_array_equal(found["3.png"], [1, 2, 3.5])
+    notes = []
+    scene = read_scene(photographs, on_warning=notes.append)
+    check_text(notes[0])
+    positions, frame = scene.measured_positions()
+    assert list(positions) == ["3.png"]
+    np.testing.assert_array_equal(positions["3.png"], [1, 2, 3.5])
     assert frame == "in the frame of gps.txt"
     assert "GPS 1" in scene.describe()[1]
     assert not scene.select(["4.png"]).positions
@@ -214,7 +217,7 @@ def test_positions_from_a_file(photographs):
             read_scene(photographs)
 
 
-def exif_of(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
+def make_exif(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
     """Return an EXIF block with a focal length in one of the forms that cameras write."""
     from PIL.TiffImagePlugin import IFDRational
 
@@ -231,31 +234,33 @@ def exif_of(make, model, focal_35mm=None, focal_mm=None, pixels_per_cm=None):
     return exif
 
 
-@pytest.mark.parametrize("ending", ["jpg", "png"])
+@pytest.mark.parametrize("extension", ["jpg", "png"])
 @pytest.mark.parametrize(
     "exif",
     [
-        exif_of("Any", "thing", focal_35mm=24),
-        exif_of("Any", "thing", focal_mm=10, pixels_per_cm=500),
-        exif_of("DJI", "FC6310", focal_mm=8.8),  # by COLMAP's table of sensors
+        make_exif("Any", "thing", focal_35mm=24),
+        make_exif("Any", "thing", focal_mm=10, pixels_per_cm=500),
+        make_exif("DJI", "FC6310", focal_mm=8.8),  # by COLMAP's table of sensors
     ],
 )
-def test_smaller_images_keep_the_focal_length_of_their_exif(tmp_path, ending, exif):
+def test_smaller_images_keep_the_focal_length_of_their_exif(tmp_path, extension, exif):
     pycolmap = import_or_skip("pycolmap")
-    picture(tmp_path / f"a.{ending}", size=(640, 480))
-    with Image.open(tmp_path / f"a.{ending}") as image:
-        image.save(tmp_path / f"a.{ending}", exif=exif)
+    picture(tmp_path / f"a.{extension}", size=(640, 480))
+    with Image.open(tmp_path / f"a.{extension}") as image:
+        image.save(tmp_path / f"a.{extension}", exif=exif)
     read_scene(tmp_path, image_scale=0.5).write_images(tmp_path / "small")
-    whole, small = (pycolmap.infer_camera_from_image(f / f"a.{ending}") for f in (tmp_path, tmp_path / "small"))
-    assert whole.has_prior_focal_length
-    assert small.has_prior_focal_length
-    assert small.focal_length == pytest.approx(whole.focal_length / 2, rel=1e-3)
+    full_camera, small_camera = (
+        pycolmap.infer_camera_from_image(f / f"a.{extension}") for f in (tmp_path, tmp_path / "small")
+    )
+    assert full_camera.has_prior_focal_length
+    assert small_camera.has_prior_focal_length
+    assert small_camera.focal_length == pytest.approx(full_camera.focal_length / 2, rel=1e-3)
 
 
 def test_damaged_exif_is_left_out_of_smaller_images(tmp_path):
-    block = exif_of("Any", "thing", focal_35mm=24).tobytes()
-    for cut in (7, 12, 20, 40, len(block) - 3):
-        Image.new("RGB", (64, 48)).save(tmp_path / f"{cut}.jpg", exif=block[:cut])
+    exif_bytes = make_exif("Any", "thing", focal_35mm=24).tobytes()
+    for length in (7, 12, 20, 40, len(exif_bytes) - 3):
+        Image.new("RGB", (64, 48)).save(tmp_path / f"{length}.jpg", exif=exif_bytes[:length])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_scene(tmp_path, image_scale=0.5).write_images(tmp_path / "small")
@@ -282,7 +287,7 @@ def test_common_folder_layouts(tmp_path, folder):
 
 
 @pytest.mark.parametrize(
-    "way",
+    "path_format",
     [
         "cam1/{}.png",
         "cam1/{}",
@@ -292,10 +297,10 @@ def test_common_folder_layouts(tmp_path, folder):
         "/data/cam1/{}",
     ],
 )
-def test_image_paths_from_another_machine(tmp_path, way):
+def test_image_paths_from_another_machine(tmp_path, path_format):
     for camera in ("cam1", "cam2"):  # the last part alone is ambiguous
         picture(tmp_path / "images" / camera / "0.5.png")
-    frame = {"file_path": way.format("0.5"), "transform_matrix": np.eye(4).tolist()}
+    frame = {"file_path": path_format.format("0.5"), "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": [frame]}))
     assert list(read_scene(tmp_path, on_warning=lambda _: None).cameras) == ["cam1/0.5.png"]
 
@@ -315,41 +320,47 @@ def test_image_paths_from_another_machine(tmp_path, way):
 def test_implausible_intrinsics_are_refused(photographs, values):
     frames = [{"file_path": "3.png", "transform_matrix": np.eye(4).tolist()}]
     (photographs / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, **values, "frames": frames}))
-    with check_error() as raised:
+    with check_error() as caught:
         read_scene(photographs)
-    assert "3.png" in str(raised.value)
+    assert "3.png" in str(caught.value)
 
 
 def test_ignored_keys_are_reported(photographs):
-    eye = np.eye(4).tolist()
-    frames = [{"file_path": f"{n}.png", "transform_matrix": eye} for n in range(10)]
-    harmless = {"k5": 0, "k6": 0.0, "rolling_shutter": [0, 0, 0, 0], "applied_transform": eye[:3], "applied_scale": 1.0}
+    identity = np.eye(4).tolist()
+    frames = [{"file_path": f"{n}.png", "transform_matrix": identity} for n in range(10)]
+    neutral_values = {
+        "k5": 0,
+        "k6": 0.0,
+        "rolling_shutter": [0, 0, 0, 0],
+        "applied_transform": identity[:3],
+        "applied_scale": 1.0,
+    }
     for values, names in (
-        (harmless, []),
+        (neutral_values, []),
         ({"k5": 0.1, "k6": -0.2}, ["k5, k6"]),
         ({"rolling_shutter": [0, 0, 0.03, 0]}, ["rolling_shutter"]),
         ({"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]}, ["applied_transform"]),
     ):
         document = {"fl_x": 50, "w": 64, "h": 48, **values, "frames": frames}
         (photographs / "transforms.json").write_text(json.dumps(document))
-        told = []
-        read_scene(photographs, on_warning=told.append)
-        assert len(told) == len(names)
-        for text, name in zip(told, names, strict=True):
-            assert f"ignored {name}:" in text
-            check_text(text)
+        notes = []
+        read_scene(photographs, on_warning=notes.append)
+        assert len(notes) == len(names)
+        for note, name in zip(notes, names, strict=True):
+            assert f"ignored {name}:" in note
+            check_text(note)
     frames[4]["applied_scale"] = 0.3  # in one frame only
     (photographs / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": frames}))
-    told = []
-    read_scene(photographs, on_warning=told.append)
-    assert "applied_scale" in told[0]
+    notes = []
+    read_scene(photographs, on_warning=notes.append)
+    assert "applied_scale" in notes[0]
 
 
 def test_earth_studio_project_is_not_an_export(photographs):
     (photographs / "rome.esp").write_text('{"scenes": []}')
-    told = []
-    assert not read_scene(photographs, on_warning=told.append).cameras
-    check_text(told[0])
+    notes = []
+    assert not read_scene(photographs, on_warning=notes.append).cameras
+    check_text(notes[0])
     with check_error():
         read_scene(photographs, cameras=photographs / "rome.esp")
 
@@ -368,21 +379,21 @@ def test_repeated_frame_is_refused_before_poses_are_read(photographs, monkeypatc
 def test_unread_calibration_is_reported(photographs, name):
     (photographs / "images" / name).write_text("50 0 32\n0 50 24\n0 0 1\n")
     (photographs / "images" / "readme.txt").write_text("photographs of a kiosk")
-    told = []
-    read_scene(photographs, on_warning=told.append)
-    assert len(told) == (name != "K.txt")  # K.txt is read if images have no camera
-    check_text("\n".join(told))
+    notes = []
+    read_scene(photographs, on_warning=notes.append)
+    assert len(notes) == (name != "K.txt")  # K.txt is read if images have no camera
+    check_text("\n".join(notes))
     write_colmap_model(photographs / "sparse", orbit(NAMES))
-    told.clear()
-    read_scene(photographs, on_warning=told.append)
-    assert [str(photographs / "sparse") in text for text in told] == [True]
-    told.clear()
-    read_scene(photographs, cameras="none", on_warning=told.append)
-    assert not told
+    notes.clear()
+    read_scene(photographs, on_warning=notes.append)
+    assert [str(photographs / "sparse") in note for note in notes] == [True]
+    notes.clear()
+    read_scene(photographs, cameras="none", on_warning=notes.append)
+    assert not notes
 
 
 def test_cameras_among_the_images_are_read_without_warning(photographs):
     write_colmap_model(photographs / "images", orbit(NAMES))
-    told = []
-    assert len(read_scene(photographs, cameras=photographs / "images", on_warning=told.append).cameras) == len(NAMES)
-    assert not told
+    notes = []
+    assert len(read_scene(photographs, cameras=photographs / "images", on_warning=notes.append).cameras) == len(NAMES)
+    assert not notes

@@ -19,15 +19,15 @@ from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, rig
 
-SMALL = CitySettings(extent=120.0, seed=3)
+SMALL_CITY = CitySettings(extent=120.0, seed=3)
 DISTORTION = (-0.08, 0.01, 0.002, -0.001)
 
-SCENE = SceneSettings(
-    SMALL, 5, replace(Intrinsics.from_fov(160, 90, 50.0), distortion=DISTORTION), points=6000, gps=0.3
+SETTINGS = SceneSettings(
+    SMALL_CITY, 5, replace(Intrinsics.from_fov(160, 90, 50.0), distortion=DISTORTION), points=6000, gps=0.3
 )
 
 
-def contents(folder):
+def file_hashes(folder):
     return {
         str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
         for p in sorted(folder.rglob("*"))
@@ -37,21 +37,21 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def scene(renderer, tmp_path_factory):
-    out = tmp_path_factory.mktemp("scene") / "city"
-    write_scene(out, SCENE)
-    return out
+    folder = tmp_path_factory.mktemp("scene") / "city"
+    write_scene(folder, SETTINGS)
+    return folder
 
 
-def test_the_files_of_a_scene(scene, tmp_path):
+def test_scene_files(scene, tmp_path):
     stems = [f"{n:04d}" for n in range(1, 6)]
     files = {"transforms.json", "gps.txt", "truth/mesh.ply", "truth/cloud.ply"}
     files |= {f"sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")}
     files |= {f"images/{s}.png" for s in stems} | {f"truth/depth/{s}.npy" for s in stems}
-    assert contents(scene).keys() == files
+    assert file_hashes(scene).keys() == files
     assert [p.name for p in scene.parent.iterdir()] == ["city"]
-    again = tmp_path / "again"
-    write_scene(again, SCENE)
-    assert contents(again) == contents(scene)
+    second_folder = tmp_path / "again"
+    write_scene(second_folder, SETTINGS)
+    assert file_hashes(second_folder) == file_hashes(scene)
 
 
 def test_three_camera_formats_agree(scene):
@@ -60,14 +60,14 @@ def test_three_camera_formats_agree(scene):
     assert [f["file_path"] for f in values["frames"]] == [f"images/{n:04d}.png" for n in range(1, 6)]
     model = pycolmap.Reconstruction(scene / "sparse/0")
     assert model.num_points3D() == 0
-    lens = model.cameras[1]
-    assert lens.model.name == "OPENCV"
+    model_camera = model.cameras[1]
+    assert model_camera.model.name == "OPENCV"
     names = ("fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2")
-    np.testing.assert_array_equal(lens.params, [values[name] for name in names])
+    np.testing.assert_array_equal(model_camera.params, [values[name] for name in names])
     by_name = {image.name: image for image in model.images.values()}
     points = np.random.default_rng(0).uniform(-20, 20, (50, 3))
-    ground = rig("circles", 5, Site(120.0, *_heights(scene)), SCENE.intrinsics)
-    for frame, camera in zip(values["frames"], ground, strict=True):
+    true_cameras = rig("circles", 5, Site(120.0, *_heights(scene)), SETTINGS.intrinsics)
+    for frame, camera in zip(values["frames"], true_cameras, strict=True):
         pose = np.array(frame["transform_matrix"])
         pose[:3, 1:3] *= -1
         cam_from_world = np.linalg.inv(pose)
@@ -75,30 +75,30 @@ def test_three_camera_formats_agree(scene):
         np.testing.assert_allclose(image.cam_from_world().matrix(), cam_from_world[:3], atol=1e-9)
         np.testing.assert_allclose(camera.cam_from_world.matrix, cam_from_world, atol=1e-9)
         projected = np.array(
-            [lens.img_from_cam(p) for p in (points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3])]
+            [model_camera.img_from_cam(p) for p in (points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3])]
         )
         np.testing.assert_allclose(camera.project(points)[0], projected, atol=1e-6)
 
 
 def _heights(scene):
-    plan = lay_out(SMALL)
+    plan = lay_out(SMALL_CITY)
     return float(np.median(plan.terrain.heights)), plan.top
 
 
-def test_the_true_cloud_is_the_exposed_surface(scene):
+def test_true_cloud_is_on_the_exposed_surface(scene):
     cloud, mesh = read_cloud(scene / "truth/cloud.ply"), read_mesh(scene / "truth/mesh.ply")
     assert len(cloud) == 6000
     matches = MeshIndex(mesh).query(cloud.points)
     assert matches.distances.max() < 1e-12 * 120
     agreement = np.einsum("ni,ni->n", cloud.normals, mesh.normals()[matches.faces])
     assert np.mean(agreement > 1 - 1e-6) > 0.999  # float32 normals; a point on an edge belongs to two faces
-    plan = lay_out(SMALL)
+    plan = lay_out(SMALL_CITY)
     for solid in plan.solids:
         x, y = np.abs(solid.local(cloud.points)).T
-        inside = (x < 0.49 * solid.width) & (y < 0.49 * solid.depth) & (cloud.points[:, 2] < solid.eaves - 0.01)
-        assert not inside.any()
-    seen = cloud.attributes["visible"]
-    assert set(np.unique(seen)) == {0, 1}
+        is_inside = (x < 0.49 * solid.width) & (y < 0.49 * solid.depth) & (cloud.points[:, 2] < solid.eaves - 0.01)
+        assert not is_inside.any()
+    visible = cloud.attributes["visible"]
+    assert set(np.unique(visible)) == {0, 1}
 
 
 def test_depth_files_match_the_images(scene):
@@ -109,34 +109,36 @@ def test_depth_files_match_the_images(scene):
     values = json.loads((scene / "transforms.json").read_text())
     pose = np.array(values["frames"][4]["transform_matrix"])
     v, u = np.nonzero(depth)
-    rays = SCENE.intrinsics.directions(np.stack([u, v], axis=1) + 0.5) * depth[v, u][:, None]
+    rays = SETTINGS.intrinsics.directions(np.stack([u, v], axis=1) + 0.5) * depth[v, u][:, None]
     points = (rays * [1, -1, -1]) @ pose[:3, :3].T + pose[:3, 3]
     assert MeshIndex(mesh).query(points).distances.max() < 3e-5  # float32 at 200 m
 
 
-def test_a_scene_needs_a_new_folder(scene, tmp_path):
+def test_scene_is_written_to_new_folders_only(scene, tmp_path):
     with check_error():
-        write_scene(scene, SCENE)
+        write_scene(scene, SETTINGS)
     (tmp_path / "file").write_text("x")
     with check_error():
-        write_scene(tmp_path / "file", SCENE)
+        write_scene(tmp_path / "file", SETTINGS)
     with check_error():
-        write_scene(tmp_path / "no/where", SCENE)
+        write_scene(tmp_path / "no/where", SETTINGS)
     with check_error():
-        write_scene(tmp_path / "new", replace(SCENE, intrinsics=replace(SCENE.intrinsics, distortion=(-3.0, 0, 0, 0))))
+        write_scene(
+            tmp_path / "new", replace(SETTINGS, intrinsics=replace(SETTINGS.intrinsics, distortion=(-3.0, 0, 0, 0)))
+        )
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 # ---- the command ----
 
-TINY = "--images 2 --size 80x50 --extent 100 --points 1000 -q"
+TINY_OPTIONS = "--images 2 --size 80x50 --extent 100 --points 1000 -q"
 
 
-def test_the_command(run, renderer, tmp_path):
-    code, out, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split(), "--hard", "--rig", "orbit")
+def test_command(run, renderer, tmp_path):
+    code, out, err = run("synth", "city", "--out", tmp_path / "city", *TINY_OPTIONS.split(), "--hard", "--rig", "orbit")
     assert (code, out, err) == (0, "", "")
-    assert "transforms.json" in contents(tmp_path / "city")
-    assert "gps.txt" not in contents(tmp_path / "city")
+    assert "transforms.json" in file_hashes(tmp_path / "city")
+    assert "gps.txt" not in file_hashes(tmp_path / "city")
 
 
 @pytest.mark.parametrize(
@@ -155,10 +157,10 @@ def test_the_command(run, renderer, tmp_path):
         ("--out .", "expected an empty folder"),
     ],
 )
-def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, message):
+def test_invalid_options_give_a_one_line_error(run, renderer, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
     Path("mine").write_text("x")
-    code, out, err = run("synth", "city", "--out", "new", *TINY.split(), *options.split())
+    code, out, err = run("synth", "city", "--out", "new", *TINY_OPTIONS.split(), *options.split())
     assert code == 2
     assert not out
     assert err.startswith("error: ")
@@ -170,7 +172,7 @@ def test_mistakes_are_one_line(run, renderer, tmp_path, monkeypatch, options, me
 def test_without_opengl_nothing_is_written(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchGL.so",))
-    code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY.split())
+    code, _, err = run("synth", "city", "--out", tmp_path / "city", *TINY_OPTIONS.split())
     assert code == 2
     assert "libegl1" in err
     assert not list(tmp_path.iterdir())

@@ -16,7 +16,7 @@ import_or_skip("PIL")
 NAMES = ("ring/0.jpg", "ring/1.png", "2.jpg", "3.jpg")
 
 
-def pictures(name):
+def view_images(name):
     rng = np.random.default_rng(NAMES.index(name))
     shape = (6 + NAMES.index(name), 9, 3)
     mask = None if name == "2.jpg" else rng.random(shape[:2]) < 0.5
@@ -25,56 +25,56 @@ def pictures(name):
 
 @pytest.fixture
 def folder(tmp_path):
-    write_views(tmp_path / "rendered", "city", "splat", split_every(NAMES, 3), pictures)
+    write_views(tmp_path / "rendered", "city", "splat", split_every(NAMES, 3), view_images)
     return tmp_path / "rendered"
 
 
 def test_views_round_trip(folder):
-    found = read_views(folder)
-    assert (found.scene, found.method, found.split) == ("city", "splat", "one image in 3")
-    assert [(view.name, view.block) for view in found.views] == [
+    result = read_views(folder)
+    assert (result.scene, result.method, result.split) == ("city", "splat", "one image in 3")
+    assert [(view.name, view.block) for view in result.views] == [
         ("ring/1.png", None),
         ("2.jpg", None),
         ("ring/0.jpg", 0),
         ("3.jpg", 1),
     ]
-    assert [view.is_test for view in found.views] == [False, False, True, True]
-    for view in found.views:
-        asked, got = pictures(view.name), view.read()
-        np.testing.assert_array_equal(got.photograph, asked.photograph)
-        np.testing.assert_array_equal(got.rendering, np.rint(255 * asked.rendering.clip(0, 1)))
-        if asked.mask is None:
-            assert got.mask is None
+    assert [view.is_test for view in result.views] == [False, False, True, True]
+    for view in result.views:
+        expected, images = view_images(view.name), view.read()
+        np.testing.assert_array_equal(images.photograph, expected.photograph)
+        np.testing.assert_array_equal(images.rendering, np.rint(255 * expected.rendering.clip(0, 1)))
+        if expected.mask is None:
+            assert images.mask is None
         else:
-            np.testing.assert_array_equal(got.mask, asked.mask)
+            np.testing.assert_array_equal(images.mask, expected.mask)
 
 
 def test_views_are_found_in_a_workspace(folder, tmp_path):
     assert find_views(folder) == find_views(tmp_path) == folder
-    work = tmp_path / "work"
-    work.mkdir()
-    assert find_views(work) is None
+    workspace = tmp_path / "work"
+    workspace.mkdir()
+    assert find_views(workspace) is None
     with check_error():
-        read_views(work)
-    (work / "plugin").mkdir()
-    folder.rename(work / "plugin" / "rendered")
-    assert read_views(work).folder == work / "plugin" / "rendered"
+        read_views(workspace)
+    (workspace / "plugin").mkdir()
+    folder.rename(workspace / "plugin" / "rendered")
+    assert read_views(workspace).folder == workspace / "plugin" / "rendered"
 
 
 def test_incomplete_folder_is_not_a_views_folder(tmp_path):
-    def fails(name):
+    def interrupted_images(name):
         if name == "ring/0.jpg":
             raise KeyboardInterrupt
-        return pictures(name)
+        return view_images(name)
 
     with pytest.raises(KeyboardInterrupt):
-        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), fails)
+        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), interrupted_images)
     assert (tmp_path / "renderings" / "ring" / "1.png.png").is_file()
     assert find_views(tmp_path) is None
-    write_views(tmp_path, "city", "splat", split_every(NAMES, 3), pictures)
+    write_views(tmp_path, "city", "splat", split_every(NAMES, 3), view_images)
     assert find_views(tmp_path) == tmp_path
     with pytest.raises(KeyboardInterrupt):
-        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), fails)
+        write_views(tmp_path, "city", "splat", split_every(NAMES, 3), interrupted_images)
     assert find_views(tmp_path) is None
 
 
@@ -83,36 +83,42 @@ def test_invalid_views_are_refused_on_writing(tmp_path):
 
     def check_refusal(**change):
         with check_error():
-            write_views(tmp_path, "city", "splat", split, lambda name: pictures(name)._replace(**change))
+            write_views(tmp_path, "city", "splat", split, lambda name: view_images(name)._replace(**change))
 
     check_refusal(rendering=np.zeros((2, 2, 3)))
     check_refusal(mask=np.ones((2, 2), dtype=bool))
     check_refusal(rendering=np.zeros((7, 9)), mask=None)
     check_refusal(rendering=np.full((7, 9, 3), np.nan), mask=None)
     with check_error():
-        away = split_every(("b", "../../../a", "c"), 2)
-        write_views(tmp_path / "far" / "off" / "rendered", "city", "splat", away, lambda name: pictures("2.jpg"))
+        split_with_outside_name = split_every(("b", "../../../a", "c"), 2)
+        write_views(
+            tmp_path / "far" / "off" / "rendered",
+            "city",
+            "splat",
+            split_with_outside_name,
+            lambda name: view_images("2.jpg"),
+        )
     assert not list(tmp_path.rglob("a*"))
 
 
-def test_damaged_folders_are_a_one_line_error(folder):
-    whole = json.loads((folder / "views.json").read_text())
+def test_damaged_folders_give_a_one_line_error(folder):
+    document = json.loads((folder / "views.json").read_text())
 
     def check_refusal(**change):
-        (folder / "views.json").write_text(json.dumps({**whole, **change}))
-        with check_error() as raised:
+        (folder / "views.json").write_text(json.dumps({**document, **change}))
+        with check_error() as caught:
             for view in read_views(folder).views:
                 view.read()
-        assert str(folder) in str(raised.value)
+        assert str(folder) in str(caught.value)
 
-    view = whole["views"][0]
+    view = document["views"][0]
     check_refusal(schema="pcbench.views/9")
     check_refusal(views=[])
     check_refusal(views=[{"name": "a"}])
     check_refusal(views=[{**view, "block": "one"}])
     check_refusal(views=[{**view, "rendering": "../../elsewhere.png"}])
     check_refusal(views=[{**view, "rendering": "renderings/none.png"}])
-    check_refusal(views=[{**view, "rendering": whole["views"][1]["rendering"]}])
+    check_refusal(views=[{**view, "rendering": document["views"][1]["rendering"]}])
     (folder / "views.json").write_text("{")
     with pytest.raises(InputError, match=r"views\.json: "):  # the rest of the message comes from Python's parser
         read_views(folder)
