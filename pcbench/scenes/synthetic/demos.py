@@ -47,9 +47,9 @@ class City:
         """Sample points (N, 3) on the surface, uniformly by area, with their kinds (N,).
 
         Args:
-            count: Number of points.
-            rng: Random generator.
-            falloff: If finite, the density decreases with the distance r from the centre as exp(-r / falloff), in
+            count: number of points.
+            rng: random generator.
+            falloff: if finite, the density decreases with the distance r from the centre as exp(-r / falloff), in
                 metres.
         """
         parts: list[FloatArray] = []
@@ -179,8 +179,8 @@ class Demo:
         """RMS distance in metres between a candidate's points under an estimated and under the true registration.
 
         Args:
-            name: Name of the candidate.
-            estimate: Estimated registration, candidate -> reference.
+            name: name of the candidate.
+            estimate: estimated registration, candidate -> reference.
         """
         points = self.candidates[name].points
         differences = estimate.apply(points) - self.T_reference_candidate[name].apply(points)
@@ -194,8 +194,8 @@ def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
     is also slightly deformed (a bowl of 5 cm RMS).
 
     Args:
-        points: Number of points of the reference.
-        seed: Random seed.
+        points: number of points of the reference.
+        seed: random seed.
     """
     scene = city(seed)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]

@@ -144,9 +144,9 @@ def _resample(
 
     Args:
         plane: (rows, columns) values, including border cells.
-        border_cells: Border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
-        shape: Rows and columns of the new grid.
-        beyond: Cells of the new grid beyond each edge of the rectangle.
+        border_cells: border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
+        shape: rows and columns of the new grid.
+        beyond: cells of the new grid beyond each edge of the rectangle.
     """
     for size in shape:
         count = len(plane) - 2 * border_cells

@@ -21,18 +21,18 @@ class CitySettings:
     """Settings of a synthetic city.
 
     Args:
-        extent: Side of the built square in metres; the entire terrain is twice as wide.
-        density: Share of the lots that are built on, 0 to 1.
-        height: Median height of the houses in metres; towers in the centre are up to five times as high.
+        extent: side of the built square in metres; the entire terrain is twice as wide.
+        density: share of the lots that are built on, 0 to 1.
+        height: median height of the houses in metres; towers in the centre are up to five times as high.
         relief: RMS height of the terrain's waves under the city in metres.
-        texture: Texture contrast: 1 is rich, 0 leaves walls blank and the ground plain.
-        water: Whether some blocks are lakes.
-        repeated: Whether all buildings have the same facade and roof.
-        symmetric: Whether a half turn maps the city to itself, except for its shadows and the fields around it.
-        seed: Random seed.
+        texture: texture contrast: 1 is rich, 0 leaves walls blank and the ground plain.
+        water: whether some blocks are lakes.
+        repeated: whether all buildings have the same facade and roof.
+        symmetric: whether a half turn maps the city to itself, except for its shadows and the fields around it.
+        seed: random seed.
 
     Raises:
-        InputError: A value is out of range.
+        InputError: a value is out of range.
     """
 
     extent: float = 400.0

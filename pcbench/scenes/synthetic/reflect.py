@@ -22,11 +22,11 @@ class Mirrors:
     """Traces reflected rays in the city.
 
     Args:
-        index: Index of the mesh's faces (F, 3).
+        index: index of the mesh's faces (F, 3).
         uv: (F, 3, 2) texture coordinates of the faces' corners on their pages.
         page: (F,) page of each face.
         shade: (F, 3) light at the corners, 0 to 255.
-        pages: Colours (rows, columns, 3) per page.
+        pages: colours (rows, columns, 3) per page.
     """
 
     index: MeshIndex

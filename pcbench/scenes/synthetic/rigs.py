@@ -37,12 +37,12 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
         name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with 75 % overlap), oblique
             (the same, tilted by 40 degrees to four sides in turn), drone (a grid with tilt errors of 1.5 degrees and
             height errors of 2 %, followed by a sixth of the images, tilted by 25 degrees) or orbit (one circle).
-        count: Number of cameras.
-        site: Photographed square.
-        intrinsics: Intrinsics of all cameras.
+        count: number of cameras.
+        site: photographed square.
+        intrinsics: intrinsics of all cameras.
 
     Raises:
-        InputError: There is no such rig, or the count is less than 1.
+        InputError: there is no such rig, or the count is less than 1.
     """
     if name not in RIGS:
         raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}")
@@ -58,8 +58,8 @@ def circles(
     """Return poses on circles about the vertical through `target` (3,), all looking at it, divided evenly.
 
     Args:
-        count: Number of poses.
-        radii: Radius of each circle, in the frame's unit.
+        count: number of poses.
+        radii: radius of each circle, in the frame's unit.
         altitudes: z coordinate of each circle; the tilt follows from both.
         target: (3,) point that all cameras look at.
     """
@@ -81,9 +81,9 @@ def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) 
     Gaussian errors have a standard deviation of `sigma` metres along each horizontal axis, and twice that vertically.
 
     Args:
-        cameras: Cameras at their true positions.
-        sigma: Horizontal standard deviation in metres.
-        seed: Random seed.
+        cameras: cameras at their true positions.
+        sigma: horizontal standard deviation in metres.
+        seed: random seed.
     """
     rng = np.random.default_rng([seed, 11])
     positions = np.array([camera.position for camera in cameras])

@@ -70,10 +70,10 @@ def build_city(
     """Lay out, mesh, paint and light a city; about 20 CPU seconds with default settings.
 
     Args:
-        given: Settings of a city, or its plan.
-        texel: Texel size in metres in the city without cameras nearby, four times as much in the fields; by default
+        given: settings of a city, or its plan.
+        texel: texel size in metres in the city without cameras nearby, four times as much in the fields; by default
             0.15, or more in proportion if the city is larger than 400 m.
-        cameras: Surfaces that these observe have texels no larger than the smallest pixel there, except for foliage.
+        cameras: surfaces that these observe have texels no larger than the smallest pixel there, except for foliage.
     """
     plan = lay_out(given) if isinstance(given, CitySettings) else given
     texel = texel or 0.15 * max(1.0, plan.settings.extent / 400)

@@ -32,11 +32,11 @@ def surface_cloud(plan: CityPlan, index: MeshIndex, cameras: Sequence[Camera], c
     at least three cameras observe the point.
 
     Args:
-        plan: Layout of the city.
-        index: Index of its mesh.
-        cameras: Cameras.
-        count: Number of points.
-        seed: Random seed.
+        plan: layout of the city.
+        index: index of its mesh.
+        cameras: cameras.
+        count: number of points.
+        seed: random seed.
     """
     # At most a tenth of the area is buried; sampling and dropping it keeps the rest uniform.
     sampled = index.mesh.sample(round(1.3 * count) + 1000, seed)

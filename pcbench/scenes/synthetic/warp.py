@@ -72,12 +72,12 @@ class Warp:
     height; subsidence, a Gaussian basin; drift (0, x^3 / 2, x^2) along the longest horizontal axis of the cloud.
 
     Args:
-        kind: One of `KINDS`.
-        amplitude: Amplitude in the cloud's unit.
+        kind: one of `KINDS`.
+        amplitude: amplitude in the cloud's unit.
         center: (3,) centre of the field.
         axes: (3, 3) rotation from the cloud's frame to that of the field; both have the same z.
         lengths: (3,) half the cloud's extent; the larger horizontal one for both horizontal axes.
-        after: Similarity applied after the displacement.
+        after: similarity applied after the displacement.
     """
 
     kind: str
@@ -146,16 +146,16 @@ def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
     """Write a deformed cloud, and beside it a JSON record of the deformation.
 
     Args:
-        out: Path of the cloud.
-        cloud: Cloud to deform.
-        warp: Deformation.
+        out: path of the cloud.
+        cloud: cloud to deform.
+        warp: deformation.
 
     Returns:
         The record (`Warp.record`).
 
     Raises:
-        InputError: The extension is unknown or read-only.
-        OSError: A file cannot be written.
+        InputError: the extension is unknown or read-only.
+        OSError: a file cannot be written.
     """
     record = warp.record(cloud.points)
     write_cloud(out, warp.apply_cloud(cloud))
@@ -168,13 +168,13 @@ def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | Non
     """Create a deformation of points (N, 3) with a given RMS beyond the best affine map.
 
     Args:
-        kind: One of `KINDS`.
+        kind: one of `KINDS`.
         points: (N, 3) points.
         rms: RMS beyond the best affine map, in the points' unit.
-        after: Similarity applied after the displacement.
+        after: similarity applied after the displacement.
 
     Raises:
-        InputError: The kind is unknown, the RMS is not positive, or an affine map explains the deformation of these
+        InputError: the kind is unknown, the RMS is not positive, or an affine map explains the deformation of these
             points completely, such as a shear by height of points at the same height.
     """
     if kind not in _FIELDS:
