@@ -48,7 +48,7 @@ class SceneSettings:
         rig: circles, grid, oblique, drone or orbit (`pcbench.scenes.synthetic.rigs`).
         optics: effects of lens and sensor.
         reflections: whether glass and water reflect their surroundings.
-        points: number of points of the true cloud.
+        points: number of points of the cloud in truth/.
         gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
     """
 
@@ -65,15 +65,15 @@ class SceneSettings:
 def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] = lambda _: None) -> None:
     """Create a city and write images/, transforms.json, sparse/0/ and truth/ (mesh.ply, cloud.ply, depth/) into `out`.
 
-    The folder appears once it is complete. The same settings give the same bytes on the same machine.
+    `out` appears once it is complete. The same settings give the same bytes on the same machine.
 
     Args:
         out: folder to create.
         settings: city and images.
-        step: progress callback.
+        step: called with a short text before each step that takes time.
 
     Raises:
-        InputError: `out` exists and is not an empty folder, or a setting is out of range.
+        InputError: `out` exists and is not an empty folder, its parent is missing, or a setting is out of range.
         MissingExtra, NoFiguresError: images cannot be rendered on this machine.
     """
     check_renderer()

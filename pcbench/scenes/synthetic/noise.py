@@ -40,7 +40,7 @@ class FractalNoise:
 
         rng = np.random.default_rng([seed, 2])
         f = fft.fftfreq(side)[:, None], fft.rfftfreq(side)[None, :]
-        # Spectrum between white and 1/f^2: structures of all sizes.
+        # Amplitudes fall with about 1/f, so that there are structures of all sizes.
         amplitude = (1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05).astype(np.float32)
         amplitude[0, 0] = 0
         white = rng.standard_normal((side, side), dtype=np.float32)

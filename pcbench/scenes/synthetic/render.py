@@ -1,4 +1,4 @@
-"""Images of a city: OpenGL rendering through VTK in a separate process, then lens, exposure and sensor effects."""
+"""Images of a city: OpenGL rendering by VTK in a separate process, then lens, exposure and sensor effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pcbench.scenes.synthetic.surface import CitySurface
 from pcbench.scratch import scratch_folder
 
 _MAX_SECONDS_PER_IMAGE = 120  # software OpenGL needs about one second per megapixel
-_MAX_SIDE_PX = 8192  # of an image, or of the wider pinhole image that its distortion needs
+_MAX_SIDE_PX = 8192  # of an image, or of the larger pinhole image from which a distorted one is computed
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Optics:
     """Effects of lens and sensor on an image.
 
     Args:
-        exposure: standard deviation of the logarithm of each image's gain.
+        exposure: standard deviation of the logarithm of the gain, which varies between images.
         blur: standard deviation of the lens blur in pixels.
         noise: standard deviation of the sensor noise in grey levels of 255.
         vignetting: share of natural vignetting. 1: light falls with the fourth power of the cosine of the angle between
@@ -84,12 +84,12 @@ def render(
         cameras: cameras.
         folder: folder of the images.
         optics: effects of lens and sensor.
-        reflections: whether glass and water reflect their surroundings, once, without the sun's glint.
+        reflections: whether glass and water reflect their surroundings: one reflection, without the sun's glint.
         seed: random seed.
 
     Raises:
         InputError: an image is too large, or its distortion is not invertible.
-        MissingExtra, NoFiguresError: a library is missing.
+        MissingExtra, NoFiguresError: images cannot be rendered on this machine.
         PcbenchError: rendering fails.
     """
     check_renderer()
@@ -97,7 +97,7 @@ def render(
         check_intrinsics(camera.intrinsics)
     with scratch_folder() as scratch:
         job = scratch
-        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # precise enough: small, about the origin
+        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # precise enough near the origin
         np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
         for number, page in enumerate(city.pages):
             np.save(job / f"page{number}.npy", page)
