@@ -47,10 +47,10 @@ class Registration:
         information_eigenvalues: eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
             ascending. Points are centred and divided by their RMS radius, so that rotation and translation share a
             unit.
-        weakest_sigma: predicted standard deviation of the motion that the geometry constrains least, in the clouds' unit, as
-            a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene; too small
-            by up to two thirds if errors are correlated over more than half a tile. None if the geometry does not fix
-            it.
+        weakest_sigma: predicted standard deviation of the motion that the geometry constrains least, in the clouds'
+            unit, as a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene;
+            too small by up to two thirds if errors are correlated over more than half a tile. None if the geometry does
+            not fix it.
         residuals: residuals of control and check points; empty unless the pose was fitted to such pairs.
         warnings: warnings to read before any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A given scale is not.

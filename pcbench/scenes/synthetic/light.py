@@ -64,7 +64,7 @@ class _Lattice(NamedTuple):
 
 
 def compute_lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
-    """Compute light (rows, columns, 3) on a lattice over each chart: sunlight with shadows, and the visible sky's light."""
+    """Compute light (rows, columns, 3) on a lattice over each chart: sunlight with shadows, and light of the sky."""
     sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.base_texel) for c in charts]
     sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.base_texel) for c in charts]
     sunny = ~index.is_occluded(*_rays([s.points for s in sun if s], SUN_DIRECTION))
