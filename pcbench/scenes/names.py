@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 
 class ImageNames:
-    """Finds the image of a scene that a camera file means by a name.
+    """Finds the image of a scene for a name in a camera file.
 
-    An image with exactly this name comes first. Otherwise the longest trailing part of the path that only one image
-    shares decides, with or without extension. Backslashes separate folders too.
+    This is the image with exactly this name. If there is none, it is the only image that shares the longest trailing
+    part of the path, with or without extension. Backslashes separate folders too.
     """
 
     def __init__(self, images: Iterable[str]) -> None:

@@ -97,7 +97,7 @@ class RenderedViews:
         scene: name of the scene, for tables.
         method: name of the method, for tables.
         split: description of the held-out images.
-        views: training views, then held-out views, each in the scene's order.
+        views: training views in the scene's order, then held-out views block by block.
     """
 
     folder: Path

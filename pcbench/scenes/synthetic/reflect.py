@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
-_RAY_OFFSET_SHARE = 1e-5  # of the scene's size; reflected rays start this far from their surface, to not hit it
+_RAY_OFFSET_SHARE = 1e-5  # of the scene's size: distance from a surface at which its reflected rays start
 _SKY = np.array([[0.86, 0.90, 0.94], [0.52, 0.68, 0.86]])  # colours at the horizon and at the zenith
 
 Samples = NDArray[np.float32]  # (N, 3), 0 to 255
