@@ -21,8 +21,8 @@ class Viewpoint:
 
     Attributes:
         title: title of the view.
-        direction: from the centre towards the camera.
         direction: direction from the centre towards the camera.
+        up: the upward direction.
     """
 
     title: str
