@@ -1,7 +1,7 @@
 """Start, limit and clean up child processes.
 
-Libraries that crash, hang or print, and third-party reconstructors, run in separate Python processes. A child does
-not read the terminal and ends with its parent. When it ends, all processes that it started are ended too (on Linux also
+Libraries that crash, hang or print, and third-party reconstructors, run in separate Python processes. A child cannot
+read the terminal and ends with its parent. When it ends, all processes that it started are ended too (on Linux even
 daemons). Its output is kept up to a limit.
 """
 
@@ -20,11 +20,11 @@ from typing import IO, BinaryIO
 from pcbench.systems import end_tree, reap, wait_until_ended
 
 _START_SCRIPT = str(Path(__file__).with_name("start.py"))
-# The folder from which this package is imported. It is not imported: `pcbench` exports names of higher layers.
+# The folder of the package `pcbench`, which is not imported here because it exports names of higher layers.
 _IMPORT_ROOT = str(Path(sys.modules["pcbench"].__path__[0]).parent)
-MAX_LOG_BYTES = 16 << 20  # kept at the start of a log; its tail is kept too
+MAX_LOG_BYTES = 16 << 20  # kept from the start of a log; the end is kept too
 _MAX_TAIL_BYTES = 1 << 20  # kept at the end of a child's output
-_GRACE_S = 10.0  # time for a child's own processes to be ended with it
+_GRACE_S = 10.0  # maximum time to end the processes that a child left
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ def run_module(
 
 
 def _import_path() -> list[str]:
-    """Return the folders that a child imports from first: this package's folder and those of PYTHONPATH.
+    """Return the folders that a child searches first for imports: this package's folder and those of PYTHONPATH.
 
-    They have the order of this process. The current folder is not among them.
+    Their order is that of this process. The current folder is not among them.
     """
     python_path = os.environ.get("PYTHONPATH", "")
     before = sys.path[: sys.path.index(_IMPORT_ROOT)] if _IMPORT_ROOT in sys.path else []
@@ -167,7 +167,7 @@ def _run(
 
 
 class _PipeReader(Thread):
-    """Reads a pipe, so that the child never blocks, into a log up to its limit; keeps the end of the output."""
+    """Reads a pipe so that the child never blocks; writes a log up to its limit, and keeps the end of the output."""
 
     def __init__(self, pipe: IO[bytes] | None, log: BinaryIO | None = None) -> None:
         super().__init__(daemon=True)

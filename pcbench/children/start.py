@@ -1,12 +1,12 @@
 """Start a child process: `start.py PARENT CPU_SECONDS BYTES ONE_CPU PROGRAM [ARGUMENT...]`.
 
-The program runs in its own process with its limits. This process waits for it, then ends all processes that it left.
-PARENT is the id of the process that started this one. A limit of 0 means no limit. The program is a .py file or the
-name of a module.
+The program runs in a process with these limits. On Linux a second process waits for it, then ends all processes that it
+left. PARENT is the id of the process that started this script. A limit of 0 means no limit. The program is a .py file
+or the name of a module.
 
-A daemon leaves its session and its parent, so that neither shows who started it. If a process declares itself the
-subreaper (prctl(2)), every orphan among its descendants becomes its child, so on Linux no process of a program outlives
-it. This needs a process that only waits: the program's own process may be killed.
+A daemon leaves its session and its parent, so neither shows who started it. If a process declares itself a subreaper
+(prctl(2)), every orphan among its descendants becomes its child; so on Linux no process that a program started outlives
+it. The subreaper only waits, because the program's own process may be killed.
 
 This script is never imported and imports nothing of pcbench, nor anything slow, because the LAZ reader has to start in
 25 ms. Limits that a system does not support are not set (all on Windows, CPU affinity on macOS).

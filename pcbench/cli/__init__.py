@@ -1,4 +1,4 @@
-"""The command line: parses arguments and turns errors into one line. Commands import heavy modules themselves."""
+"""The command line: parse arguments, and turn errors into one line. Slow modules are imported only by commands."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _run() -> None:
 
 
 def _end_without_reader() -> NoReturn:
-    """End without a message, because the reader of the output has gone."""
+    """End without a message, because nothing reads the output any more."""
     discard(sys.stdout, sys.stderr)
     sys.exit(2)
 

@@ -134,7 +134,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
     """Yield lines on the motion of a registration and its precision."""
     motion = result.T_reference_candidate.motion_at(centroid)
     unit_text = f" {unit}" if unit else ""
-    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # smaller shifts are rounding
+    shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # smaller shifts are rounding errors
     components = ", ".join(f"{x:+.4g}" for x in shift)
     yield f"shift at the centroid: {float(sum(shift**2)) ** 0.5:.4g}{unit_text} ({components})"
     axis = "" if motion.axis is None else f" about ({', '.join(f'{x:+.4f}' for x in motion.axis)})"
@@ -241,7 +241,7 @@ def info(clouds: tuple[Path, ...]) -> None:
             lower, upper = cloud.bounds
             if len(cloud) > 1:
                 step("measuring the spacing")
-                index = Index(cloud.points - lower)  # small coordinates lose less precision
+                index = Index(cloud.points - lower)  # small coordinates lose less to rounding
                 spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
         click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
         if mesh is not None:

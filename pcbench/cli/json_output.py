@@ -1,4 +1,4 @@
-"""The option --json: the result as one JSON document, in a file or on standard output."""
+"""The option --json: write the result as one JSON document, to a file or to standard output."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class JsonOutput:
 
     @property
     def on_stdout(self) -> bool:
-        """Whether standard output receives the document, and nothing else."""
+        """Whether the document goes to standard output, which then gets nothing else."""
         return self.target == "-"
 
     @property
@@ -44,8 +44,8 @@ class JsonOutput:
 
         Args:
             inputs: input files and folders, which must not be replaced.
-            others: files of other results.
-            folder: folder of other results.
+            others: files that the same command writes.
+            folder: folder that the same command writes, if any.
 
         Raises:
             InputError: its folder does not exist, or an input or another result would be replaced.

@@ -1,4 +1,4 @@
-"""The log of a run: steps, settings, versions, warnings and errors with their times, in a file."""
+"""The log file of a run: steps, settings, versions, warnings and errors, with their times."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ENVIRONMENT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "CUDA_VISIB
 
 
 class _LogFile(logging.FileHandler):
-    """A log file, with the function that showed Python's warnings before the log started."""
+    """A log file. It keeps the function that showed Python's warnings before the log started."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, encoding="utf-8", errors="backslashreplace")

@@ -25,7 +25,7 @@ def warn(text: object) -> None:
 
 
 def warn_unless(quiet: bool) -> Callable[[str], None]:
-    """Return the function that file readers call with their warnings."""
+    """Return the function that file readers call with their warnings: `warn`, or only the log if `quiet`."""
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
 
 
@@ -40,9 +40,9 @@ def fail(message: str) -> NoReturn:
 
 @contextmanager
 def steps(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show the current step, the elapsed and the remaining time, if `pcbench.progress` can estimate it.
+    """Show the current step, the elapsed time and, if `pcbench.progress` can estimate it, the remaining time.
 
-    On a terminal one line is updated; elsewhere a line is printed on stderr every few seconds.
+    On a terminal one line is updated; elsewhere a line is printed on stderr every nine seconds.
     """
     display = _silent() if quiet else _on_terminal() if sys.stderr.isatty() else _in_lines()
     with display as show:

@@ -55,7 +55,7 @@ def seed_option(help: str = "Random seed.") -> Callable[[_Command], _Command]:
 
 
 def las_options(files: str) -> Callable[[_Command], _Command]:
-    """Return the options that filter LAS files, which the help text calls `files`."""
+    """Return the options that filter LAS files; `files` names these in the help text."""
 
     def add(command: _Command) -> _Command:
         returns = f"Use only these returns of {files}: first, last or numbers."

@@ -1,4 +1,4 @@
-"""Handling of closed, full and unread standard streams: one line and an exit code, never a traceback."""
+"""Make closed, full and unread standard streams end a run with one line and an exit code, never a traceback."""
 
 from __future__ import annotations
 

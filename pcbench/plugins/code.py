@@ -13,7 +13,7 @@ from pcbench.io.files import digest
 
 _SUFFIXES = frozenset({".py", ".so", ".pyd", ".dylib", ".cu", ".cuh", ".h", ".hpp"})
 _OWN_PACKAGES = ("pcbench", "reconstructors")
-_INSTALL_FOLDERS = ("site-packages", "dist-packages")  # they hold unrelated packages side by side
+_INSTALL_FOLDERS = ("site-packages", "dist-packages")  # they contain unrelated packages side by side
 
 _plugin_modules: dict[str, None] = {}  # modules of the plugins that run in this process
 
@@ -53,7 +53,7 @@ def plugin_files(module: str) -> list[tuple[str, Path]]:
     """
     parents = module.split(".")
     packages = [".".join(parents[: end + 1]) for end in range(len(parents))]
-    # A namespace package has no file; it may hold packages of several distributions.
+    # A namespace package has no file, and may contain packages of several distributions.
     package = next((name for name in packages if _is_package(name)), None)
     if package is not None:
         return list(_files_of_packages([package]))

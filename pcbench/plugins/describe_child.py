@@ -1,4 +1,4 @@
-"""Child process `describe_child SPEC FILE`: writes a reconstructor's description as JSON."""
+"""Child process `describe_child SPEC FILE`: write a reconstructor's description as JSON."""
 
 from __future__ import annotations
 

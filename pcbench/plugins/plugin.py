@@ -1,7 +1,7 @@
 """Reconstructors: their interface, how they are found, and how their settings are parsed.
 
-A reconstructor is a frozen dataclass with one method, `reconstruct`. Its fields are its settings, its docstring is its
-help. A class method `missing() -> str | None` may return why it cannot run on this machine.
+A reconstructor is a frozen dataclass with one method, `reconstruct`. Its fields are its settings, and its docstring is
+its help. A class method `missing() -> str | None` may return the reason why it cannot run on this machine.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pcbench.regular_files import regular_status
 from pcbench.scenes import Scene
 
 ENTRY_POINT_GROUP = "pcbench.reconstructors"
-_INT32_RANGE = range(-(2**31), 2**31)  # range of integer settings, because C++ libraries use 32 bits
+_INT32_RANGE = range(-(2**31), 2**31)  # valid integer settings, because C++ libraries use 32 bits
 
 Gauge = Literal["arbitrary", "metric", "georeferenced"]
 
@@ -152,7 +152,7 @@ def find_plugin(spec: str) -> Plugin:
             `module:Class`, or `path/to/file.py:Class`.
 
     Raises:
-        InputError: there is none or there are several of that name, it cannot be imported, or it is no reconstructor.
+        InputError: no reconstructor or several have that name, it cannot be imported, or it is not a reconstructor.
     """
     left, colon, name = spec.rpartition(":")
     if colon and left.endswith(".py"):

@@ -1,4 +1,4 @@
-"""Progress of a reconstruction: lines that a plugin prints, and that the parent process may display."""
+"""Progress of a reconstruction: a plugin prints lines, and the parent process may display them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def progress(text: str) -> None:
 def with_time_left(items: Sequence[T], what: str) -> Iterator[T]:
     """Yield the items; report after each how many are done and the estimated time left.
 
-    Results of an earlier run take no time: the rate is that of the items that took more than a tenth of a second.
+    Items finished by an earlier run take no time, so the rate is that of the items that took more than 0.1 s.
 
     Args:
         items: the items to process.

@@ -1,4 +1,4 @@
-"""Child process `reconstruct_child WORKSPACE`: runs the job in a workspace.
+"""Child process `reconstruct_child WORKSPACE`: run the job in a workspace.
 
 It writes outcome.json and, after a success, cloud.ply and the cameras.
 """

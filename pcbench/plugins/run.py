@@ -24,12 +24,12 @@ from pcbench.systems import SIGKILL, signal_name
 
 Status = Literal["ok", "failed", "crashed", "timeout", "garbage", "refused"]
 
-# In the workspace. The plugin has its own folder there, which is kept between runs.
+# Names in the workspace. The plugin has its own folder there, which is kept between runs.
 JOB, OUTCOME, LOG, CLOUD, CAMERAS, PLUGIN = "job.json", "outcome.json", "log.txt", "cloud.ply", "cameras", "plugin"
 _OUTPUT_DIGEST_FILE = "made.txt"  # digest of the file to which the cloud was written
 
-# The rounding of BLAS products depends on the number of threads and on the processor's kernels; it was observed to
-# change results of COLMAP's global mapping. One thread and the kernels of all AVX2 processors give the same bits.
+# The number of threads and the processor's kernels change the rounding of BLAS products, which changed results of
+# COLMAP's global mapping in tests. One thread and the kernels that all AVX2 processors have give the same bits.
 _REPRODUCIBLE_BLAS = {"OPENBLAS_NUM_THREADS": "1"} | (
     {} if _core.isa() == "baseline" else {"OPENBLAS_CORETYPE": "Haswell"}
 )
@@ -47,7 +47,7 @@ class ReconstructionJob:
         settings: settings as text.
         cameras: "auto", "none" or a path, as for `read_scene`.
         masks: folder of the masks.
-        image_scale: scale at which images are read.
+        image_scale: scale of the working size, as for `read_scene`.
         images: names of the images to use; None for all.
     """
 
@@ -81,14 +81,14 @@ class Run:
     Args:
         status: "ok", "failed" (the plugin reported why it cannot), "crashed", "timeout", "garbage" (the returned value
             is not a reconstruction), or "refused" (the plugin, its settings or the scene are invalid).
-        message: one line for each status but "ok".
+        message: one line that explains the status; empty for "ok".
         wall_s: wall time of the process and its children in seconds.
         cpu_s: CPU time of the process and its children in seconds.
-        peak_rss_bytes: peak memory; None if the process ended before it reported it.
-        gpu_bytes: peak memory of torch on CUDA devices; None if it used none or was not reported.
-        log: file with its output.
+        peak_rss_bytes: peak memory; None if the process ended before it could report it.
+        gpu_bytes: peak memory of torch on CUDA devices; None if torch used none, or if it was not reported.
+        log: file with the output of the process.
         settings: all settings of the reconstructor as text, including defaults; empty if it was refused.
-        warnings: parts of the scene that were left out.
+        warnings: warnings about the scene, such as parts that were left out.
         reconstruction: the result; None unless the status is "ok".
     """
 
@@ -259,7 +259,7 @@ class Description:
         origin: its package with version, or its file.
         sha256: digest of its code, sources and compiled modules (`pcbench.plugins.code.plugin_files`); None if it could
             not be imported.
-        problem: why it could not be imported; None if it could.
+        problem: why it cannot be described, such as a failed import; None if it can.
         help: first paragraph of its docstring.
         more: rest of its docstring.
         missing: why it cannot run here, as it reports.

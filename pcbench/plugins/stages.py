@@ -15,7 +15,7 @@ from pcbench.plugins.code import code_digest
 from pcbench.scratch import attribute_errors_to
 
 _RECORD_FILE = "stage.json"
-# COLMAP increments these counters in the header of a database at each opening, even without changes.
+# COLMAP increments these counters in the header of a database each time it opens it, even without changes.
 _SQLITE, _SQLITE_COUNTERS = b"SQLite format 3\0", (slice(24, 28), slice(92, 96))
 _LIBRARIES = ("pcbench", "numpy", "scipy", "pillow", "pycolmap", "torch", "open3d", "pyvista")
 
@@ -54,9 +54,9 @@ def stage(workspace: Path, name: str, inputs: Mapping[str, Any], make: Callable[
 
 
 def library_versions() -> dict[str, str]:
-    """Return versions of the libraries that influence results, and the digest of pcbench's and the plugin's code.
+    """Return the versions of libraries that influence results, and the digest of pcbench's and the plugin's code.
 
-    They are an input of each stage.
+    They are inputs of each stage.
     """
     return {"code": code_digest(), **_library_versions()}
 

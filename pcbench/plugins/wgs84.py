@@ -11,7 +11,7 @@ from pcbench.scenes.scene import cameras_in_wgs84
 
 
 def in_wgs84(reconstruction: Reconstruction, origin: Gps) -> Reconstruction:
-    """Convert a reconstruction in the frame of Earth Studio's cameras to metres in WGS84 about the same origin.
+    """Convert a reconstruction in the frame of Earth Studio's cameras to metres of WGS84 about the same origin.
 
     Normals are not converted: they would turn by less than 0.2 degrees.
     """

@@ -62,14 +62,14 @@ def contrast(
     """Return the contrast of a pose: the candidate's growth of distances over the reference's, about 1 if right.
 
     Args:
-        surface: Reference surface.
+        surface: reference surface.
         moved: (M, 3) candidate points at the pose.
-        nearest: Reference points closest to them.
+        nearest: reference points closest to them.
         near: (K,) rows of `moved` that may have a counterpart.
-        sigma: Robust standard deviation of the residuals of the points on the reference.
-        spacing: Point spacing of the reference.
-        extent: Extent of the reference.
-        with_scale: Whether the scale is one of the motions.
+        sigma: robust standard deviation of the residuals of the points on the reference.
+        spacing: point spacing of the reference.
+        extent: extent of the reference.
+        with_scale: whether the scale is one of the motions.
 
     Returns:
         The contrast; None if the clouds overlap in too few points, or if no motion changes the reference's distances
@@ -167,7 +167,7 @@ def _displaced_points(points: FloatArray, center: FloatArray, distance: float, r
     Args:
         points: (N, 3) points.
         center: (3,) centre of the rotations and the scale.
-        distance: Displacement; rotations and the scale displace by it at `radius`.
+        distance: displacement; rotations and the scale displace by it at `radius`.
         radius: RMS radius of the points.
         size: 7 with the scale, else 6.
 

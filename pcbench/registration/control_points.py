@@ -25,15 +25,15 @@ class ControlPoints:
     Attributes:
         candidate: (N, 3) points in candidate coordinates.
         reference: (N, 3) the same points in reference coordinates, in the same order.
-        names: Names of the pairs; 1, 2, ... if none are given.
+        names: names of the pairs; 1, 2, ... if none are given.
         is_check: (N,) whether a pair is a check point, which is left out of the fit; none is, if not given.
-        with_scale: Whether the scale is solved for.
-        z_is_up: Whether z is height in the reference. If not, horizontal and vertical errors are not reported. Not
+        with_scale: whether the scale is solved for.
+        z_is_up: whether z is height in the reference. If not, horizontal and vertical errors are not reported. Not
             needed if the reference has a projected coordinate system.
-        text: Method text for reports; for pairs from the command line, the text given there.
+        text: method text for reports; for pairs from the command line, the text given there.
 
     Raises:
-        InputError: The array shapes disagree, two pairs have the same name, or the control points do not determine the
+        InputError: the array shapes disagree, two pairs have the same name, or the control points do not determine the
             pose (see `fit_similarity`).
     """
 
@@ -70,10 +70,10 @@ class ControlPoints:
         The comment `# z is up` states that the reference's z is height.
 
         Args:
-            path: Text file.
+            path: text file.
 
         Raises:
-            InputError: The file has another format, or its pairs do not determine the pose.
+            InputError: the file has another format, or its pairs do not determine the pose.
         """
         names, rows, z_is_up = _read_rows(path)
         pairs = np.array(rows).reshape(-1, 6)
@@ -89,10 +89,10 @@ def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
     """Fit the similarity candidate -> reference (Umeyama 1991) to the control points; return it and all residuals.
 
     Args:
-        pairs: Control and check points.
+        pairs: control and check points.
 
     Raises:
-        InputError: There are fewer than three control points besides the check points, or all lie on one line.
+        InputError: there are fewer than three control points besides the check points, or all lie on one line.
     """
     is_check = np.zeros(len(pairs.candidate), bool) if pairs.is_check is None else pairs.is_check
     if is_check.any() and (left := int((~is_check).sum())) < _MIN_CONTROL_POINTS:

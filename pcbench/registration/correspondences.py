@@ -41,7 +41,7 @@ def match_features(clouds: list[FeaturePairs]) -> list[FeaturePairs]:
     """Return the feature correspondences for each two clouds of cell means, in units of the cell side.
 
     Args:
-        clouds: Candidate and reference points of each comparison, in cells.
+        clouds: candidate and reference points of each comparison, in cells.
 
     Raises:
         MissingExtra: KISS-Matcher is not installed.
@@ -67,9 +67,9 @@ def likely_poses(pairs: FeaturePairs, count: int, *, with_scale: bool) -> list[S
     """Return at most `count` clearly different poses candidate -> reference, in cells, best supported first.
 
     Args:
-        pairs: Correspondences in cells.
-        count: Maximum number of poses.
-        with_scale: Whether to solve for the scale, within a factor `SCALE_STEP` of 1.
+        pairs: correspondences in cells.
+        count: maximum number of poses.
+        with_scale: whether to solve for the scale, within a factor `SCALE_STEP` of 1.
     """
     p, q = pairs
     if len(p) < 3:

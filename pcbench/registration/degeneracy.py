@@ -60,9 +60,9 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     spatial tiles shows whether the remaining information differs from zero.
 
     Args:
-        target: Reference surface that the pairs' indices refer to.
-        pairs: Pairs with positive weights.
-        with_scale: Whether the scale is one of the motions.
+        target: reference surface that the pairs' indices refer to.
+        pairs: pairs with positive weights.
+        with_scale: whether the scale is one of the motions.
     """
     size = 7 if with_scale else 6
     step = max(1, len(pairs.weights) // _MAX_INFORMING_PAIRS)

@@ -52,7 +52,7 @@ class FeatureSettings:
     """Registration method: from any pose by feature matching, then ICP. `global` on the command line.
 
     Attributes:
-        with_scale: Whether the scale is solved for too (`global-similarity`).
+        with_scale: whether the scale is solved for too (`global-similarity`).
     """
 
     with_scale: bool = False
@@ -71,14 +71,14 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
     """Register points (N, 3) in any pose to a target; both are relative to one local origin.
 
     Args:
-        target: Reference.
+        target: reference.
         points: (N, 3) candidate points minus the reference's local origin.
-        settings: Whether the scale is solved for too.
+        settings: whether the scale is solved for too.
         origin: (3,) local origin, added again in messages.
 
     Raises:
         MissingExtra: KISS-Matcher is not installed.
-        RegistrationError: There are too few points, or no pose has enough evidence.
+        RegistrationError: there are too few points, or no pose has enough evidence.
     """
     _check_size(target, points)
     icp = IcpSettings(with_scale=settings.with_scale)
@@ -157,14 +157,14 @@ class _CellCloud:
     """Cloud as means over small cells, which hide noise and density, and an even sample of these.
 
     Attributes:
-        points: Points used.
-        side: Side of the cells for feature matching; about 15,000 cells are occupied.
-        surface: Means over cells of a third of that side.
+        points: points used.
+        side: side of the cells for feature matching; about 15,000 cells are occupied.
+        surface: means over cells of a third of that side.
         target: `surface` as a registration target.
         sample: (S, 3) even sample of the surface.
         normals: (S, 3) normals of the sample.
         weights: (S,) weights of the sample, such that all directions of normals have about the same total weight.
-        overlap_distance: Distance up to which another cloud overlaps this one: 24 times the roughness, clamped to 1 to
+        overlap_distance: distance up to which another cloud overlaps this one: 24 times the roughness, clamped to 1 to
             2.5 cell sides.
     """
 

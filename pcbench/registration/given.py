@@ -17,11 +17,11 @@ class GivenPose:
     """Registration method: a known pose is used unchanged, and only its fit is assessed.
 
     Attributes:
-        T_reference_candidate: Transform from candidate to reference coordinates, as a `Similarity` or a 4x4 array.
-        text: Method text for reports; for a pose from the command line, the text given there.
+        T_reference_candidate: transform from candidate to reference coordinates, as a `Similarity` or a 4x4 array.
+        text: method text for reports; for a pose from the command line, the text given there.
 
     Raises:
-        InputError: The array is not a rotation with a positive scale and a translation.
+        InputError: the array is not a rotation with a positive scale and a translation.
     """
 
     T_reference_candidate: Similarity
@@ -42,10 +42,10 @@ class GivenPose:
         """Read a text file with the 4x4 matrix: the method `matrix:FILE`.
 
         Args:
-            path: Text file.
+            path: text file.
 
         Raises:
-            InputError: The file does not contain such a matrix.
+            InputError: the file does not contain such a matrix.
         """
         return cls(read_matrix(path), f"matrix:{path}")
 
@@ -54,10 +54,10 @@ def as_similarity(pose: Similarity | ArrayLike) -> Similarity:
     """Convert a pose, a `Similarity` or a 4x4 array, to a `Similarity`.
 
     Args:
-        pose: Similarity transform.
+        pose: similarity transform.
 
     Raises:
-        InputError: The array has another shape, is a reflection, shears, or contains non-finite or non-numeric values.
+        InputError: the array has another shape, is a reflection, shears, or contains non-finite or non-numeric values.
     """
     if isinstance(pose, Similarity):
         return pose

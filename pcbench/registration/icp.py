@@ -35,15 +35,15 @@ class IcpSettings:
 
     Attributes:
         residuals: `plane` (to the reference's tangent planes) or `point` (to its points; less accurate; `icp-point`).
-        with_scale: Whether the scale is refined too (`similarity`); it must be nearly right at the start.
-        max_correspondence_distance: Initial maximum distance of correspondences, in the reference's unit. None: a tenth
+        with_scale: whether the scale is refined too (`similarity`); it must be nearly right at the start.
+        max_correspondence_distance: initial maximum distance of correspondences, in the reference's unit. None: a tenth
             of the reference's extent. It narrows to three point spacings of the reference.
-        max_iterations: Maximum iterations of each of the two stages.
-        max_sample: Maximum number of candidate points, evenly spread, in the fine stage. The default gives millimetre
+        max_iterations: maximum iterations of each of the two stages.
+        max_sample: maximum number of candidate points, evenly spread, in the fine stage. The default gives millimetre
             accuracy within seconds.
 
     Raises:
-        InputError: A value is not usable.
+        InputError: a value is not usable.
     """
 
     residuals: Literal["plane", "point"] = "plane"
@@ -101,14 +101,14 @@ def align(
     the pose.
 
     Args:
-        target: Reference.
+        target: reference.
         points: (N, 3) candidate points minus the reference's local origin.
-        settings: Residuals, scale and limits.
-        initial: Initial pose between local coordinates; its scale stays unless the scale is solved for.
-        may_be_far: Whether the slow start is tried too.
+        settings: residuals, scale and limits.
+        initial: initial pose between local coordinates; its scale stays unless the scale is solved for.
+        may_be_far: whether the slow start is tried too.
 
     Raises:
-        RegistrationError: There are too few points, the clouds do not overlap, or the scale collapsed.
+        RegistrationError: there are too few points, the clouds do not overlap, or the scale collapsed.
     """
     if initial is not None:
         # Apply the initial pose first: the points are then in the reference's unit, and the motion is small.
@@ -139,13 +139,13 @@ def refine(target: Target, points: FloatArray, settings: IcpSettings, initial: S
     """Refine a pose by the fast start of `align`, without quality assessment: for screening many initial poses.
 
     Args:
-        target: Reference.
+        target: reference.
         points: (N, 3) candidate points minus the reference's local origin.
-        settings: Residuals, scale and limits.
-        initial: Initial pose between local coordinates.
+        settings: residuals, scale and limits.
+        initial: initial pose between local coordinates.
 
     Raises:
-        RegistrationError: See `align`.
+        RegistrationError: see `align`.
     """
     problem = _Problem.of(target, initial.apply(points), settings)
     return _run_both_stages(problem, _FAST_START, np.zeros((7 if settings.with_scale else 6, 0))).T @ initial
@@ -236,8 +236,8 @@ def _fit_and_assess(problem: _Problem, start: _Start, constrained: FloatArray) -
     """Run both stages from the identity and assess the result.
 
     Args:
-        problem: Shared inputs.
-        start: How the coarse stage narrows.
+        problem: shared inputs.
+        start: how the coarse stage narrows.
         constrained: (6 or 7, C) orthonormal motions that are constrained to zero.
     """
     target, plane = problem.target, problem.settings.residuals == "plane"
@@ -284,13 +284,13 @@ def _iterate(
     """Iterate Gauss-Newton on re-matched pairs until the update is below the noise of the estimate.
 
     Args:
-        target: Reference, or its coarse version.
-        sample: Candidate points before T.
-        T: Initial pose.
-        settings: Residuals, scale and iterations.
+        target: reference, or its coarse version.
+        sample: candidate points before T.
+        T: initial pose.
+        settings: residuals, scale and iterations.
         constrained: (6 or 7, C) orthonormal motions that are constrained to zero.
-        schedule: Maximum correspondence distances.
-        extent: Extent of the reference.
+        schedule: maximum correspondence distances.
+        extent: extent of the reference.
     """
     max_distance = schedule.first
     previous = np.inf

@@ -50,12 +50,12 @@ def register(
     """Register a candidate to a reference, and assess how far the pose can be trusted.
 
     Args:
-        reference: Reference cloud: a cloud, an (N, 3) array, or the path of a cloud file.
-        candidate: Candidate cloud, in any of these forms.
+        reference: reference cloud: a cloud, an (N, 3) array, or the path of a cloud file.
+        candidate: candidate cloud, in any of these forms.
         method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (any pose, then ICP) or
             `ControlPoints` (pairs of points). A `Similarity`, a 4x4 array or a `GivenPose` is used unchanged. A string
             is parsed by `parse_method`.
-        initial: Initial pose candidate -> reference for ICP, a `Similarity` or a 4x4 array; the identity if not given.
+        initial: initial pose candidate -> reference for ICP, a `Similarity` or a 4x4 array; the identity if not given.
             Its scale stays unless ICP solves for the scale.
         target: `Target.of(reference)`, if already computed.
 
@@ -63,8 +63,8 @@ def register(
         The pose with its quality and warnings.
 
     Raises:
-        InputError: An argument is not usable, a file cannot be read, or the target belongs to another reference.
-        RegistrationError: The clouds do not overlap, or the scale collapsed. Different units or coordinate systems,
+        InputError: an argument is not usable, a file cannot be read, or the target belongs to another reference.
+        RegistrationError: the clouds do not overlap, or the scale collapsed. Different units or coordinate systems,
             stated or suspected from the sizes, come first in the message.
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
@@ -134,7 +134,7 @@ def parse_method(text: str) -> Method:
         A method object whose `text` is the given text.
 
     Raises:
-        InputError: There is no such method, or the file cannot be read.
+        InputError: there is no such method, or the file cannot be read.
     """
     kind, colon, path = text.partition(":")
     if kind == "points" and path:
@@ -150,10 +150,10 @@ def as_method(method: Method | Similarity | ArrayLike | str) -> Method:
     """Convert a method in any form that `register` accepts to one of the types in `Method`.
 
     Args:
-        method: Settings object, pose or text.
+        method: settings object, pose or text.
 
     Raises:
-        InputError: The value is none of these, or an array that is not a similarity.
+        InputError: the value is none of these, or an array that is not a similarity.
     """
     if isinstance(method, str):
         return parse_method(method)

@@ -45,10 +45,10 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     """Return a sentence on why a registration may have failed and what to do, to precede the error; "" if unknown.
 
     Args:
-        reference: Reference cloud.
-        candidate: Candidate cloud.
-        ratio: Candidate's size over the reference's.
-        any_scale: Whether the method already solves for any pose and scale.
+        reference: reference cloud.
+        candidate: candidate cloud.
+        ratio: candidate's size over the reference's.
+        any_scale: whether the method already solves for any pose and scale.
     """
     first, second = reference.unit, candidate.unit
     reasons = []
@@ -69,10 +69,10 @@ def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float
     """Warn if the clouds' sizes differ by a ratio of units, or their files state different units.
 
     Args:
-        reference: Reference cloud.
-        candidate: Candidate cloud.
-        ratio: Registered candidate's size over the reference's.
-        scale: Scale of the registration.
+        reference: reference cloud.
+        candidate: candidate cloud.
+        ratio: registered candidate's size over the reference's.
+        scale: scale of the registration.
     """
     first, second = (_metres(cloud.unit) for cloud in (reference, candidate))
     if first and second and abs(np.log(scale * first / second)) > _MAX_LOG_RATIO:

@@ -70,13 +70,13 @@ def assess(
     """Assess a pose without changing it: residuals, overlap and observability.
 
     Args:
-        target: Reference.
-        sample: Even sample of the candidate's points, minus the reference's local origin.
-        T: Pose between local coordinates.
-        plane: Whether the RMSE is of distances to tangent planes, or to points.
-        with_scale: Whether the scale is one of the motions that the geometry has to fix.
-        hint: Reference points last found closest to the sample, where the search starts.
-        pose_is_given: Whether the pose was given by the user, so that a blurred cloud may explain a low contrast too.
+        target: reference.
+        sample: even sample of the candidate's points, minus the reference's local origin.
+        T: pose between local coordinates.
+        plane: whether the RMSE is of distances to tangent planes, or to points.
+        with_scale: whether the scale is one of the motions that the geometry has to fix.
+        hint: reference points last found closest to the sample, where the search starts.
+        pose_is_given: whether the pose was given by the user, so that a blurred cloud may explain a low contrast too.
     """
     matched = _match(target, sample, T, hint)
     on_surface, informing = _pairs_with_weight(matched.on_surface), _pairs_with_weight(matched.informing)
@@ -110,14 +110,14 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
     """Assess a given pose in the same way as a fitted one.
 
     Args:
-        target: Reference.
+        target: reference.
         points: (N, 3) candidate points minus the reference's local origin.
-        T_local: Pose between local coordinates.
+        T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
-        text: Method text for the error message.
+        text: method text for the error message.
 
     Raises:
-        RegistrationError: The bounding boxes do not overlap.
+        RegistrationError: the bounding boxes do not overlap.
     """
     surface = target.surface
     if target.spacing > 0:
@@ -226,8 +226,8 @@ def _hovering_share(matched: _SampleMatches, pairs: WeightedPairs) -> float:
     """Return the share of the candidate near the reference that floats above or below its surface.
 
     Args:
-        matched: Correspondences of the sample.
-        pairs: The same pairs, weighted up to the distance at which a point lies on the reference.
+        matched: correspondences of the sample.
+        pairs: the same pairs, weighted up to the distance at which a point lies on the reference.
     """
     distances = matched.nearest.distances
     min_distance = max(matched.max_on_surface, _MIN_SIGMAS_OFF * pairs.sigma)

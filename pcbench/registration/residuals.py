@@ -42,9 +42,9 @@ class SurveyResiduals:
     """Residuals of control and check points, in the coordinates of the survey.
 
     Attributes:
-        control: Residuals of points that the pose was fitted to; they underestimate its errors.
-        check: Residuals of points that were left out of the fit.
-        z_is_up: Whether z is known to be height, so that horizontal and vertical errors can be separated.
+        control: residuals of points that the pose was fitted to; they underestimate its errors.
+        check: residuals of points that were left out of the fit.
+        z_is_up: whether z is known to be height, so that horizontal and vertical errors can be separated.
     """
 
     control: tuple[PointResidual, ...] = ()
@@ -66,10 +66,10 @@ class SurveyResiduals:
         """Restore residuals from the values of `plain`.
 
         Args:
-            values: Values as `plain` returns them.
+            values: values as `plain` returns them.
 
         Raises:
-            KeyError, TypeError, ValueError: The values have another form.
+            KeyError, TypeError, ValueError: the values have another form.
         """
         control, check = (
             tuple(PointResidual(str(row["name"]), *(float(row[axis]) for axis in ("dx", "dy", "dz"))) for row in rows)

@@ -34,27 +34,27 @@ class Registration:
     """Pose of the candidate on the reference, with its quality and warnings.
 
     Attributes:
-        method: Method text, such as `icp`.
-        T_reference_candidate: Transform from candidate to reference coordinates.
-        T_local: The same transform between coordinates minus the reference's local origin (see `local_origin`); free of
+        method: method text, such as `icp`.
+        T_reference_candidate: transform from candidate to reference coordinates.
+        T_local: the same transform between coordinates minus the reference's local origin (see `local_origin`); free of
             the rounding errors of large translations.
         rmse: Tukey-weighted root mean square of the residuals, in the clouds' unit, over an even sample of the
             candidate points on the reference. Residuals are distances to the tangent plane, for `icp-point` to the
             point.
-        overlap: Share of the voxel-downsampled candidate that lies on the reference, within 5 of its median spacings.
-        iterations: Number of iterations of both stages; 0 if the method does not iterate.
-        converged: Whether the last update was below the noise; None if the method does not iterate.
-        information_eigenvalues: Eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
+        overlap: share of the voxel-downsampled candidate that lies on the reference, within 5 of its median spacings.
+        iterations: number of iterations of both stages; 0 if the method does not iterate.
+        converged: whether the last update was below the noise; None if the method does not iterate.
+        information_eigenvalues: eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
             ascending. Points are centred and divided by their RMS radius, so that rotation and translation share a
             unit.
-        weakest_sigma: Predicted standard deviation of the motion that the geometry constrains least, in the clouds' unit, as
-            a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene; too small
-            by up to two thirds if errors are correlated over more than half a tile. None if the geometry does not fix
-            it.
-        residuals: Residuals of control and check points; empty unless the pose was fitted to such pairs.
-        warnings: Warnings to read before any score, as codes (those of this module) with texts.
-        solved_scale: Whether the scale was estimated from the data. A given scale is not.
-        contrast: How much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
+        weakest_sigma: predicted standard deviation of the motion that the geometry constrains least, in the clouds'
+            unit, as a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene;
+            too small by up to two thirds if errors are correlated over more than half a tile. None if the geometry does
+            not fix it.
+        residuals: residuals of control and check points; empty unless the pose was fitted to such pairs.
+        warnings: warnings to read before any score, as codes (those of this module) with texts.
+        solved_scale: whether the scale was estimated from the data. A given scale is not.
+        contrast: how much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
             at a right pose, whatever the scene. None if the clouds overlap in too few points, or if no motion changes
             the reference's distances significantly.
     """

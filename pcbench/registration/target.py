@@ -20,7 +20,7 @@ class Target:
     """Reference for registration: precomputed data that do not depend on the candidate.
 
     Args:
-        surface: Surface of the reference's points minus `local_origin(reference)`.
+        surface: surface of the reference's points minus `local_origin(reference)`.
     """
 
     def __init__(self, surface: Surface) -> None:
@@ -61,7 +61,7 @@ class Target:
         A target of another cloud or about another origin would give a plausible but wrong transform.
 
         Args:
-            reference: Reference cloud.
+            reference: reference cloud.
             origin: (3,) its local origin.
         """
         if reference is self._checked_reference:

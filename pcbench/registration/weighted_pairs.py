@@ -41,12 +41,12 @@ def weigh(
     """Weight pairs within the maximum correspondence distance, and compute residuals to the tangent planes.
 
     Args:
-        target: Surface that the points are matched with.
+        target: surface that the points are matched with.
         moved: (M, 3) candidate points in the target's frame.
-        nearest: Target points closest to them.
-        max_distance: Maximum correspondence distance in the target's unit; pairs beyond it have weight zero.
-        robust: Whether to use Tukey's biweight, whose width follows the residuals; else the nearest pairs weigh 1.
-        kept_share: Share of the pairs within the maximum distance that are used if the weights are not robust.
+        nearest: target points closest to them.
+        max_distance: maximum correspondence distance in the target's unit; pairs beyond it have weight zero.
+        robust: whether to use Tukey's biweight, whose width follows the residuals; else the nearest pairs weigh 1.
+        kept_share: share of the pairs within the maximum distance that are used if the weights are not robust.
     """
     distances, indices = nearest
     normals = target.compute_normals(indices)

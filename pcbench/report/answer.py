@@ -30,8 +30,8 @@ class _Distance(NamedTuple):
         floor: its sampling floor, if known.
         interval: its 95 % confidence interval, if known.
         metric: its name in the list of differences.
-        label: the kind of mean, as sentences name it.
-        target: the part of the reference to which it is measured.
+        label: the kind of mean, as worded in sentences.
+        target: what it is measured to in the reference: points or surface.
     """
 
     value: float
@@ -204,7 +204,7 @@ class _Writer:
         return f"{these} are {most}, without a significant difference: {values[0]} to {farthest}{words}{last}"
 
     def _tied_with(self, one: str, order: Sequence[str], metric: str) -> list[str]:
-        """Return the candidates that do not differ significantly from one of them, and that one, in the same order."""
+        """Return `one` and the candidates that do not differ significantly from it, in the given order."""
         return [name for name in order if name == one or not self._differ(one, name, metric)]
 
     def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:

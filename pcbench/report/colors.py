@@ -1,4 +1,4 @@
-"""Colour maps and colour ranges of distances, shared by files and pictures, without a plotting library."""
+"""Colour maps and colour ranges of distances, for files and pictures; they need no plotting library."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def ranges(
 
     Args:
         highest: robust maximum of each candidate's values.
-        spacing: spacing of the reference. Maxima below a millionth of it are rounding; that range ends at the spacing.
+        spacing: spacing of the reference. A maximum below a millionth of it is rounding; its range ends at the spacing.
         signed: whether values can be negative.
         given: the end of all ranges, if the user sets it.
     """

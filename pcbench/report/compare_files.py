@@ -1,4 +1,4 @@
-"""A comparison from files to a report folder. A failed run writes nothing."""
+"""Compare files and write the report folder; a failed run writes nothing."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ComparisonJob:
     def of(
         cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
     ) -> ComparisonJob:
-        """Return the job for files whose names give the names of the candidates."""
+        """Return the job for files; candidates are named after their files."""
         named = dict(zip(names_of(candidates), candidates, strict=True))
         return cls(reference, named, settings, {}, figures or Figures())
 

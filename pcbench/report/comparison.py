@@ -104,7 +104,7 @@ def compare_inputs(
     settings: Settings,
     step: Callable[[str], None],
 ) -> Comparison:
-    """Compare like `compare`, but leave the warnings of file readers in the result only.
+    """Compare like `compare`, but only record the warnings of file readers, without `warnings.warn`.
 
     Args:
         reference: as in `compare`.
@@ -134,7 +134,7 @@ def compare_inputs(
 def _without_transparent_splats(
     reference: Any, candidates: dict[str, Any], settings: Settings
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the clouds; models of Gaussian splats are filtered by opacity and axis.
+    """Return the clouds, with models of Gaussian splats filtered by opacity and largest axis.
 
     Raises:
         InputError: the settings filter splats, but no cloud is a splat model; or a filtered model has no splat.

@@ -1,4 +1,4 @@
-"""The test for deformation from two files to a folder, for `pcbench deform`."""
+"""Test one file for deformation against another, and write the report folder; for `pcbench deform`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_ALIGNED_POINTS = 300_000  # in aligned.ply, the background of the pictures
 
 @dataclass(frozen=True, eq=False)
 class DeformationOutcome:
-    """A registration and a verdict on deformation, with warnings, the unit, and why there are no pictures, if so."""
+    """A registration, a verdict on deformation, warnings, the unit, and the reason if pictures could not be drawn."""
 
     registration: Registration
     deformation: Deformation

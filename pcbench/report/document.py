@@ -65,7 +65,7 @@ def registration_document(
         registration: the registration.
         reference: the file of the reference.
         candidate: the file of the candidate.
-        centroid: (3,) centroid of the candidate's points, at which the motion is given.
+        centroid: (3,) centroid of the candidate's points; the motion is that of this point.
         unit: the unit of lengths, if known.
     """
     motion = registration.T_reference_candidate.motion_at(centroid)

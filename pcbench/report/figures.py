@@ -24,7 +24,7 @@ class Figures:
         background: `dark`, `white`, `black` or `#rrggbb`; None: dark for views of clouds, white for charts.
         range: the distance at which the colour range ends, in the reference's unit; signed distances range from minus
             to plus this value. None: chosen from the distances.
-        format: `png`, `svg` or `pdf`. In the latter two, text and lines can be edited, and clouds are images.
+        format: `png`, `svg` or `pdf`. In svg and pdf, text and lines stay editable, and clouds are embedded images.
 
     Raises:
         InputError: a value is invalid.
@@ -73,7 +73,7 @@ def recorded_figures(settings_file: Path) -> Figures:
 
 
 def record_figures(settings_file: Path, figures: Figures) -> None:
-    """Write a settings.json that only has the appearance of pictures."""
+    """Write a settings.json that contains only the appearance of pictures."""
     settings_file.write_text(json.dumps({"figures": figures.plain()}, indent=2) + "\n", encoding="utf-8")
 
 

@@ -155,17 +155,19 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
     highest = [{name: robust_maximum(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps]
-    forth, back = (ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest)
+    to_reference, to_candidate = (
+        ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest
+    )
     for candidate in comparison.candidates:
         deviation = candidate.deviation
-        cloud = _coloured(deviation, forth[candidate.name], comparison)
-        missing = _coloured(candidate.completeness, back[candidate.name], comparison)
+        cloud = _coloured(deviation, to_reference[candidate.name], comparison)
+        missing = _coloured(candidate.completeness, to_candidate[candidate.name], comparison)
         stem = folder / candidate.name
         write_cloud(f"{stem}_deviation.ply", cloud)
         write_cloud(f"{stem}_completeness.ply", missing)
         inputs = comparison.inputs
         if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
-            # LAS needs a known coordinate system, not just a name.
+            # LAS needs a coordinate system with a known definition, not just a name.
             write_cloud(f"{stem}_deviation.laz", cloud if is_known_crs(cloud.crs) else replace(cloud, crs=None))
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))

@@ -1,8 +1,8 @@
 """The manifest of a report folder, and the replacement of a report by a new one.
 
 `manifest.json` lists the files that pcbench wrote. The next report replaces or removes only these; other files belong
-to the user. A new report is built in a temporary folder, which one rename moves into the old report. From then on
-the new report is the valid one: the next reader or run moves the remaining files.
+to the user. A new report is built in a temporary folder, and one rename moves that into the folder of the old report.
+From then on the new report is valid. Its files are moved last; after an interruption the next reader or run moves them.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def replace_report(scratch: Path, out: Path) -> None:
 
 
 def complete_replacement(folder: Path) -> None:
-    """Move the files of a new report whose run was interrupted before it could move them.
+    """Move the files of a new report into its folder, if the run that wrote it could not finish this.
 
     Raises:
         InputError: a file that no report wrote has the name of one of them.

@@ -12,7 +12,7 @@ from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import joined, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
-_MIN_OVERLAP = 0.8  # with a smaller overlap, points beyond the reference dominate the distances
+_MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
 _REPORTED_DIFFERENCES = (  # all are squared lengths
     f"d1_mse/{CANDIDATE_TO_REFERENCE}",
     f"d1_mse/{REFERENCE_TO_CANDIDATE}",

@@ -1,4 +1,4 @@
-"""Reader of report folders, for their pictures."""
+"""Read report folders to draw their pictures."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class ReportedCandidate:
     """A candidate of a report.
 
     Attributes:
-        name: its name.
+        name: name of the candidate.
         deviation: its aligned points with their distances.
         m3c2: core points with their M3C2 distances, if computed.
         field: cells with their displacements, if computed.
         deformation: the verdict; None in reports of early versions.
-        percentiles_completeness: percentiles of the distances from the reference to it, as {"p50": ...}.
+        percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
     """
 

@@ -1,4 +1,4 @@
-"""Reads the clouds of a comparison, and records each input file for the report."""
+"""Read the clouds of a comparison, and record each input file for the report."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputF
 
 
 def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
-    """Read a cloud and record its file; it raises the errors of `read_reference`."""
+    """Read a cloud and record its file; raises the same errors as `read_reference`."""
     warnings: list[str] = []
     filters: dict[str, Any] = {}
     if path.suffix.lower() in FILTERABLE_EXTENSIONS:  # candidates may have other formats than a filtered LAS reference

@@ -1,4 +1,4 @@
-"""Settings in settings.json, complete enough to repeat a comparison with the same bits, also if they were objects.
+"""Record settings in settings.json so that they repeat a comparison bit for bit, even if they were given as objects.
 
 A text is kept, with absolute paths. An object becomes `{"type": NAME}` with its fields and all digits of its numbers. A
 registration method that a text describes completely becomes that text.

@@ -31,7 +31,7 @@ class Column(NamedTuple):
 
 
 def main_lines(comparison: SourcedComparison) -> list[Line]:
-    """Return the rows for candidates side by side: a line per metric with both directions, its floor below it."""
+    """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
     candidates = list(comparison)
     show, thresholds = _shown(comparison), _thresholds(comparison)
 
@@ -69,10 +69,10 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
 
 
 def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
-    """Return the columns for one row per candidate: those of highest rank that fit into `width` terminal columns."""
+    """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
     candidates = list(comparison)
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
-    ranked = [  # in the order of the table, each with its rank
+    ranked = [  # in the order of the table; rank 0 is always shown, None never
         (8, Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates])),
         (0 if any(pose) else None, Column(("", "pose"), pose)),
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
@@ -108,7 +108,7 @@ def _measured(comparison: SourcedComparison) -> int:
 
 
 def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Column]]:
-    """Yield the rank and the column of each quantity with a headline; of several thresholds only the first."""
+    """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
     show, thresholds = _shown(comparison, digits=3), _thresholds(comparison)[:1]
 
     def text(quantity: Quantity | None) -> str:

@@ -39,7 +39,7 @@ class Row(NamedTuple):
 
 
 def rows(comparison: SourcedComparison) -> Iterator[Row]:
-    """Yield each number of a comparison as a row."""
+    """Yield each number of a comparison as a row of metrics.csv."""
     unit = comparison.reference.unit or "unit"
     for candidate in comparison.candidates:
         for q in quantities(candidate):
@@ -96,7 +96,7 @@ class Across(NamedTuple):
 
 
 def across(candidates: Sequence[Candidate], is_shown: Callable[[Quantity], bool]) -> list[Across]:
-    """Return the quantities of several candidates side by side, in their order."""
+    """Return the quantities of several candidates side by side, in the order of `quantities`."""
     found: dict[Hashable, Across] = {}
     for k, candidate in enumerate(candidates):
         for quantity in filter(is_shown, quantities(candidate)):

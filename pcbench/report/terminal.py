@@ -1,4 +1,4 @@
-"""A comparison on the terminal: the answer, the warnings, the metrics."""
+"""Print a comparison on the terminal: the answer, the warnings, the metrics."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def print_columns(rows: Iterable[Sequence[str]]) -> None:
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[Text]], left: Collection[int]) -> None:
-    """Print a table as wide as its cells, so that no number or word is broken.
+    """Print a table as wide as its content, so that no number or word is broken.
 
     Args:
         header: the text of each column's header.
@@ -116,7 +116,7 @@ def _console() -> Console:
 
 
 def _print_lines(console: Console, names: Sequence[str], unit: str, table: Sequence[Line | None]) -> None:
-    """Print a line per metric and two columns per candidate, wider than a narrow terminal if necessary."""
+    """Print a line per metric with two columns per candidate; the table may be wider than a narrow terminal."""
     metrics = [line for line in table if line is not None]
     label = max(len(unit), *(len(line.label) for line in metrics))
     widths = [

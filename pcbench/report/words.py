@@ -15,7 +15,7 @@ _ROUNDING_SHARE = 1e-9  # of the scene's extent
 
 
 def number(value: float | None, ci: Interval | None = None) -> str:
-    """Return a number with four digits and its interval; a dash for None."""
+    """Return a number with four significant digits and its interval; a dash for None."""
     if value is None:
         return UNKNOWN
     text = f"{value:.4g}"
@@ -23,7 +23,7 @@ def number(value: float | None, ci: Interval | None = None) -> str:
 
 
 def length(value: float | None, unit: str | None) -> str:
-    """Return a length with three digits and its unit, if known."""
+    """Return a length with its unit, if known: three significant digits, or whole from 1,000 to a million."""
     if value is None:
         return UNKNOWN
     text = f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
@@ -52,7 +52,7 @@ def printable(name: str) -> str:
 
 
 def columns(text: str) -> int:
-    """Return the columns of a text on a terminal: 2 for a wide letter, 0 for a combining mark (Unicode annex 11)."""
+    """Return the terminal columns of a text: 2 for a wide letter, 0 for a combining mark (Unicode annex 11)."""
     return sum(map(_columns, text))
 
 

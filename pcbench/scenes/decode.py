@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 MAX_PIXELS = 600_000_000  # per image; survey cameras have up to 450 million
 Size = tuple[int, int]  # width and height in pixels
 
-# EXIF tags (CIPA DC-008): the EXIF directory; in it the size in pixels, and the resolution of the focal plane.
+# EXIF tags (CIPA DC-008): the EXIF directory, and in it the size in pixels and the resolution of the focal plane.
 _EXIF_TAG, _PIXEL_SIZE_TAGS, _RESOLUTION_TAGS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
-_MAX_EXIF_BYTES = 65_000  # that fit in a segment of a JPEG
+_MAX_EXIF_BYTES = 65_000  # limit of a JPEG segment
 
 
 def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
@@ -42,7 +42,7 @@ def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
 
 
 def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
-    """Decode a mask to (height, width), True where it is not black, and resize it to the nearest pixel.
+    """Decode a mask to (height, width), True where it is not black, and resize it by nearest neighbour.
 
     Args:
         path: image file.
@@ -82,7 +82,7 @@ def find_decoding_error(path: Path) -> str | None:
 def resize_image(path: Path, out: Path, size: Size) -> None:
     """Write an image at another size: lossless PNG, or JPEG at quality 97 without chroma subsampling.
 
-    EXIF data are copied, since other programs read the focal length from them; a damaged block is left out.
+    EXIF data are copied, because other programs read the focal length from them; a damaged EXIF block is left out.
 
     Args:
         path: image file.
@@ -107,7 +107,7 @@ def resize_image(path: Path, out: Path, size: Size) -> None:
 def _resized_exif(path: Path, size: Size) -> bytes:
     """Return the EXIF block of an image, adapted to another size; empty if there is none or it cannot be read.
 
-    The size in pixels and the focal plane resolution are scaled, from which programs derive the focal length.
+    Programs derive the focal length from the size in pixels and the focal plane resolution, so both are scaled.
     """
     from PIL import Image as Pillow
     from PIL.TiffImagePlugin import IFDRational

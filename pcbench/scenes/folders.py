@@ -11,7 +11,7 @@ from pcbench.io.files import read_json
 from pcbench.io.image_header import EXTENSIONS
 from pcbench.regular_files import has_entry, read_bytes
 
-# COLMAP and nerfstudio; NeRF's synthetic sets; RGB-D sets; Earth Studio's download.
+# In order of search: COLMAP and nerfstudio; NeRF's synthetic scenes; RGB-D data sets; Earth Studio.
 _IMAGE_FOLDERS = ("images", "train", "rgb", "footage")
 _MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # possible folders of a COLMAP model in a scene
 _TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
@@ -26,7 +26,7 @@ def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
     """Return the key for natural sorting of names: frame_2 comes before frame_10."""
     parts = re.split(r"([0-9]+)", name)
     pairs = [(text, int(number or -1)) for text, number in zip(parts[::2], [*parts[1::2], ""], strict=True)]
-    return pairs, name  # 1 and 01 are equal numbers, so the texts decide
+    return pairs, name  # 1 and 01 are equal as numbers, so the name decides
 
 
 def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:

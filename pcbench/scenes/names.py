@@ -6,14 +6,14 @@ from collections.abc import Iterable
 
 
 class ImageNames:
-    """Images of a scene by the name that a camera file uses.
+    """Finds the image of a scene for a name in a camera file.
 
-    An equal name matches first; otherwise the only image that shares the longest trailing part of the path, with or
-    without extension. Backslashes separate folders too.
+    This is the image with exactly this name. If there is none, it is the only image that shares the longest trailing
+    part of the path, with or without extension. Backslashes separate folders too.
     """
 
     def __init__(self, images: Iterable[str]) -> None:
-        self._images: dict[str, str | None] = {}  # None if several images match
+        self._images: dict[str, str | None] = {}  # None if several images share the key
         names = list(images)
         for name in names:
             for key in {end for path in (name, _without_extension(name)) for end in _trailing_paths(path)} - {name}:

@@ -30,7 +30,7 @@ from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, u
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
-# Smallest plausible focal length as a share of the longer image side: a field of view of 157 degrees.
+# Smallest plausible focal length as a share of the longer image side; it corresponds to a field of view of 157 degrees.
 _MIN_FOCAL_SHARE = 0.1
 
 
@@ -48,11 +48,12 @@ def read_scene(
 
     Args:
         path: folder of the scene.
-        cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (here, in
-            sparse/0 or sparse), transforms.json, transforms_train.json, Strecha's `.camera` files (here or in
-            gt_dense_cameras), an OpenMVS scene (`.mvs`), an Earth Studio export. Cameras are matched to images by name,
-            frames of Earth Studio by number. Images without a camera get the intrinsics of a `K.txt` next to them or in
-            the folder. Intrinsics for another image size are scaled if the aspect ratio is equal.
+        cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (in the
+            folder, sparse/0, sparse or colmap/sparse/0), transforms.json, transforms_train.json, Strecha's `.camera`
+            files (in the folder, gt_dense_cameras or images), an OpenMVS scene (`.mvs`), an Earth Studio export.
+            Cameras are matched to images by name, frames of Earth Studio by order or number. Images without a camera
+            get the intrinsics of a `K.txt` next to them or in the folder. Intrinsics for another image size are scaled
+            if the aspect ratio is equal.
         masks: folder with a mask NAME.png for an image NAME (with or without its extension). Defaults to `masks/` in
             the folder.
         image_scale: scale of the working size, 0 < scale <= 1.

@@ -43,14 +43,14 @@ class Scene:
         images: image names relative to the folder, in natural order (frame_2 before frame_10).
         sizes: stored size (width, height) of each image, in pixels.
         cameras: cameras by image name, at the working size; images without a camera are absent.
-        intrinsics: intrinsics by image name, at the working size, of images without a camera.
         gps: GPS positions from EXIF by image name.
         positions: measured positions (3,) from gps.txt by image name, in metres in their own frame.
         masks: mask files by image name. A mask has the size of its image; black pixels are excluded.
         image_scale: working size relative to the stored size, 0 < scale <= 1.
         points: sparse points in the frame of the cameras, if available.
         origin: geographic position of (0, 0, 0) in the frame of the cameras (x east, y north, z up), if known.
-        on_sphere: whether the cameras are in metres on Earth Studio's sphere, up to 0.6 % off WGS84.
+        on_sphere: whether the cameras are in metres on Earth Studio's sphere, whose lengths are up to 0.6 % off WGS84.
+        intrinsics: intrinsics by image name, at the working size, of images without a camera.
     """
 
     folder: Path
@@ -128,8 +128,8 @@ class Scene:
     def in_wgs84(self) -> Scene:
         """Return the scene with its cameras converted from Earth Studio's sphere to WGS84 metres.
 
-        Latitudes, longitudes and altitudes stay the same. The images show the sphere, so matches are off by one or two
-        pixels with these cameras. Reconstruct with the original cameras and convert the cloud instead
+        Latitudes, longitudes and altitudes stay the same. The images show the sphere: with the converted cameras,
+        matches are off by one or two pixels. Reconstruct with the original cameras and convert the cloud instead
         (`pcbench reconstruct --wgs84`).
 
         Raises:
@@ -173,7 +173,7 @@ class Scene:
         )
 
     def split_every(self, n: int = 8) -> tuple[Scene, Scene]:
-        """Split into training and test images with `pcbench.scenes.splits.every`: each n-th image is a test image.
+        """Split into training and test images with `pcbench.scenes.splits.split_every`: every n-th is a test image.
 
         Test views are close to training views.
 
@@ -183,10 +183,11 @@ class Scene:
         return self._select_split(split_every(self.images, n))
 
     def split_blocks(self, n: int = 8, blocks: int = 8) -> tuple[Scene, Scene]:
-        """Split into training and test images with `pcbench.scenes.splits.in_blocks`.
+        """Split into training and test images with `pcbench.scenes.splits.split_blocks`.
 
-        One in n images is a test image, in runs at the middle of equal parts of the sequence. Most test views are far
-        from training views, so this is harder than `split_every`.
+        About one in n images is a test image: the sequence is divided into equal parts, and a run of images in the
+        middle of each part is held out. Most test views are far from training views, so this is harder than
+        `split_every`.
 
         Raises:
             InputError: there are too few images.
@@ -199,7 +200,7 @@ class Scene:
 
     @cached_property
     def _digests(self) -> dict[str, tuple[str, str]]:
-        """SHA-256 of each image and its mask, computed once since they may be gigabytes."""
+        """SHA-256 of each image and its mask, computed once because the files may be gigabytes."""
         mask = {name: digest(path) for name, path in self.masks.items()}
         return {name: (digest(self.folder / name), mask.get(name, "")) for name in self.images}
 
@@ -228,7 +229,11 @@ class Scene:
         return lines
 
     def fingerprint(self, *, cameras: bool = True) -> str:
-        """Return the SHA-256 of the inputs of a reconstruction: images, masks, scale, GPS and cameras."""
+        """Return the SHA-256 of the inputs of a reconstruction.
+
+        Args:
+            cameras: whether cameras and intrinsics count, besides images, masks, scale and measured positions.
+        """
         combined = hashlib.sha256(repr(self.image_scale).encode())
         for name in self.images:
             combined.update(f"{name}\0{self._digests[name]}\0{self.gps.get(name)}\0".encode())

@@ -12,11 +12,11 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 
 HoldOut = Literal["none", "every", "blocks"]
-"""Hold-out setting of a reconstructor: no image, `every` 8th, or 8 blocks (`in_blocks`)."""
+"""Hold-out setting of a reconstructor: no image, `every` 8th image, or 8 blocks (`split_blocks`)."""
 
 _DEFAULT_BLOCKS = 8
-_MIN_BLOCK_IMAGES = 2  # a single image has training neighbours on both sides, as in `every`
-_MAX_DETOUR = 2.0  # length of the given order relative to the nearest-neighbour path
+_MIN_BLOCK_IMAGES = 2  # a single image has training neighbours on both sides, as in `split_every`
+_MAX_DETOUR = 2.0  # maximum length of the given order, relative to the nearest-neighbour path
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ def split_blocks(
     share: float = 1 / 8,
     positions: Mapping[str, FloatArray] | None = None,
 ) -> Split:
-    """Hold out blocks of consecutively captured images, in the middle of equal parts of the sequence.
+    """Hold out blocks of consecutively captured images, each in the middle of one of `count` equal parts.
 
-    The inner images of a block have no neighbouring training image, so this is harder than `every`.
+    The inner images of a block have no neighbouring training image, so this is harder than `split_every`.
 
     Args:
         names: image names in the scene's order.
         count: number of blocks; use eight or more for statistics.
-        share: share of the images to hold out; larger if blocks would be shorter than two images.
+        share: share of the images to hold out; it is exceeded if blocks would be shorter than two images.
         positions: camera positions (3,) by name; see `capture_order`.
 
     Raises:
@@ -109,7 +109,9 @@ def split_blocks(
 
 
 def split_for_selection(names: Sequence[str], positions: Mapping[str, FloatArray] | None = None) -> Split:
-    """Hold out images for model selection: 8 blocks if there are at least 32 images, else every 8th or 3rd image.
+    """Hold out images for model selection.
+
+    At least 32 images: 8 blocks. At least 24: every 8th image. Fewer: every 3rd image.
 
     Raises:
         InputError: there are fewer than four images.
@@ -123,8 +125,8 @@ def capture_order(names: Sequence[str], positions: Mapping[str, FloatArray]) -> 
     """Return names in the probable order of capture.
 
     This is the given order, unless its path through the positions is more than twice as long as the path that always
-    continues to the nearest remaining position. Then the names carry no order (such as photographs by many people), and
-    the latter path is the order.
+    continues to the nearest remaining position. In that case the names say nothing about the order, as with photographs
+    by many people, and the nearest-neighbour path is returned.
 
     Args:
         names: image names.

@@ -1,9 +1,9 @@
-"""Read and write a folder of rendered views: renderings of a radiance reconstruction next to the photographs.
+"""Read and write a folder of rendered views, each beside the photograph that it should reproduce.
 
-A reconstructor writes it (`write_views`) and `pcbench views` evaluates it (`read_views`); they share only this format.
-The folder contains `views.json` and, for each view, `renderings/NAME.png`, `photographs/NAME.png` and, if some pixels
-are excluded, `masks/NAME.png`. The photograph is included because it is the target of the rendering: undistorted and at
-the working size.
+A reconstructor writes the folder (`write_views`) and `pcbench views` evaluates it (`read_views`). The folder contains
+`views.json` and, for each view, `renderings/NAME.png`, `photographs/NAME.png` and, if some pixels are excluded,
+`masks/NAME.png`. The photograph is included because it is the target of the rendering: undistorted and at the working
+size.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class RenderedViews:
         scene: name of the scene, for tables.
         method: name of the method, for tables.
         split: description of the held-out images.
-        views: views in the scene's order, training views first.
+        views: training views in the scene's order, then held-out views block by block.
     """
 
     folder: Path

@@ -21,7 +21,7 @@ from pcbench.report.plot.views import Frame, Viewpoint, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
-_ARROW_SHARE = 0.1  # of the scene's size, for the 95th percentile of the arrows
+_ARROW_SHARE = 0.1  # length of the arrow at the 95th percentile, as a share of the scene's size
 
 
 def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
@@ -102,7 +102,7 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     if not inside.any():
         return False
     typical = float(np.percentile(lengths[inside], 95))
-    # A round factor is easy to divide by.
+    # Viewers can easily divide by a round factor.
     exaggeration = round_length(_ARROW_SHARE * float(np.linalg.norm(frame.box.high - frame.box.low)) / typical)
     vectors = vectors[inside]
     tails = field.points[inside] - frame.box.center
@@ -148,7 +148,7 @@ def _growth(axis: Any, trend: Trend, along: str, unit: str, factor: float, short
     axis.fill_between(x, low, high, color=_BLUE, alpha=0.25, linewidth=0, label="95 % interval")
     axis.plot(x, mean, color=_BLUE, marker="o", markersize=4, linewidth=1.6, label="mean of the candidate")
     bounds = trend.ci
-    scale = 1000.0  # per 1000 units: mm per m, or thousandths
+    scale = 1000.0  # to thousandths: mm per m
     text = f"slope {scale * trend.slope:.3g} [{scale * bounds[0]:.3g}, {scale * bounds[1]:.3g}] ‰"
     axis.set_title(text, fontsize=10, loc="left")
     axis.grid(alpha=0.25)

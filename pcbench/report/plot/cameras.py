@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 _CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
 _SOFTWARE = "pcbench"  # metadata that identifies pictures of pcbench
 _MAX_POINTS = 20_000
-_MAX_TILT_DEG = 25.0  # of nadir images from their mean direction, and of that from the normal of their positions
+_MAX_TILT_DEG = 25.0  # between nadir views and their mean direction, and between that and the normal of the positions
 _MIN_WIDTH_RATIO = 0.3  # width to length of a flight over an area; a walk along a wall is narrower
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
     """Draw the cameras of a scene from the side and from above as a PNG; without cameras, draw GPS positions.
 
-    If the frame of the cameras has no vertical axis (a COLMAP model), they are rotated so that their images are
-    upright, or look down for a flight over an area.
+    If the frame of the cameras has no vertical axis, as in a COLMAP model, the cameras are rotated: for a flight over
+    an area they look down, otherwise their images are upright.
 
     Raises:
         InputError: the scene has neither cameras nor positions, or `path` is a file that pcbench did not draw.
@@ -84,7 +84,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
 
 
 def _check_picture(path: Path) -> None:
-    """Raise InputError if the file exists and was not drawn by pcbench, or has another extension than .png.
+    """Raise InputError if the file exists and was not drawn by pcbench, or if it is new and does not end in .png.
 
     Photographs are PNG files too.
     """
@@ -99,7 +99,7 @@ def _check_picture(path: Path) -> None:
 
 
 class _Picture(NamedTuple):
-    """Positions (N, 3), view pyramids (10, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
+    """Positions (N, 3), view pyramids (11, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
 
     positions: FloatArray
     outlines: list[FloatArray]
@@ -143,7 +143,7 @@ def _gps_positions(scene: Scene) -> _Picture:
 
 
 def _outline(camera: Camera, size: float) -> FloatArray:
-    """Return the view pyramid of a camera as one line (10, 3) in world coordinates."""
+    """Return the view pyramid of a camera as one line (11, 3) in world coordinates."""
     k = camera.intrinsics
     x, y = np.array([0, k.width]), np.array([0, k.height])
     (left, right), (top, bottom) = (x - k.cx) / k.fx, (y - k.cy) / k.fy
@@ -153,11 +153,11 @@ def _outline(camera: Camera, size: float) -> FloatArray:
 
 
 def _rings(positions: FloatArray) -> list[FloatArray]:
-    """Return positions (N, 3) as lines: closed rings about a common vertical axis if they form such, else one line."""
+    """Return positions (N, 3) as closed rings about a common vertical axis, or as one line if they form no rings."""
     if len(positions) < 2:
         return []
-    # Distance from the axis and height are constant on a ring. A step that mostly changes them leads to another ring.
-    # The mean of complete rings is on their axis.
+    # Distance from the axis and height are constant on a ring, so a step that mostly changes them leads to another
+    # ring. The mean of the positions is on the axis if the rings are complete.
     radius = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1)
     across = np.linalg.norm(np.diff(np.stack([radius, positions[:, 2]], axis=1), axis=0), axis=1)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -195,9 +195,9 @@ def _upright_rotation(cameras: list[Camera]) -> tuple[FloatArray, bool]:
 
 
 def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
-    """Whether cameras at positions (N, 3) look in one direction, across the plane of their positions, as in a survey.
+    """Whether cameras at positions (N, 3) look in one direction, at right angles to the plane of the positions.
 
-    A wall photographed from a grid of positions is mistaken for a survey.
+    This holds for a nadir survey. A wall photographed from a grid of positions is mistaken for one.
     """
     if len(positions) < 4:
         return False
@@ -210,7 +210,7 @@ def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
 
 
 def _nearby_points(points: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return a sample of points (N, 3), without distant outliers that would shrink the cameras."""
+    """Return a sample of points (N, 3) without distant outliers, which would make the cameras small."""
     centre = np.median(points, axis=0)
     distances = np.linalg.norm(points - centre, axis=1)
     reach = max(float(np.quantile(distances, 0.95)), float(np.linalg.norm(positions - centre, axis=1).max()))

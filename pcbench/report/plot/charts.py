@@ -52,9 +52,9 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
         density.stairs(100 * share / len(distances), bins, color=color, linewidth=1.4)
         rows = np.unique(np.linspace(0, len(distances) - 1, _MAX_CURVE_POINTS).astype(int))
         cumulative.plot(np.maximum(distances[rows], low), 100 * (rows + 1) / len(distances), color=color)
-        back = [(float(v), float(rank[1:])) for rank, v in candidate.percentiles_completeness.items() if v > 0]
-        if back:
-            cumulative.plot(*zip(*back, strict=True), color=color, linestyle="--", marker=".")
+        percentiles = [(float(v), float(rank[1:])) for rank, v in candidate.percentiles_completeness.items() if v > 0]
+        if percentiles:
+            cumulative.plot(*zip(*percentiles, strict=True), color=color, linestyle="--", marker=".")
         handles.append(Line2D([], [], color=color, linewidth=2.5, label=shorten(candidate.name, 30, placeholder="…")))
     dark = ink(look.ground("white"))
     handles += [

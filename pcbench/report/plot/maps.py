@@ -27,8 +27,8 @@ LABELS = {
     "m3c2_distance": "M3C2 distance along the reference's normal",
 }
 _DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
-_MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points; otherwise it has a separate frame
-_MIN_REPORTED_SHARE = 0.001  # of the points outside the frame
+_MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points outside the common frame; beyond it the cloud has a separate frame
+_MIN_REPORTED_SHARE = 0.001  # of points outside the frame, for a note in the title
 
 
 def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:

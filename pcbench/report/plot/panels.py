@@ -20,12 +20,12 @@ from pcbench.report.plot.views import VIEWS, Frame, Viewpoint, round_length
 DPI = 120
 # Lengths are in inches.
 _MAX_WIDTH, _MAX_HEIGHT = 13.6, 6.6  # of all views together
-_MIN_VIEW_WIDTH = 1.3  # leaves room for the title of a view
+_MIN_VIEW_WIDTH = 1.3  # fits the title of a view
 _VIEW_GAP = 0.14
 _SCALE_BAR_MARGIN, _TITLE_MARGIN = 0.42, 0.78
 _BAR_WIDTH = 0.16
 _MIN_BAR_HEIGHT, _MAX_BAR_HEIGHT = 1.9, 4.2
-_TITLE_LETTER_WIDTH = 0.092  # mean
+_TITLE_LETTER_WIDTH = 0.092  # mean of the title's letters
 _MAX_SCALE_BAR_SHARE = 0.22  # of the widest view
 
 Image = Callable[[Viewpoint, FloatArray, tuple[int, int]], NDArray[np.uint8]]
@@ -46,11 +46,17 @@ def compose(
 ) -> None:
     """Draw the views of a frame side by side.
 
-    Args: image: renders a view, for a window and a size in pixels. frame: the frame. title: title of the picture. unit:
-        unit of lengths, for the scale bar. path: the file to write. look: appearance of the picture. scale: range of
-        the colour bar; None: no colour bar. label: label of the colour bar. over: draws over a view; it gets the axes,
-        the view, a function that maps window positions (N, 2) to the picture,
-            and the factor of lengths.
+    Args:
+        image: renders a view, for a window and a size in pixels.
+        frame: the frame.
+        title: title of the picture.
+        unit: unit of lengths, for the scale bar.
+        path: the file to write.
+        look: appearance of the picture.
+        scale: range of the colour bar; None: no colour bar.
+        label: label of the colour bar.
+        over: draws over a view. It gets the axes, the viewpoint, a function that maps window positions (N, 2) to the
+            picture in inches, and the inches per unit of length.
     """
     ground = look.ground("dark")
     color = ink(ground)
@@ -99,7 +105,7 @@ def save(figure: Any, path: Path) -> None:
 
 
 def _canvas(width: float, height: float, ground: str) -> tuple[Any, Any]:
-    """Return a figure and axes over all of it in inches; one pair of axes is faster than one per view."""
+    """Return a figure, and axes in inches that fill it; one set of axes is faster than one per view."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -117,20 +123,20 @@ def _show_image(axis: Any, image: NDArray[np.uint8], corner: FloatArray, size: F
 
 
 def _inches(corner: FloatArray, window: FloatArray, inches: float, at: FloatArray) -> FloatArray:
-    """Return the position (N, 2) in the picture of positions (N, 2) in a window."""
+    """Convert positions (N, 2) in a window to inches in the picture."""
     positions: FloatArray = corner + (at - window[0]) * inches
     return positions
 
 
 def _bar_label(length: float, unit: str) -> str:
-    """Return a length with its unit; the words for an unknown unit are too long for a bar."""
+    """Return a length with its unit, or with "units" if the unit's name is too long for a bar."""
     if len(unit) < 6:
         return f"{length:g} {unit}"
     return "1 unit" if length == 1 else f"{length:g} units"
 
 
 def _scale_bar(axis: Any, left: float, length: float, inches: float, unit: str, color: str) -> None:
-    """Draw a scale bar below a view; horizontal lengths are true in all views."""
+    """Draw a scale bar below a view; it applies to lengths parallel to it, in all views."""
     right = left + length * inches
     style = {"color": color, "linewidth": 1.3, "solid_capstyle": "butt", "solid_joinstyle": "miter"}
     axis.plot([left, left, right, right], [0.3, 0.24, 0.24, 0.3], **style)
@@ -159,12 +165,12 @@ class _Bar(NamedTuple):
 
     @property
     def label_at(self) -> float:
-        """Distance of the label from the left side."""
+        """Distance of the label from the left side of the bar."""
         return _BAR_WIDTH + 0.2 + 0.078 * max(len(_number(tick)) for tick in self.ticks)
 
     @property
     def note_at(self) -> float:
-        """Distance of the note from the left side."""
+        """Distance of the note from the left side of the bar."""
         return self.label_at + 0.18 * len(self.label) + 0.04
 
     @property
@@ -173,7 +179,7 @@ class _Bar(NamedTuple):
         return self.note_at + 0.135 * len(self.note) + 0.15
 
     def draw(self, axis: Any, left: float, middle: float, color: str) -> None:
-        """Draw the bar, with an arrow at each end beyond which there are values."""
+        """Draw the bar, with an arrow at each end that stands for values beyond it."""
         from matplotlib.patches import Polygon
 
         scale, tip, center = self.scale, 0.14, left + 0.5 * _BAR_WIDTH

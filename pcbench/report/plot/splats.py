@@ -1,6 +1,6 @@
-"""Rendering of points as round dots in a parallel view, the nearest on top.
+"""Render points as round dots in a parallel view, the nearest on top.
 
-It needs no graphics library, so that pictures are the same on each machine.
+No graphics library is needed, so that pictures are the same on each machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def splat(
         window: (2, 2) lower left and upper right corner of the window.
         pixels: width and height of the image.
         ground: (3,) background colour.
-        shaded: whether to darken points behind edges, which shows shapes; not for colours that represent values.
+        shaded: whether to darken points behind edges, which makes shapes visible. Colours that show values need False.
     """
     width, height = _SUPERSAMPLING * pixels[0], _SUPERSAMPLING * pixels[1]
     right, up, toward = points @ view.axes.T[:, 0], points @ view.axes.T[:, 1], points @ view.axes.T[:, 2]
@@ -83,25 +83,25 @@ def _random_order(
     row: NDArray[np.int64],
     toward: FloatArray,
     side: int,
-    fuzz: float,
+    depth_tolerance: float,
 ) -> NDArray[np.int64]:
     """Return the visible points in random order.
 
     Drawing only the nearest points would show the top of a noisy surface and make it look lifted. Points less than
-    `fuzz` behind the nearest one in a square of `side` pixels therefore have equal probability.
+    `depth_tolerance` behind the nearest one in a square of `side` pixels therefore have equal probability.
     """
     down = row[inside] // side
     cell = down * (int(column[inside].max(initial=0)) // side + 1) + column[inside] // side
     nearest = np.full(int(cell.max(initial=0)) + 1, -np.inf)
     np.maximum.at(nearest, cell, toward[inside])
-    visible = inside[toward[inside] >= nearest[cell] - fuzz]
+    visible = inside[toward[inside] >= nearest[cell] - depth_tolerance]
     return np.random.default_rng(0).permutation(visible)
 
 
 def _shade(image: NDArray[np.int32], depths: FloatArray, extent: float) -> NDArray[np.float32]:
     """Return the brightness of each pixel, 0.35 to 1, by eye-dome lighting (Boucheny 2009).
 
-    A pixel is darker the farther it lies behind its neighbours. `depths` (N,) point towards the viewer.
+    A pixel is darker the farther it lies behind its neighbours. `depths` (N,) increase towards the viewer.
     """
     known = image > 0
     far = float(depths.min(initial=0.0)) - extent

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 
-_MARGIN_SHARE = 0.05  # of a box around the inner 99 % of the points; it includes most of the others
-_MAX_GROWTH_SHARE = 0.25  # of the reference's box, for candidates that extend beyond it
+_MARGIN_SHARE = 0.05  # of a box around the inner 99 % of the points, which then includes most of the others too
+_MAX_GROWTH_SHARE = 0.25  # of the size of the reference's box, for candidates that extend beyond it
 _MAX_SAMPLE = 200_000  # points that determine a box or a window
 
 
@@ -21,7 +21,7 @@ class Viewpoint:
 
     Attributes:
         title: title of the view.
-        direction: from the centre towards the camera.
+        direction: direction from the centre towards the camera.
         up: the upward direction.
     """
 
@@ -133,6 +133,6 @@ def round_length(at_most: float) -> float:
 
 
 def thin_out(points: FloatArray) -> FloatArray:
-    """Return an even sample of points (N, 3), of at most about 200,000."""
+    """Return every k-th of points (N, 3), so that fewer than 400,000 remain."""
     thinned: FloatArray = points[:: max(1, len(points) // _MAX_SAMPLE)]
     return thinned

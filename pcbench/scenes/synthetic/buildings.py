@@ -39,7 +39,7 @@ class _BuildingPlacer(NamedTuple):
         return replace(flat, bottom=float(ground.min()) - 0.5, eaves=float(ground.mean()) + height)
 
     def on_roof(self, below: Solid, kind: str, x: float, y: float, width: float, depth: float, height: float) -> Solid:
-        """Place a box at local x, y on a flat roof, slightly sunk in: coplanar faces would flicker."""
+        """Place a box at local x, y on a flat roof, sunk 20 cm into it, because coplanar faces would flicker."""
         at = below.world(np.array([[x, y]]))[0]
         seed = 0 if self.settings.repeated else int(self.rng.integers(1 << 30))
         bottom, eaves = below.eaves - 0.2, below.eaves + height
@@ -47,7 +47,7 @@ class _BuildingPlacer(NamedTuple):
 
 
 def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random.Generator) -> Iterator[Solid]:
-    """Yield the buildings of two to six lots, with flat roofs or steep gables; towers near the centre."""
+    """Yield the buildings of four or six lots, with flat roofs or steep gables; towers near the centre."""
     place_building = _BuildingPlacer(settings, terrain, rng)
     low, high = np.array(block.low) + 2.5, np.array(block.high) - 2.5
     cuts = [np.concatenate([[0], np.sort(rng.uniform(0.3, 0.7, 1)), [1]]) * (high - low)[a] + low[a] for a in (0, 1)]
@@ -79,7 +79,7 @@ def _core(block: Block, settings: CitySettings, terrain: Terrain, rng: np.random
 
 
 def _clutter(body: Solid, place_building: _BuildingPlacer, rng: np.random.Generator) -> Iterator[Solid]:
-    """Yield stair houses and machines, at most one in each quarter of a flat roof."""
+    """Yield roof structures such as stair heads and machines, at most one in each quarter of a flat roof."""
     for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
         width, depth = rng.uniform(1.5, 4.5, 2)
         if rng.random() < 0.5 and width < 0.3 * body.width and depth < 0.3 * body.depth:
@@ -172,7 +172,7 @@ def _trees(block: Block, count: int, solids: list[Solid], terrain: Terrain, rng:
             x = block.low[0] + 1.5 if rng.random() < 0.5 else block.high[0] - 1.5
         at = np.array([[x, y]])
         clear = [np.abs(s.local(at))[0] - [s.width / 2, s.depth / 2] for s in solids]
-        if any(gap.max() < 1.25 * radius for gap in clear):  # crowns bulge by a fifth
+        if any(gap.max() < 1.25 * radius for gap in clear):  # crowns bulge by up to a fifth of the radius
             continue
         if any(np.hypot(x - t.x, y - t.y) < radius + t.radius for t in kept):
             continue

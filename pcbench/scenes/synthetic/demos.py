@@ -28,7 +28,7 @@ class Patches(NamedTuple):
     kind: IntArray  # (P,) ground, wall or roof
 
     def take(self, which: IntArray) -> Patches:
-        """Return the patches of some rows."""
+        """Return the patches with the given indices."""
         return Patches(self.corner[which], self.u[which], self.v[which], self.triangle[which], self.kind[which])
 
     def areas(self) -> FloatArray:
@@ -47,9 +47,9 @@ class City:
         """Sample points (N, 3) on the surface, uniformly by area, with their kinds (N,).
 
         Args:
-            count: Number of points.
-            rng: Random generator.
-            falloff: If finite, the density decreases with the distance r from the centre as exp(-r / falloff), in
+            count: number of points.
+            rng: random generator.
+            falloff: if finite, the density decreases with the distance r from the centre as exp(-r / falloff), in
                 metres.
         """
         parts: list[FloatArray] = []
@@ -81,7 +81,7 @@ class City:
 
 
 def relief(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Height of the bare ground in metres: two gentle waves."""
+    """Return the height of the bare ground in metres: gentle waves on a slight slope."""
     return 2.0 * np.sin(x / 83.0) * np.cos(y / 67.0) + 0.01 * x
 
 
@@ -168,7 +168,7 @@ def _ground(
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Three clouds of one city and their true poses and deformations."""
+    """Reference and two candidate clouds of one city, with their true poses and deformations."""
 
     reference: Cloud
     candidates: dict[str, Cloud]
@@ -179,8 +179,8 @@ class Demo:
         """RMS distance in metres between a candidate's points under an estimated and under the true registration.
 
         Args:
-            name: Name of the candidate.
-            estimate: Estimated registration, candidate -> reference.
+            name: name of the candidate.
+            estimate: estimated registration, candidate -> reference.
         """
         points = self.candidates[name].points
         differences = estimate.apply(points) - self.T_reference_candidate[name].apply(points)
@@ -188,14 +188,14 @@ class Demo:
 
 
 def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
-    """Build a dense "MVS-like" reference, a sparse and a densified candidate in the proportions of Gao et al.'s table.
+    """Build a dense reference, and a sparse and a densified candidate with point counts in the ratios of Gao et al.
 
-    The candidates' density decreases from the centre. They have noise, outliers and a rigid offset. The densified one
-    is also slightly deformed (a bowl of 5 cm RMS).
+    The density of the candidates decreases from the centre. They have noise, outliers and a rigid offset. The densified
+    one is also slightly deformed: a bowl of 5 cm RMS.
 
     Args:
-        points: Number of points of the reference.
-        seed: Random seed.
+        points: number of points of the reference.
+        seed: random seed.
     """
     scene = city(seed)
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]

@@ -42,14 +42,14 @@ class SceneSettings:
     """Settings of a city and its images.
 
     Args:
-        city: Settings of the city.
-        images: Number of images.
-        intrinsics: Intrinsics of all images.
+        city: settings of the city.
+        images: number of images.
+        intrinsics: intrinsics of all images.
         rig: circles, grid, oblique, drone or orbit (`pcbench.scenes.synthetic.rigs`).
-        optics: Effects of lens and sensor.
-        reflections: Whether glass and water reflect their surroundings.
-        points: Number of points of the true cloud.
-        gps: Standard deviation in metres of the positions in gps.txt; None writes no such file.
+        optics: effects of lens and sensor.
+        reflections: whether glass and water reflect their surroundings.
+        points: number of points of the cloud in truth/.
+        gps: standard deviation in metres of the positions in gps.txt; None writes no such file.
     """
 
     city: CitySettings = field(default_factory=CitySettings)
@@ -65,16 +65,16 @@ class SceneSettings:
 def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] = lambda _: None) -> None:
     """Create a city and write images/, transforms.json, sparse/0/ and truth/ (mesh.ply, cloud.ply, depth/) into `out`.
 
-    The folder appears once it is complete. The same settings give the same bytes on the same machine.
+    `out` appears once it is complete. The same settings give the same bytes on the same machine.
 
     Args:
-        out: Folder to create.
-        settings: City and images.
-        step: Progress callback.
+        out: folder to create.
+        settings: city and images.
+        step: called with a short text before each step that takes time.
 
     Raises:
-        InputError: `out` exists and is not an empty folder, or a setting is out of range.
-        MissingExtra, NoFiguresError: Images cannot be rendered on this machine.
+        InputError: `out` exists and is not an empty folder, its parent is missing, or a setting is out of range.
+        MissingExtra, NoFiguresError: images cannot be rendered on this machine.
     """
     check_renderer()
     check_intrinsics(settings.intrinsics)
@@ -118,10 +118,10 @@ def check_demo_folder(out: Path) -> None:
     """Check that `write_demo` may write to a folder, before a demo is computed.
 
     Args:
-        out: Folder of the demo.
+        out: folder of the demo.
 
     Raises:
-        InputError: It is a file, or a folder with other contents than an earlier demo.
+        InputError: it is a file, or a folder with other contents than an earlier demo.
     """
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for the demo, got a file")
@@ -135,12 +135,12 @@ def write_demo(out: Path, demo: Demo) -> DemoFiles:
     """Write the clouds of a demo into `out`/clouds and replace those of an earlier demo.
 
     Args:
-        out: Folder of the demo.
-        demo: Clouds.
+        out: folder of the demo.
+        demo: clouds.
 
     Raises:
-        InputError: The folder is not a demo's.
-        OSError: A file cannot be written.
+        InputError: the folder is not a demo's.
+        OSError: a file cannot be written.
     """
     check_demo_folder(out)
     folder = out / "clouds"

@@ -54,7 +54,7 @@ def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Ge
 
 
 def _is_rotated_copy(block: Block) -> bool:
-    """Return whether a half turn about the origin maps another block to this one."""
+    """Whether a half turn about the origin maps another block to this one; the northern one is the original."""
     x, y = block.low[0] + block.high[0], block.low[1] + block.high[1]
     return y < -1e-6 or (abs(y) <= 1e-6 and x < -1e-6)
 
@@ -69,7 +69,7 @@ def _level_lakes(terrain: Terrain, lakes: list[Block]) -> None:
 
 
 def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
-    """Return a sum of waves, higher in the countryside."""
+    """Return terrain as a sum of waves, higher in the countryside."""
     n = 2 * TERRAIN_CELLS
     step = settings.extent / TERRAIN_CELLS
     at = (np.arange(n + 1) - n / 2) * step
@@ -88,7 +88,7 @@ def _terrain(settings: CitySettings, rng: np.random.Generator) -> Terrain:
 
 
 def _streets(settings: CitySettings, axis: int, rng: np.random.Generator) -> list[Street]:
-    """Return the streets along one axis, every 45 to 65 m, every third an avenue; the first and last bound the city."""
+    """Return the streets along one axis: every 45 to 65 m, every third an avenue; the first and last bound the city."""
     half = settings.extent / 2
     if settings.symmetric:
         positions = [0.0] if rng.random() < 0.5 else [float(rng.uniform(22, 32))]

@@ -1,4 +1,4 @@
-"""Charts, the parts of a city's surface with a separate texture, and the sun and sky light on them."""
+"""Charts (parts of a city's surface that each have a texture), and the light of sun and sky on them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RAY_OFFSET = 0.02  # m, from a surface to the origin of its light rays
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Parallelogram of the surface with a separate texture: corner + s * u + t * v, s and t from 0 to 1.
+    """Parallelogram of the surface with its own texture: corner + s * u + t * v, with s and t from 0 to 1.
 
     Ground charts lie at z = 0 and follow the terrain.
     """
@@ -64,7 +64,7 @@ class _Lattice(NamedTuple):
 
 
 def compute_lights(plan: CityPlan, charts: list[Chart], index: MeshIndex) -> list[Image | None]:
-    """Compute light (rows, columns, 3) on a lattice over each chart: sun with shadows, sky by its visible share."""
+    """Compute light (rows, columns, 3) on a lattice over each chart: sunlight with shadows, and light of the sky."""
     sun = [None if c.kind == "leaves" else _lattice(plan, c, 2 * c.base_texel) for c in charts]
     sky = [None if c.kind == "leaves" else _lattice(plan, c, 8 * c.base_texel) for c in charts]
     sunny = ~index.is_occluded(*_rays([s.points for s in sun if s], SUN_DIRECTION))
@@ -144,9 +144,9 @@ def _resample(
 
     Args:
         plane: (rows, columns) values, including border cells.
-        border_cells: Border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
-        shape: Rows and columns of the new grid.
-        beyond: Cells of the new grid beyond each edge of the rectangle.
+        border_cells: border cells of the plane beyond each edge of the rectangle; beyond them, values are constant.
+        shape: rows and columns of the new grid.
+        beyond: cells of the new grid beyond each edge of the rectangle.
     """
     for size in shape:
         count = len(plane) - 2 * border_cells

@@ -30,9 +30,9 @@ class FractalNoise:
     """Windows of a periodic tile of fractal noise with mean 0 and variance 1, averaged over the texel area.
 
     Args:
-        seed: Seed of the tile.
-        cell: Side of the finest cells in metres.
-        side: Cells along each side; the noise repeats after cell * side metres.
+        seed: seed of the tile.
+        cell: side of the finest cells in metres.
+        side: cells along each side; the noise repeats after cell * side metres.
     """
 
     def __init__(self, seed: int, cell: float, side: int = 2048) -> None:
@@ -40,7 +40,7 @@ class FractalNoise:
 
         rng = np.random.default_rng([seed, 2])
         f = fft.fftfreq(side)[:, None], fft.rfftfreq(side)[None, :]
-        # Spectrum between white and 1/f^2: structures of all sizes.
+        # Amplitudes fall with about 1/f, so that there are structures of all sizes.
         amplitude = (1 / np.maximum(np.hypot(*f), 1 / side) ** 1.05).astype(np.float32)
         amplitude[0, 0] = 0
         white = rng.standard_normal((side, side), dtype=np.float32)
@@ -55,9 +55,9 @@ class FractalNoise:
         """Return a window at a random position, at the texels (rows, columns) of `grid`.
 
         Args:
-            grid: Texel centres.
-            rng: Random generator of the position.
-            stretch: Scale factor of all structures.
+            grid: texel centres.
+            rng: random generator of the position.
+            stretch: scale factor of all structures.
         """
         cell = stretch * self._cell
         start = rng.integers(0, len(self._levels[0]), 2)

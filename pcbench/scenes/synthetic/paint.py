@@ -1,8 +1,8 @@
 """Procedural textures: albedo of the ground, walls, roofs, cars and leaves of a city.
 
 All patterns are defined in metres at texel centres, and their noise has detail at all scales, so that features are
-found at any distance. They are painted at full contrast and then faded towards one plain colour per surface by
-`CitySettings.texture`, which also makes optional elements (windows, hatches, solar panels) rarer.
+found at any distance. They are painted at full contrast and then faded towards one plain colour per surface, depending
+on `CitySettings.texture`. Less texture also makes optional elements (windows, hatches, solar panels) rarer.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Painter:
         return self._flat_roof(grid, rng, side_rng)
 
     def _fade(self, image: Image, plain: tuple[float, ...] | Image, mirror: Plane | None = None) -> Paint:
-        """Reduce the image's contrast to a plain colour by `texture`."""
+        """Reduce the image's contrast towards a plain colour, depending on `texture`."""
         tone = np.asarray(plain, dtype=np.float32)
         return Paint(tone + np.float32(self.settings.texture) * (image - tone), mirror)
 

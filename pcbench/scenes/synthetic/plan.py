@@ -13,7 +13,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 
-TERRAIN_CELLS = 80  # terrain cells along the city; the surrounding countryside is half a city wide
+TERRAIN_CELLS = 80  # terrain cells along the city; the countryside adds half as many on each side
 
 
 @dataclass(frozen=True)
@@ -21,18 +21,18 @@ class CitySettings:
     """Settings of a synthetic city.
 
     Args:
-        extent: Side of the built square in metres; the entire terrain is twice as wide.
-        density: Share of the lots that are built on, 0 to 1.
-        height: Median height of the houses in metres; towers in the centre are up to five times as high.
+        extent: side of the built square in metres; the entire terrain is twice as wide.
+        density: share of the lots that are built on, 0 to 1.
+        height: median height of the houses in metres; towers in the centre are up to five times as high.
         relief: RMS height of the terrain's waves under the city in metres.
-        texture: Texture contrast: 1 is rich, 0 leaves walls blank and the ground plain.
-        water: Whether some blocks are lakes.
-        repeated: Whether all buildings have the same facade and roof.
-        symmetric: Whether a half turn maps the city to itself, except for its shadows and the fields around it.
-        seed: Random seed.
+        texture: texture contrast: 1 is rich, 0 leaves walls blank and the ground plain.
+        water: whether some blocks are lakes.
+        repeated: whether all buildings have the same facade and roof.
+        symmetric: whether a half turn maps the city to itself, except for its shadows and the fields around it.
+        seed: random seed.
 
     Raises:
-        InputError: A value is out of range.
+        InputError: a value is out of range.
     """
 
     extent: float = 400.0
@@ -58,13 +58,13 @@ class CitySettings:
             raise InputError(f"expected a seed of at least 0, got {self.seed}")
 
     def hard(self) -> CitySettings:
-        """Return the same city with conditions that are hard for feature matching: plain walls, lakes, same facades."""
+        """Return the same city made hard for feature matching: faint textures, lakes, and one facade for all."""
         return replace(self, texture=0.1, water=True, repeated=True)
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Box on the ground, with a flat or a gabled roof; the ridge runs along its depth."""
+    """Box on the ground, with a flat or a gabled roof; the ridge runs along its depth. Lengths are in metres."""
 
     kind: str  # "house", "block", "tower", "hall", "clutter", "chimney" or "car"
     x: float
@@ -78,7 +78,7 @@ class Solid:
     seed: int
 
     def local(self, points: FloatArray) -> FloatArray:
-        """Return x and y (N, 2) of points (N, 2 or 3) along the width and the depth, from the centre."""
+        """Return x and y (N, 2) of points (N, 2 or 3) along the width and the depth, relative to the centre."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         x, y = points[:, 0] - self.x, points[:, 1] - self.y
         return np.stack([c * x + s * y, c * y - s * x], axis=1)
@@ -95,7 +95,7 @@ class Solid:
         return self.world(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [self.width / 2, self.depth / 2])
 
     def contains(self, points: FloatArray, skin: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Return which points (N, 3) are deeper inside than `skin`."""
+        """Return which points (N, 3) are inside by more than `skin` metres."""
         x, y = np.abs(self.local(points)).T
         roof = self.eaves + self.rise * (1 - x / (self.width / 2))
         inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (
@@ -136,7 +136,7 @@ class Street(NamedTuple):
 class Terrain:
     """Heights on a regular grid of square cells about the origin, linear on the two triangles of each cell."""
 
-    heights: FloatArray  # (n + 1, n + 1): [i, j] at x of j, y of i
+    heights: FloatArray  # (n + 1, n + 1) in metres; row i has constant y, column j constant x
     step: float
 
     @property
@@ -145,7 +145,7 @@ class Terrain:
         return self.step * (len(self.heights) - 1) / 2
 
     def at(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the height at any x, y of the same shape."""
+        """Return the heights at x and y, two arrays of the same shape."""
         n = len(self.heights) - 1
         u, v = (x + self.half) / self.step, (y + self.half) / self.step
         j, i = np.clip(np.floor(u).astype(int), 0, n - 1), np.clip(np.floor(v).astype(int), 0, n - 1)
@@ -171,5 +171,5 @@ class CityPlan:
 
     @property
     def top(self) -> float:
-        """Height of the tallest roof."""
+        """Height of the tallest roof in metres."""
         return max([s.eaves + s.rise for s in self.solids], default=float(self.terrain.heights.max()))

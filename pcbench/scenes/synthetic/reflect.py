@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
-_RAY_OFFSET_SHARE = 1e-5  # of the scene's size, so that reflected rays do not hit the surface they start from
-_SKY = np.array([[0.86, 0.90, 0.94], [0.52, 0.68, 0.86]])  # at the horizon and at the zenith
+_RAY_OFFSET_SHARE = 1e-5  # of the scene's size: distance from a surface at which its reflected rays start
+_SKY = np.array([[0.86, 0.90, 0.94], [0.52, 0.68, 0.86]])  # colours at the horizon and at the zenith
 
 Samples = NDArray[np.float32]  # (N, 3), 0 to 255
 
@@ -22,11 +22,11 @@ class Mirrors:
     """Traces reflected rays in the city.
 
     Args:
-        index: Index of the mesh's faces (F, 3).
-        uv: (F, 3, 2) texture coordinates of the faces' corners on their pages.
-        page: (F,) page of each face.
+        index: index of the mesh's faces (F, 3).
+        uv: (F, 3, 2) texture coordinates of the faces' corners on their texture pages.
+        page: (F,) texture page of each face.
         shade: (F, 3) light at the corners, 0 to 255.
-        pages: Colours (rows, columns, 3) per page.
+        pages: colours (rows, columns, 3) of each texture page.
     """
 
     index: MeshIndex
@@ -49,7 +49,7 @@ class Mirrors:
         reflected = unit - 2 * cosines_in[:, None] * normals
         lift = _RAY_OFFSET_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
         starts = eye + hits.distances[:, None] * directions - np.sign(cosines_in)[:, None] * lift * normals
-        missed = hits.faces < 0  # an edge may lie between two rendered samples
+        missed = hits.faces < 0  # a sample at an edge may show a face that its central ray misses
         starts[missed], reflected[missed] = eye, [0, 0, 1]
         return self.colors(starts, reflected), np.where(missed, 1.0, np.abs(cosines_in)).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Images of a city: OpenGL rendering through VTK in a separate process, then lens, exposure and sensor effects."""
+"""Images of a city: OpenGL rendering by VTK in a separate process, then lens, exposure and sensor effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pcbench.scenes.synthetic.surface import CitySurface
 from pcbench.scratch import scratch_folder
 
 _MAX_SECONDS_PER_IMAGE = 120  # software OpenGL needs about one second per megapixel
-_MAX_SIDE_PX = 8192  # of an image, or of the wider pinhole image that its distortion needs
+_MAX_SIDE_PX = 8192  # of an image, or of the larger pinhole image from which a distorted one is computed
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Optics:
     """Effects of lens and sensor on an image.
 
     Args:
-        exposure: Standard deviation of the logarithm of each image's gain.
-        blur: Standard deviation of the lens blur in pixels.
-        noise: Standard deviation of the sensor noise in grey levels of 255.
-        vignetting: Share of natural vignetting. 1: light falls with the fourth power of the cosine of the angle between
+        exposure: standard deviation of the logarithm of the gain, which varies between images.
+        blur: standard deviation of the lens blur in pixels.
+        noise: standard deviation of the sensor noise in grey levels of 255.
+        vignetting: share of natural vignetting. 1: light falls with the fourth power of the cosine of the angle between
             a pixel's ray and the optical axis; 0: none.
     """
 
@@ -44,7 +44,7 @@ def check_renderer() -> None:
 
     Raises:
         MissingExtra: pyvista or Pillow is not installed or does not load.
-        NoFiguresError: There is neither a display nor EGL nor OSMesa.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
     check_opengl()  # before VTK, which pyvista imports
     require("PIL", "plot")
@@ -55,10 +55,10 @@ def check_intrinsics(intrinsics: Intrinsics) -> None:
     """Check that a camera can be rendered, before anything is computed.
 
     Args:
-        intrinsics: Intrinsics of the camera.
+        intrinsics: intrinsics of the camera.
 
     Raises:
-        InputError: The image is too large, or its distortion is not invertible.
+        InputError: the image is too large, or its distortion is not invertible.
     """
     rendered_size = 2 * intrinsics.widest * max(intrinsics.fx, intrinsics.fy)
     if rendered_size.max() > _MAX_SIDE_PX:
@@ -80,24 +80,24 @@ def render(
     """Render one image per camera, named after it, into an existing folder.
 
     Args:
-        city: City with textures.
-        cameras: Cameras.
-        folder: Folder of the images.
-        optics: Effects of lens and sensor.
-        reflections: Whether glass and water reflect their surroundings, once, without the sun's glint.
-        seed: Random seed.
+        city: city with textures.
+        cameras: cameras.
+        folder: folder of the images.
+        optics: effects of lens and sensor.
+        reflections: whether glass and water reflect their surroundings: one reflection, without the sun's glint.
+        seed: random seed.
 
     Raises:
-        InputError: An image is too large, or its distortion is not invertible.
-        MissingExtra, NoFiguresError: A library is missing.
-        PcbenchError: Rendering fails.
+        InputError: an image is too large, or its distortion is not invertible.
+        MissingExtra, NoFiguresError: images cannot be rendered on this machine.
+        PcbenchError: rendering fails.
     """
     check_renderer()
     for camera in cameras:
         check_intrinsics(camera.intrinsics)
     with scratch_folder() as scratch:
         job = scratch
-        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # precise enough: small, about the origin
+        corners = city.mesh.vertices[city.mesh.faces].astype(np.float32)  # precise enough near the origin
         np.savez(job / "faces.npz", corners=corners, uv=city.uv, page=city.page, shade=city.shade)
         for number, page in enumerate(city.pages):
             np.save(job / f"page{number}.npy", page)

@@ -17,12 +17,12 @@ from pcbench.scratch import attribute_errors_to
 
 SUPERSAMPLING = 4  # samples along each side of a pixel
 _TILE_SAMPLES = 8192  # samples along a side of one OpenGL rendering
-_REFLECTANCE_GAIN = 2.0  # factor of reflectances in 8 bits, which resolve water's 2 % poorly
+_REFLECTANCE_GAIN = 2.0  # factor of stored reflectances: 8 bits would resolve water's 2 % poorly
 _STRIP_ROWS = 64  # image rows distorted at a time
-_SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # at the lower and at the upper edge
+_SKY = ((0.86, 0.90, 0.94), (0.52, 0.68, 0.86))  # colours at the lower and at the upper edge of the image
 
 Pixels = NDArray[np.float32]  # (rows, columns, 3), 0 to 255
-Canvas = NDArray[np.uint8]  # (rows, columns, 3), of samples
+Canvas = NDArray[np.uint8]  # (rows, columns, 3) samples
 
 
 class CityView:
@@ -32,7 +32,7 @@ class CityView:
         import pyvista
 
         self.intrinsics = intrinsics
-        # Pinhole image about the optical axis that contains all rays of the distorted image.
+        # A pinhole image, symmetric about the optical axis, that contains all rays of the distorted image.
         x, y = intrinsics.widest
         self.focal = SUPERSAMPLING * max(intrinsics.fx, intrinsics.fy)
         self.width, self.height = (2 * int(np.ceil(self.focal * half - 1e-6)) for half in (x, y))
@@ -41,7 +41,7 @@ class CityView:
         self.plotter.render_window.SetMultiSamples(0)
         faces = np.load(job / "faces.npz")
         pages = [np.load(job / f"page{number}.npy") for number in range(int(faces["page"].max()) + 1)]
-        self.actors: list[tuple[Any, Any, Any]] = []  # each with its texture and its reflectance texture
+        self.actors: list[tuple[Any, Any, Any]] = []  # actor, its texture and its reflectance texture
         for number in np.unique(faces["page"]):
             on_page = faces["page"] == number
             actor = _actor(faces["corners"][on_page], faces["uv"][on_page], faces["shade"][on_page])
@@ -55,7 +55,7 @@ class CityView:
             self.mirrors = build_mirrors(faces["corners"], faces["uv"], faces["page"], faces["shade"], pages)
 
     def photograph(self, camera: Camera) -> Pixels:
-        """Render the distorted image; each pixel is the mean over its square."""
+        """Render the distorted image; each pixel is the mean of its samples."""
         for actor, texture, _ in self.actors:
             actor.SetTexture(texture)
         samples = self._render_samples(camera, _SKY)
@@ -69,7 +69,7 @@ class CityView:
         return self._apply_distortion(samples)
 
     def _render_samples(self, camera: Camera, sky: tuple[tuple[float, ...], ...]) -> Canvas:
-        """Render all samples, one tile at a time because OpenGL limits the size."""
+        """Render all samples in tiles, because OpenGL limits the size of an image."""
         canvas: Canvas = np.empty((self.height, self.width, 3), dtype=np.uint8)
         view = self.plotter.camera
         view.position = tuple(camera.position)
@@ -125,7 +125,7 @@ class CityView:
 
 
 def _downsample(fine: NDArray[Any]) -> Pixels:
-    """Return means over squares of samples (rows, columns, C)."""
+    """Return the mean of the samples (rows, columns, C) of each pixel."""
     rows, columns, planes = fine.shape[0] // SUPERSAMPLING, fine.shape[1] // SUPERSAMPLING, fine.shape[2]
     squares = fine.reshape(rows, SUPERSAMPLING, columns, SUPERSAMPLING, planes)
     wide = np.uint16 if fine.dtype == np.uint8 else np.float32
@@ -138,7 +138,7 @@ def _downsample(fine: NDArray[Any]) -> Pixels:
 
 
 def _mirror_page(path: Path) -> NDArray[np.uint8]:
-    """Encode reflectance as colours: red is 255 for glass or water, green the reflectance times `_REFLECTANCE_GAIN`."""
+    """Encode reflectance as colours: red is 255 on glass and water, green is reflectance times `_REFLECTANCE_GAIN`."""
     if not path.is_file():
         return np.zeros((1, 1, 3), dtype=np.uint8)
     thousandths = np.load(path)
@@ -147,7 +147,7 @@ def _mirror_page(path: Path) -> NDArray[np.uint8]:
 
 
 def _actor(corners: Any, uv: Any, shade: Any) -> Any:
-    """Return unlit triangles: the texture includes the light, or the corner colours do (trees)."""
+    """Return unlit triangles: the light is in the texture, or for trees in the colours of the corners."""
     import pyvista
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper

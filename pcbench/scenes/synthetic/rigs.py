@@ -23,7 +23,7 @@ _MIN_CLEARANCE = 20.0  # m between the highest roof and the lowest flight
 
 @dataclass(frozen=True)
 class Site:
-    """Photographed square about the origin: side, ground height and highest roof, in metres."""
+    """Photographed square about the origin: its side, its ground height and its highest roof, in metres."""
 
     extent: float
     ground: float
@@ -34,15 +34,16 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
     """Place `count` cameras named 0001.png, 0002.png, ... over a site.
 
     Args:
-        name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with 75 % overlap), oblique
-            (the same, tilted by 40 degrees to four sides in turn), drone (a grid with tilt errors of 1.5 degrees and
-            height errors of 2 %, followed by a sixth of the images, tilted by 25 degrees) or orbit (one circle).
-        count: Number of cameras.
-        site: Photographed square.
-        intrinsics: Intrinsics of all cameras.
+        name: circles (seven, as in Gao et al., scaled to the site), grid (a nadir survey with at least 75 % overlap),
+            oblique (the same, tilted by 40 degrees to four sides in turn), drone (a grid with standard deviations of
+            1.5 degrees in tilt and 2 % in height; the last sixth of the images is tilted by 25 degrees) or orbit (one
+            circle).
+        count: number of cameras.
+        site: photographed square.
+        intrinsics: intrinsics of all cameras.
 
     Raises:
-        InputError: There is no such rig, or the count is less than 1.
+        InputError: there is no such rig, or the count is less than 1.
     """
     if name not in RIGS:
         raise InputError(f"unknown rig {name!r}: choose one of {', '.join(RIGS)}")
@@ -55,19 +56,19 @@ def rig(name: str, count: int, site: Site, intrinsics: Intrinsics) -> list[Camer
 def circles(
     count: int, radii: Sequence[float] | FloatArray, altitudes: Sequence[float] | FloatArray, target: ArrayLike
 ) -> list[Similarity]:
-    """Return poses on circles about the vertical through `target` (3,), all looking at it, divided evenly.
+    """Return poses spread evenly over circles about the vertical through `target` (3,), all looking at `target`.
 
     Args:
-        count: Number of poses.
-        radii: Radius of each circle, in the frame's unit.
+        count: number of poses.
+        radii: radius of each circle, in the frame's unit.
         altitudes: z coordinate of each circle; the tilt follows from both.
         target: (3,) point that all cameras look at.
     """
     centre = np.asarray(target, dtype=np.float64)
     poses = []
     for k, part in enumerate(np.array_split(np.arange(count), len(radii))):
-        # Each circle is rotated by a part of a step against the next smaller one. Together they view the scene from all
-        # sides, and each image has neighbours in nearly the same direction on the next circles to match with.
+        # Each circle is rotated by a fraction of a step relative to the next smaller one. Together they view the scene
+        # from all sides, and each image has neighbours in nearly the same direction on the adjacent circles.
         step = 2 * np.pi / max(1, len(part))
         for angle in step * (np.arange(len(part)) + k / len(radii)):
             x, y = centre[:2] + radii[k] * np.array([np.cos(angle), np.sin(angle)])
@@ -76,14 +77,15 @@ def circles(
 
 
 def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) -> FloatArray:
-    """Return positions (N, 3) as from a GPS receiver.
+    """Return positions (N, 3) with errors like those of a GPS receiver.
 
-    Gaussian errors have a standard deviation of `sigma` metres along each horizontal axis, and twice that vertically.
+    The errors are Gaussian. Their standard deviation is `sigma` metres along each horizontal axis and twice that
+    vertically.
 
     Args:
-        cameras: Cameras at their true positions.
-        sigma: Horizontal standard deviation in metres.
-        seed: Random seed.
+        cameras: cameras at their true positions.
+        sigma: horizontal standard deviation in metres.
+        seed: random seed.
     """
     rng = np.random.default_rng([seed, 11])
     positions = np.array([camera.position for camera in cameras])
@@ -92,8 +94,8 @@ def perturbed_positions(cameras: Sequence[Camera], sigma: float, seed: int = 0) 
 
 
 def _gao_circles(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
-    # The largest circle is slightly wider than the city. Altitudes count from the tallest roof, so that no camera of a
-    # small circle is inside a tower.
+    # The radius of the largest circle is slightly larger than the city's side. Altitudes count from the tallest roof,
+    # so that no camera of a small circle is inside a tower.
     scale = 1.1 * site.extent / _PAPER_RADII[-1]
     altitudes = site.top + scale * _PAPER_ALTITUDES
     return circles(count, scale * _PAPER_RADII, altitudes, [0, 0, (site.ground + site.top) / 2])
@@ -113,7 +115,7 @@ def _oblique(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]
 
 
 def _drone(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
-    """Return a realistic nadir survey, unsteady and reversed after each strip, followed by oblique images."""
+    """Return a realistic nadir survey: unsteady, turned round after each strip, followed by oblique images."""
     rng = np.random.default_rng(0)  # the same flight for all cities
     steady = _survey(count - count // 6, site, intrinsics, tilt_deg=0.0)
     positions = np.array([-pose.rotation.T @ pose.translation for pose in steady])
@@ -130,9 +132,9 @@ def _drone(count: int, site: Site, intrinsics: Intrinsics) -> list[Similarity]:
 def _survey(
     count: int, site: Site, intrinsics: Intrinsics, tilt_deg: float, height: float | None = None
 ) -> list[Similarity]:
-    """Return strips alternating between west to east and east to west.
+    """Return strips that alternate between west to east and east to west.
 
-    The height gives 75 % overlap on the ground in both directions, unless it is given.
+    By default the height gives at least 75 % overlap on the ground in both directions, and clears the roofs.
     """
     shape = intrinsics.width / intrinsics.height
     columns = max(1, round(np.sqrt(count / shape)))

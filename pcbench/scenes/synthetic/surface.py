@@ -1,4 +1,4 @@
-"""Converts a plan to a textured triangle mesh: charts packed into pages, painted, and lit by sun and sky."""
+"""Convert a plan to a textured triangle mesh: charts packed into texture pages, painted, and lit by sun and sky."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pcbench.scenes.synthetic.noise import Grid
 from pcbench.scenes.synthetic.paint import Paint, Painter
 from pcbench.scenes.synthetic.plan import CityPlan, CitySettings, Solid, Terrain, Tree
 
-_PAGE_TEXELS = 4096  # along a side of a page; supported by all OpenGL implementations
+_PAGE_TEXELS = 4096  # along a side of a texture page; supported by all OpenGL implementations
 _LEAVES_TEXELS = 256  # along a side of the foliage texture
 _GROUND_TILE_CELLS = 10  # terrain cells along a ground tile with a separate texture
 _MAX_TEXELS = 120e6  # per city: 0.4 GB, and minutes of painting
@@ -70,10 +70,11 @@ def build_city(
     """Lay out, mesh, paint and light a city; about 20 CPU seconds with default settings.
 
     Args:
-        given: Settings of a city, or its plan.
-        texel: Texel size in metres in the city without cameras nearby, four times as much in the fields; by default
+        given: settings of a city, or its plan.
+        texel: texel size in metres on city surfaces without a camera nearby; fields get four times as much. Default:
             0.15, or more in proportion if the city is larger than 400 m.
-        cameras: Surfaces that these observe have texels no larger than the smallest pixel there, except for foliage.
+        cameras: cameras of the images. Surfaces that they observe get texels at most as large as the smallest pixel
+            there, unless the city would have too many texels. Foliage is not refined.
     """
     plan = lay_out(given) if isinstance(given, CitySettings) else given
     texel = texel or 0.15 * max(1.0, plan.settings.extent / 400)

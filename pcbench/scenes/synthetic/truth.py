@@ -1,4 +1,4 @@
-"""True data of a photographed city: depth maps, and its surface as a cloud with visibility."""
+"""Truth of a photographed city: depth maps, and its surface as a cloud with visibility."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcbench.scenes.synthetic.plan import CityPlan
 
 
 def depth_map(index: MeshIndex, camera: Camera) -> NDArray[np.float32]:
-    """Compute the z-depth (rows, columns) in metres along the rays of the pixel centres, in float64; 0 is sky."""
+    """Compute the z-depth (rows, columns) of the surface at the pixel centres in metres; 0 is sky."""
     k = camera.intrinsics
     u, v = np.meshgrid(np.arange(k.width) + 0.5, np.arange(k.height) + 0.5)
     directions = k.directions(np.stack([u.ravel(), v.ravel()], axis=1)) @ camera.cam_from_world.rotation
@@ -32,11 +32,11 @@ def surface_cloud(plan: CityPlan, index: MeshIndex, cameras: Sequence[Camera], c
     at least three cameras observe the point.
 
     Args:
-        plan: Layout of the city.
-        index: Index of its mesh.
-        cameras: Cameras.
-        count: Number of points.
-        seed: Random seed.
+        plan: layout of the city.
+        index: index of its mesh.
+        cameras: cameras.
+        count: number of points.
+        seed: random seed.
     """
     # At most a tenth of the area is buried; sampling and dropping it keeps the rest uniform.
     sampled = index.mesh.sample(round(1.3 * count) + 1000, seed)

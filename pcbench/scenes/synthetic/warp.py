@@ -23,8 +23,8 @@ from pcbench.io import write_cloud
 from pcbench.io.files import atomic_write
 
 SCHEMA = "pcbench.warp/1"
-_BASIN = (0.35, -0.25, 0.30)  # of the subsidence: centre x, y and standard deviation, in lengths
-_DIFFERENCE_STEP = 1e-5  # in lengths, for normals by finite differences: truncation and rounding are both about 1e-10
+_BASIN = (0.35, -0.25, 0.30)  # centre x, y and standard deviation of the subsidence, relative to `Warp.lengths`
+_DIFFERENCE_STEP = 1e-5  # of the normals' finite differences, relative to `Warp.lengths`: both errors are about 1e-10
 
 
 def _dome(x: FloatArray, y: FloatArray, z: FloatArray) -> list[FloatArray]:
@@ -67,17 +67,18 @@ KINDS = tuple(_FIELDS)
 class Warp:
     """Deformation p -> p + amplitude * field(axes (p - center) / lengths) along the axes, followed by a similarity.
 
-    With x, y, z in lengths from the centre, the fields are: dome (0, 0, -x^2 - y^2); bowl, its negative; shear
-    (z^2, 0, 0), which increases with height; twist (-z y, z x, 0), a rotation about the vertical that increases with
-    height; subsidence, a Gaussian basin; drift (0, x^3 / 2, x^2) along the longest horizontal axis of the cloud.
+    With x, y, z measured from the centre in units of `lengths`, the fields are: dome (0, 0, -x^2 - y^2); bowl, its
+    negative; shear (z^2, 0, 0), which increases with height; twist (-z y, z x, 0), a rotation about the vertical that
+    increases with height; subsidence, a Gaussian basin; drift (0, x^3 / 2, x^2) along the cloud's longest horizontal
+    axis.
 
     Args:
-        kind: One of `KINDS`.
-        amplitude: Amplitude in the cloud's unit.
+        kind: one of `KINDS`.
+        amplitude: amplitude in the cloud's unit.
         center: (3,) centre of the field.
         axes: (3, 3) rotation from the cloud's frame to that of the field; both have the same z.
-        lengths: (3,) half the cloud's extent; the larger horizontal one for both horizontal axes.
-        after: Similarity applied after the displacement.
+        lengths: (3,) half the cloud's extent along each axis; both horizontal entries are the larger horizontal one.
+        after: similarity applied after the displacement.
     """
 
     kind: str
@@ -119,7 +120,7 @@ class Warp:
         return replace(moved, points=self.apply(cloud.points), normals=normals)
 
     def record(self, points: FloatArray) -> dict[str, Any]:
-        """Return a JSON-ready record of the deformation of `points` (N, 3): its parameters and resulting figures."""
+        """Return the parameters and amplitudes of the deformation of `points` (N, 3), as JSON values."""
         displacement = self.displacement(points)
         affine, rest = split_affine(points, displacement)
         return {
@@ -146,16 +147,16 @@ def write_warped(out: Path, cloud: Cloud, warp: Warp) -> dict[str, Any]:
     """Write a deformed cloud, and beside it a JSON record of the deformation.
 
     Args:
-        out: Path of the cloud.
-        cloud: Cloud to deform.
-        warp: Deformation.
+        out: path of the cloud.
+        cloud: cloud to deform.
+        warp: deformation.
 
     Returns:
         The record (`Warp.record`).
 
     Raises:
-        InputError: The extension is unknown or read-only.
-        OSError: A file cannot be written.
+        InputError: the extension is unknown or read-only.
+        OSError: a file cannot be written.
     """
     record = warp.record(cloud.points)
     write_cloud(out, warp.apply_cloud(cloud))
@@ -168,13 +169,13 @@ def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | Non
     """Create a deformation of points (N, 3) with a given RMS beyond the best affine map.
 
     Args:
-        kind: One of `KINDS`.
+        kind: one of `KINDS`.
         points: (N, 3) points.
         rms: RMS beyond the best affine map, in the points' unit.
-        after: Similarity applied after the displacement.
+        after: similarity applied after the displacement.
 
     Raises:
-        InputError: The kind is unknown, the RMS is not positive, or an affine map explains the deformation of these
+        InputError: the kind is unknown, the RMS is not positive, or an affine map explains the deformation of these
             points completely, such as a shear by height of points at the same height.
     """
     if kind not in _FIELDS:
@@ -204,7 +205,7 @@ def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | Non
 def split_affine(points: FloatArray, displacement: FloatArray) -> tuple[Affine, FloatArray]:
     """Split a displacement of points (each (N, 3)) into the best affine map and the residual (N, 3).
 
-    Solved by singular values, so that points in one plane have a solution too.
+    A singular value decomposition solves it, so that coplanar points have a solution too.
 
     Args:
         points: (N, 3) points.
@@ -228,7 +229,7 @@ def similarity_from_angles(
     scale: float,
     about: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Similarity:
-    """Return rotations about axes along x, then y, then z, and a scale, about the point `about` (3,), then a shift."""
+    """Return rotations about the x, then the y, then the z axis and a scale, all at `about` (3,), then a shift."""
     rotation = np.eye(3)
     for axis, angle in enumerate(np.radians(angles_deg)):
         c, s = np.cos(angle), np.sin(angle)
