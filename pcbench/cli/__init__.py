@@ -21,7 +21,7 @@ from pcbench.threads import limit_threads
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="pcbench")
-@click.option("--log", type=FILE, help="Log steps, settings, versions, warnings and errors to FILE.")
+@click.option("--log", type=FILE, metavar="FILE", help="Log steps, settings, versions, warnings and errors to FILE.")
 def app(log: Path | None) -> None:
     """How far is this point cloud from that one, where, why, and which numbers can be trusted?"""
     if log is not None:

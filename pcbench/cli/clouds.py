@@ -59,8 +59,8 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
 @click.command(short_help="Align a cloud with a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, help="File for the aligned candidate.")
-@click.option("--matrix", type=FILE, help="File for the 4x4 matrix candidate -> reference.")
+@click.option("--out", type=FILE, metavar="FILE", help="File for the aligned candidate.")
+@click.option("--matrix", type=FILE, metavar="FILE", help="File for the 4x4 matrix from candidate to reference.")
 @register_option()
 @json_option("the pose and its precision")
 @quiet_option
@@ -75,8 +75,9 @@ def register(
 ) -> None:
     """Align CANDIDATE with REFERENCE, and print the motion and its precision.
 
-    Comment lines have the shift of the candidate's centroid, the angle, the axis, the scale and the residuals of
-    control and check points. Then follows the 4x4 matrix, so that the output can be used as a matrix file.
+    Comment lines (#) give the shift of the candidate's centroid, the rotation angle and axis, the scale, and the
+    residuals of control and check points. The 4x4 matrix follows, so that the output is a file for --register
+    matrix:FILE.
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
@@ -172,7 +173,7 @@ def convert(
 ) -> None:
     """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
 
-    For a mesh, its vertices are written, or points sampled on it (--sample).
+    A mesh is written as its vertices, or as points sampled on its surface (--sample).
     """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
@@ -212,7 +213,10 @@ def convert(
 @click.command(short_help="Describe a cloud.")
 @click.argument("clouds", type=FILE, nargs=-1, required=True)
 def info(clouds: tuple[Path, ...]) -> None:
-    """Describe CLOUDS: points, extent, spacing, normals, colours, attributes; faces, Gaussian splats."""
+    """Print points, extent, spacing, normals, colours and attributes of CLOUDS.
+
+    Faces of meshes and Gaussian splats are described too.
+    """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_label

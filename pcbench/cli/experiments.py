@@ -30,7 +30,9 @@ def experiment() -> None:
 
 @experiment.command(short_help="Find which reconstruction setting deforms a cloud.")
 @click.argument("scene", type=FILE, required=False)
-@click.option("--out", type=FILE, required=True, help="Folder for results; a later run resumes from it.")
+@click.option(
+    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
+)
 @click.option(
     "--images",
     default=42,
@@ -39,7 +41,7 @@ def experiment() -> None:
     help="Number of images of the synthetic scene.",
 )
 @size_option("800x600")
-@no_figures_option("picture")
+@no_figures_option()
 @seed_option()
 @quiet_option
 @click.pass_context
@@ -84,7 +86,9 @@ def bend(
 
 @experiment.command(short_help="Reproduce Gao et al. 2025: sparse, dense and splat clouds against mvs and the truth.")
 @click.argument("scenes", nargs=-1, type=FILE, metavar="[SCENE]...")
-@click.option("--out", type=FILE, required=True, help="Folder for results; a later run resumes from it.")
+@click.option(
+    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
+)
 @click.option("--cities", default=3, show_default=True, type=click.IntRange(1, 99), help="Number of cities.")
 @click.option(
     "--images", default=48, show_default=True, type=click.IntRange(9, 9999), help="Number of images of each city."
@@ -98,7 +102,7 @@ def bend(
     type=click.Choice(["solve", "given"]),
     help="Cameras of all clouds: solved once, as in the paper, or given by the scene.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of splat.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of splat; may be repeated.")
 @click.option(
     "--crop",
     metavar="REGION",
@@ -129,9 +133,9 @@ def gao(
 ) -> None:
     """Reproduce the experiment of Gao et al. 2025.
 
-    From images on concentric circles it makes a sparse cloud, a dense one and the centres of Gaussian splats. It crops,
-    registers and measures them against the dense one by the paper's definitions. In addition it measures both
-    directions, the truth, and the surface of the same splats. SCENE is a folder of photographs, with cameras for
+    Images on concentric circles give a sparse cloud, a dense cloud and the centres of Gaussian splats. The clouds are
+    cropped, registered, and measured against the dense one by the paper's definitions; in addition in both directions,
+    against the truth, and with the surface of the same splats. SCENE is a folder of photographs, with cameras for
     --poses given, and optionally truth/ as written by pcbench synth city. Without SCENE, cities are rendered.
 
     \b

@@ -31,12 +31,17 @@ class FiniteRange(click.FloatRange):
 POSITIVE = FiniteRange(min=0, min_open=True)
 
 _REGISTER_HELP = (
-    "Registration method: icp, icp-point, similarity (ICP with scale), global or global-similarity (icp or similarity"
-    " from any pose), points:FILE (control points), matrix:FILE (a known pose) or none."
+    "Registration method: icp (point to plane), icp-point (point to point), similarity (icp with scale), global or"
+    " global-similarity (icp or similarity from any initial pose), points:FILE (control points), matrix:FILE (a known"
+    " pose) or none."
 )
+_SHAPES_HELP = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE"
 _CROP_HELP = (
-    "Region to use: none, box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r, polygon:FILE, reference (its bounding box) or"
-    " quantile:0.99."
+    f"Region to measure: none, {_SHAPES_HELP}, reference (its bounding box) or quantile:0.99 (the sphere around its"
+    " centroid with this share of its points)."
+)
+_CLOUD_CROP_HELP = (
+    f"Region to keep: {_SHAPES_HELP}, or quantile:0.99 (the sphere around the centroid with this share of the points)."
 )
 
 
@@ -46,7 +51,7 @@ def register_option(default: str = "icp", help: str = _REGISTER_HELP) -> Callabl
 
 
 crop_option = click.option("--crop", default="none", show_default=True, metavar="REGION", help=_CROP_HELP)
-required_crop_option = click.option("--crop", required=True, metavar="REGION", help=_CROP_HELP)
+required_crop_option = click.option("--crop", required=True, metavar="REGION", help=_CLOUD_CROP_HELP)
 
 
 def seed_option(help: str = "Random seed.") -> Callable[[_Command], _Command]:
@@ -58,7 +63,7 @@ def las_options(files: str) -> Callable[[_Command], _Command]:
     """Return the options that filter LAS files; `files` names these in the help text."""
 
     def add(command: _Command) -> _Command:
-        returns = f"Use only these returns of {files}: first, last or numbers."
+        returns = f"Use only these returns of {files}: first, last or numbers such as 1,2."
         command = click.option("--returns", metavar="WHICH", help=returns)(command)
         return click.option("--classes", metavar="N,N,...", help=f"Use only these classes of {files}, such as 2,6.")(
             command
@@ -73,32 +78,38 @@ def splat_options(command: _Command) -> _Command:
     command = click.option("--max-axis", type=POSITIVE, metavar="LENGTH", help=axis)(command)
     opacity = FiniteRange(min=0, max=1)
     return click.option(
-        "--min-opacity", type=opacity, metavar="0..1", help="Use only Gaussian splats with at least this opacity."
+        "--min-opacity", type=opacity, metavar="OPACITY", help="Use only Gaussian splats with at least this opacity."
     )(command)
 
 
 def cameras_option(
-    help: str = "Cameras to use: auto, none, or a file or folder.",
+    help: str = "Cameras: auto (found in the folder of the scene), none, or a file or folder.",
 ) -> Callable[[_Command], _Command]:
     """Return the option for the cameras of a scene."""
     return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
 
 
-masks_option = click.option("--masks", type=FILE, help="Folder of masks; black pixels are excluded.  [default: masks/]")
+masks_option = click.option(
+    "--masks", type=FILE, metavar="FOLDER", help="Folder of masks; black pixels are excluded.  [default: masks/]"
+)
 image_scale_option = click.option(
-    "--image-scale", default=1.0, show_default=True, type=float, help="Scale of the images to work with, at most 1."
+    "--image-scale",
+    default=1.0,
+    show_default=True,
+    type=float,
+    help="Scale of the images, at most 1: 0.5 halves width and height.",
 )
 write_cameras_option = click.option(
     "--write-cameras",
     type=FILE,
     metavar="OUT",
-    help="Write the cameras to OUT.json (transforms.json) or a COLMAP model's folder.",
+    help="Write the cameras to a file OUT.json (transforms.json), or to a folder OUT as a COLMAP model.",
 )
 
 
 def wgs84_option(what: str) -> Callable[[_Command], _Command]:
     """Return the option that converts metres of Earth Studio's sphere to metres of WGS84."""
-    help = f"For Earth Studio: write {what} in metres of WGS84 instead of its sphere."
+    help = f"Convert {what} from metres of Earth Studio's sphere to metres of WGS84."
     return click.option("--wgs84", is_flag=True, help=help)
 
 
@@ -113,22 +124,28 @@ def no_figures_option(what: str = "pictures") -> Callable[[_Command], _Command]:
 
 
 format_option = click.option(
-    "--format", "figure_format", metavar="KIND", help="Format of the pictures: png, svg or pdf."
+    "--format", "figure_format", metavar="KIND", help="Format of the pictures: png, svg or pdf.  [default: png]"
 )
 background_option = click.option(
-    "--background", metavar="COLOUR", help="Background of the pictures: dark, white, black or #rrggbb."
+    "--background",
+    metavar="COLOUR",
+    help="Background of the pictures: dark, white, black or #rrggbb.  [default: dark for clouds, white for charts]",
 )
 
 
 def figure_options(command: _Command) -> _Command:
     """Add the options for the appearance of pictures, the fields of `pcbench.report.Figures`."""
     command = click.option(
-        "--range", "color_range", type=POSITIVE, metavar="LENGTH", help="Distance at which the colour range ends."
+        "--range",
+        "color_range",
+        type=POSITIVE,
+        metavar="LENGTH",
+        help="Upper end of the colour range of distances, in the clouds' unit.",
     )(format_option(command))
     return background_option(command)
 
 
-quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print only errors, including failed pictures.")
 
 
 def given(context: click.Context, name: str) -> bool:

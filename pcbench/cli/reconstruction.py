@@ -30,12 +30,12 @@ from pcbench.errors import InputError
     default=60.0,
     show_default=True,
     metavar="SECONDS",
-    help="Time limit for each description.",
+    help="Time limit for importing each reconstructor.",
 )
 def plugins(specs: tuple[str, ...], time_limit: float) -> None:
     """List the installed reconstructors, or describe the given ones.
 
-    A description has the origin, the purpose, whether the reconstructor can run here, and its settings with types and
+    A description gives the origin, the purpose, whether the reconstructor can run here, and its settings with types and
     defaults.
     """
     from pcbench.plugins import installed_reconstructors
@@ -64,17 +64,20 @@ def plugins(specs: tuple[str, ...], time_limit: float) -> None:
 @click.command(short_help="Make a cloud from photographs with a reconstructor.")
 @click.argument("name", metavar="NAME")
 @click.argument("scene", type=FILE)
-@click.option("-o", "--out", type=FILE, required=True, help="File for the cloud.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of the reconstructor.")
+@click.option("-o", "--out", type=FILE, metavar="FILE", required=True, help="File for the cloud.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of the reconstructor; may be repeated."
+)
 @cameras_option()
 @masks_option
 @image_scale_option
 @click.option(
     "--workspace",
     type=FILE,
+    metavar="FOLDER",
     help="Folder for intermediate files, from which the next run resumes.  [default: OUT.work]",
 )
-@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit.")
+@click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time after which the reconstructor is stopped.")
 @wgs84_option("cloud and cameras")
 @write_cameras_option
 @quiet_option

@@ -39,32 +39,48 @@ if TYPE_CHECKING:
 @click.command(short_help="Measure candidate clouds against a reference.")
 @click.argument("reference", type=FILE, required=False)
 @click.argument("candidates", type=FILE, nargs=-1)
-@click.option("--out", type=FILE, help="Folder for the report.")
+@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier report in it is replaced.")
 @register_option()
 @crop_option
 @click.option(
-    "--thresholds", metavar="T,T,...", help="F-score distance thresholds.  [default: 1, 2, 5 x the reference's spacing]"
+    "--thresholds",
+    metavar="T,T,...",
+    help="F-score distance thresholds, in the clouds' unit.  [default: 1, 2 and 5 times the reference's point spacing]",
 )
 @click.option(
     "--preset",
     "presets",
     multiple=True,
     metavar="NAME",
-    help="Also compute metrics as defined by open3d, pdal or tnt; gao2025 and mpeg are always computed.",
+    help="Also compute metrics as defined by open3d, pdal or tnt (repeatable); gao2025 and mpeg are always computed.",
 )
-@click.option("--map", "maps", multiple=True, metavar="NAME", help="Also compute this deviation map: poisson or m3c2.")
+@click.option(
+    "--map",
+    "maps",
+    multiple=True,
+    metavar="NAME",
+    help="Also compute this deviation map: poisson or m3c2 (repeatable).",
+)
 @click.option(
     "--m3c2",
     metavar="NAME=VALUE,...",
-    help="M3C2 settings: radius, depth, normal_radius, registration_error, cores=FILE.",
+    help="Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
 )
 @las_options("LAS files")
 @splat_options
-@seed_option("Random seed for points on a mesh, queries of floors, and folds of cross-validation.")
-@click.option("--settings", "settings_file", type=FILE, help="Repeat a comparison from a report's settings.json.")
+@seed_option("Random seed of the samples on a mesh, the sampling floors, and the folds of cross-validation.")
+@click.option(
+    "--settings",
+    "settings_file",
+    type=FILE,
+    metavar="FILE",
+    help="Repeat the comparison that a report's settings.json describes.",
+)
 @json_option("comparison.json")
 @no_figures_option()
-@click.option("--full", is_flag=True, help="Print all metrics and all sentences.")
+@click.option(
+    "--full", is_flag=True, help="Print all metrics, the verdict on each cloud, and the differences between candidates."
+)
 @figure_options
 @quiet_option
 @click.pass_context
@@ -95,8 +111,8 @@ def compare(
 ) -> None:
     """Measure the distances between CANDIDATES and REFERENCE in both directions.
 
-    Prints the answer in sentences, warnings, and the main metrics. The folder of --out has all metrics, maps and
-    pictures.
+    Prints the answer in a few sentences, then warnings and the main metrics. The folder of --out has all metrics, maps
+    and pictures.
 
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
@@ -162,7 +178,7 @@ def compare_and_print(
 @click.command(short_help="Test whether a cloud is deformed relative to a reference.")
 @click.argument("reference", type=FILE)
 @click.argument("candidate", type=FILE)
-@click.option("--out", type=FILE, help="Folder for deformation.json, the displacement field and pictures.")
+@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for deformation.json, the displacements and pictures.")
 @register_option()
 @crop_option
 @no_figures_option()
@@ -244,9 +260,10 @@ def plot(
 ) -> None:
     """Draw the pictures of the folder REPORT into REPORT/figures, all or those of NAMES.
 
-    NAMES are, for example, reference, distribution, a_distance, a_completeness; for a bench speed,
-    accuracy_completeness; for views SCENE_METHOD; for `experiment gao` rings, directions, growth. An extension selects
-    the format, as in distribution.svg. Options replace the recorded appearance. No display is needed.
+    NAMES of a report are, for example, reference, distribution, and for a candidate a a_distance and a_completeness; of
+    a bench, speed and accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth.
+    An extension selects the format, as in distribution.svg. Options replace the recorded appearance. No display is
+    needed.
     """
     from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures

@@ -30,7 +30,7 @@ from pcbench.errors import InputError
 @cameras_option()
 @masks_option
 @image_scale_option
-@click.option("--figure", type=FILE, help="File for a PNG picture of the cameras, or of GPS positions.")
+@click.option("--figure", type=FILE, metavar="FILE", help="File for a PNG picture of the cameras, or of GPS positions.")
 @wgs84_option("the cameras")
 @write_cameras_option
 @quiet_option
@@ -46,8 +46,8 @@ def scene(
 ) -> None:
     """Describe SCENE, a folder of photographs, with or without cameras.
 
-    Cameras are read from a COLMAP model, transforms.json, an Earth Studio export, Strecha's .camera files, OpenMVS or
-    K.txt.
+    Cameras are read from a COLMAP model, transforms.json, an Earth Studio export, Strecha's .camera files or OpenMVS.
+    Intrinsics alone may come from K.txt.
     """
     from pcbench.io.files import check_output
     from pcbench.scenes import read_scene
@@ -85,17 +85,24 @@ def synth() -> None:
 
 
 @synth.command(short_help="Build a city, render photographs of it, and write the exact truth.")
-@click.option("--out", type=FILE, required=True, help="Folder for the scene, new or empty.")
+@click.option("--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the scene, new or empty.")
 @click.option("--images", default=40, show_default=True, type=click.IntRange(1, 9999), help="Number of images.")
 @size_option("960x540")
 @click.option(
     "--fov", default=40.0, show_default=True, type=click.FloatRange(1, 120), help="Vertical field of view in degrees."
 )
 @click.option(
-    "--rig", default="circles", show_default=True, help="Camera positions: circles, grid, oblique, drone or orbit."
+    "--rig",
+    default="circles",
+    show_default=True,
+    help="Flight: circles (seven, as in Gao et al.), grid (vertical), oblique, drone or orbit (one circle).",
 )
 @click.option("--distortion", default="0,0,0,0", show_default=True, metavar="K1,K2,P1,P2", help="Lens distortion.")
-@click.option("--gps", type=FiniteRange(min=0), help="Write gps.txt with errors of this standard deviation in metres.")
+@click.option(
+    "--gps",
+    type=FiniteRange(min=0),
+    help="Write gps.txt with errors of this standard deviation in metres, twice that in height.",
+)
 @click.option("--extent", default=400.0, show_default=True, help="Side of the city in metres.")
 @click.option("--density", default=0.85, show_default=True, help="Share of the lots with a building.")
 @click.option("--height", default=9.0, show_default=True, help="Median height of the houses in metres.")
@@ -104,17 +111,17 @@ def synth() -> None:
     "--texture", default=1.0, show_default=True, help="Texture from 1 (rich) to 0 (blank walls and plain ground)."
 )
 @click.option("--water", is_flag=True, help="Turn some blocks into lakes.")
-@click.option("--repeated", is_flag=True, help="Give all buildings one facade.")
-@click.option("--symmetric", is_flag=True, help="Make the city symmetric under a half turn.")
+@click.option("--repeated", is_flag=True, help="Give all buildings the same facade and roof.")
+@click.option("--symmetric", is_flag=True, help="Make the city the same after a half turn about its centre.")
 @click.option("--hard", is_flag=True, help="Short for --texture 0.1 --water --repeated.")
 @click.option("--reflections", is_flag=True, help="Render reflections in glass and water.")
-@click.option("--vignetting", is_flag=True, help="Darken images with the fourth power of the cosine.")
+@click.option("--vignetting", is_flag=True, help="Darken images towards the corners (natural vignetting, cos^4 law).")
 @click.option(
     "--points",
     default=1_000_000,
     show_default=True,
     type=click.IntRange(1000),
-    help="Number of points of the true cloud.",
+    help="Number of points of the cloud in truth/.",
 )
 @seed_option()
 @quiet_option
@@ -144,7 +151,7 @@ def city(
     """Build a city and render photographs of it.
 
     Writes images, cameras (COLMAP, transforms.json), and in truth/ the mesh, a cloud of its surface and a depth map for
-    each image. The same settings give the same bytes.
+    each image. The same settings give the same bytes on the same machine.
     """
     from dataclasses import replace
 
@@ -171,7 +178,9 @@ def city(
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @click.option("--kind", required=True, help="Kind of deformation: dome, bowl, shear, twist, subsidence or drift.")
-@click.option("--rms", required=True, type=float, help="RMS displacement beyond an affine map, in the cloud's unit.")
+@click.option(
+    "--rms", required=True, type=float, help="RMS displacement that no affine map explains, in the cloud's unit."
+)
 @click.option(
     "--rotate",
     default="0,0,0",
@@ -200,9 +209,9 @@ def warp(
 ) -> None:
     """Write a deformed CLOUD to OUT, and the deformation as JSON (OUT with .json added).
 
-    dome and bowl bend the horizontal extent; shear displaces horizontally with the square of the height; twist rotates
-    with height; subsidence is a local basin; drift bends the longest axis. A rotation and a scale, and then a shift,
-    follow.
+    dome lowers and bowl raises the edges relative to the centre; shear displaces horizontally with the square of the
+    height; twist rotates with height; subsidence is a local basin; drift bends the longest axis. Then the cloud is
+    rotated and scaled about --about, and shifted.
     """
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output

@@ -30,13 +30,20 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Compare clouds of a synthetic city, and reconstructors on another.")
-@click.option("--out", type=FILE, default=Path("demo"), show_default=True, help="Folder for clouds and report.")
+@click.option(
+    "--out",
+    type=FILE,
+    metavar="FOLDER",
+    default=Path("demo"),
+    show_default=True,
+    help="Folder for clouds and report.",
+)
 @click.option(
     "--points",
     default=1_270_820,
     show_default=True,
     type=click.IntRange(20_000, 100_000_000),
-    help="Number of points of the reference; candidates scale with it.",
+    help="Number of points of the reference; the candidates have 1 % and 19 % of it.",
 )
 @seed_option("Random seed of the cities and their noise.")
 @no_figures_option()
@@ -94,18 +101,32 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
 @click.command(short_help="Compare reconstructors: time and memory against accuracy.")
 @click.argument("scene", type=FILE)
 @click.option(
-    "--reference", type=FILE, required=True, help="Reference cloud or mesh, in the frame of the scene's cameras."
+    "--reference",
+    type=FILE,
+    metavar="FILE",
+    required=True,
+    help="Reference cloud or mesh, in the frame of the scene's cameras.",
 )
-@click.option("--method", "methods", multiple=True, metavar="NAME", help="A reconstructor, as in `reconstruct`.")
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    metavar="NAME",
+    help="Reconstructor, as in `reconstruct`; repeat to compare several.",
+)
 @click.option(
     "--sweep",
     "sweeps",
     multiple=True,
     metavar="[METHOD.]KEY=V,V,...",
-    help="Run with each value; several sweeps give all combinations.",
+    help="Run with each of these values; several sweeps give all combinations.",
 )
 @click.option(
-    "--set", "settings", multiple=True, metavar="[METHOD.]KEY=VALUE", help="Set a setting of all methods that have it."
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="[METHOD.]KEY=VALUE",
+    help="Setting of all methods that have it; may be repeated.",
 )
 @click.option(
     "--seeds",
@@ -114,18 +135,23 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     type=click.IntRange(1, 1000),
     help="Run each configuration with seeds 0 to N-1.",
 )
-@click.option("--out", type=FILE, required=True, help="Folder for the bench; a later run resumes from it.")
+@click.option(
+    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for the bench; a later run resumes from it."
+)
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each run.")
 @cameras_option(
-    "Cameras for the methods: auto, none, or a file or folder. With none, the scene's cameras still register clouds."
+    "Cameras for the methods: auto, none, or a file or folder. The scene's cameras register the clouds in any case."
 )
 @masks_option
 @click.option(
     "--truth-mesh",
     type=FILE,
+    metavar="FILE",
     help="Mesh of the true surface, to which accuracy is measured.  [default: the scene's truth/mesh.ply]",
 )
-@register_option("gauge", "Registration method: by the gauge of each cloud, or as in `compare`.")
+@register_option(
+    "gauge", "Registration method: gauge (none if the cloud is georeferenced, else by its cameras), or as in `compare`."
+)
 @crop_option
 @click.option(
     "--threshold",
@@ -155,10 +181,10 @@ def bench(
     json_file: str | None,
     quiet: bool,
 ) -> None:
-    """Run each method at each budget in a child process, and compare its cloud with the reference.
+    """Run each method with each combination of settings, and compare its cloud with the reference.
 
-    KEY is image_scale or a setting of the methods. A failed run is recorded as a row with its reason. Finished runs are
-    kept, so that the same command resumes after an interruption.
+    KEY is image_scale or a setting of the methods. Each run is a child process. A failed run is recorded as a row with
+    its reason. Finished runs are kept, so that the same command resumes after an interruption.
 
     \b
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
@@ -207,7 +233,13 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
 
 @click.command(short_help="Measure rendered views of scenes against their photographs.")
 @click.argument("scenes", nargs=-1, required=True, type=FILE, metavar="SCENE...")
-@click.option("--out", type=FILE, required=True, help="Folder for scores and pictures; a later run resumes from it.")
+@click.option(
+    "--out",
+    type=FILE,
+    metavar="FOLDER",
+    required=True,
+    help="Folder for scores and pictures; a later run resumes from it.",
+)
 @click.option(
     "--method", default="splat", show_default=True, metavar="NAME", help="Reconstructor that renders the views."
 )
@@ -218,7 +250,7 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
     type=click.Choice(["every", "blocks"]),
     help="Held-out images: every 8th, or 8 blocks of images.",
 )
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a setting of the method.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Setting of the method; may be repeated.")
 @cameras_option()
 @image_scale_option
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each scene.")
@@ -238,9 +270,9 @@ def views(
 ) -> None:
     """Compare rendered views with their photographs: PSNR, SSIM, and LPIPS and FLIP if installed.
 
-    Prints one row per SCENE, for training views and for held-out views. SCENE is a folder of photographs, whose views
-    the method renders first, a folder of rendered views, or a workspace with one (OUT.work of `pcbench reconstruct`).
-    The worst, the median and the best view are drawn.
+    Prints one row per SCENE, for training views and for held-out views. SCENE is a folder of photographs, which the
+    method reconstructs and renders first; or a folder of rendered views; or a workspace that contains one (OUT.work of
+    `pcbench reconstruct`). Pictures show the worst, the median and the best view.
 
     \b
     Example: pcbench views city_a/ city_b/ cloud.work/ --out views/

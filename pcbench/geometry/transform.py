@@ -327,7 +327,7 @@ def read_matrix(path: str | Path) -> Similarity:
     shape = (len(values), len(values[0]) if values else 0)
     if shape not in ((4, 4), (3, 4)) or any(len(row) != 4 for row in values):
         raise InputError(
-            f"{path}: expected 4 rows of 4 numbers, got {len(values)} rows of {[len(r) for r in values][:5]}"
+            f"{path}: expected 3 or 4 rows of 4 numbers, got {len(values)} rows of {[len(r) for r in values][:5]}"
         )
     try:
         return Similarity.from_matrix(np.array([*values, [0.0, 0.0, 0.0, 1.0]][:4]))

@@ -80,7 +80,9 @@ def _find_lpips() -> tuple[Metric | None, Notice | None]:
 
     weights = Path(torch.hub.get_dir()) / "checkpoints" / _WEIGHTS
     if not weights.is_file():
-        return missing(f"{weights} is missing and is not downloaded automatically; get it from https://download.pytorch.org/models/")
+        return missing(
+            f"{weights} is missing and is not downloaded automatically; get it from https://download.pytorch.org/models/"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # lpips calls torchvision with deprecated arguments
