@@ -28,23 +28,23 @@ def main() -> int:
         parser.error(f"unknown method {unknown[0]!r}: expected some of {', '.join(SMALL)}")
     print(setting())
     print(f"{'':7}{'CPUs':>5}{'threads':>8}{'busy':>5}{'points':>9}  sha256 of the cloud")
-    same = True
+    reproducible = True
     with tempfile.TemporaryDirectory() as folder:
         scene = options.scene
         if scene is None:
-            (made := Path(folder) / "corner").mkdir()
-            scene = corner.write_scene(made, corner.cameras(9, corner.standard_intrinsics(320, 240)))
+            (corner_folder := Path(folder) / "corner").mkdir()
+            scene = corner.write_scene(corner_folder, corner.cameras(9, corner.standard_intrinsics(320, 240)))
         for method in options.methods:
             hashes = set()
             for number in range(options.runs):
                 conditions = CONDITIONS[number % len(CONDITIONS)]
-                found = repeat(method, scene, Path(folder) / f"{method}-{number}", conditions)
-                hashes.add(found.sha256)
-                row = f"{method:7}{conditions.cpus:5}{conditions.threads:8}{conditions.busy:5}{found.points:9,}"
-                print(f"{row}  {found.sha256}", flush=True)
-            same &= len(hashes) == 1
-    print("all clouds of each method are equal" if same else "clouds differ")
-    return 0 if same else 1
+                output = repeat(method, scene, Path(folder) / f"{method}-{number}", conditions)
+                hashes.add(output.sha256)
+                row = f"{method:7}{conditions.cpus:5}{conditions.threads:8}{conditions.busy:5}{output.points:9,}"
+                print(f"{row}  {output.sha256}", flush=True)
+            reproducible &= len(hashes) == 1
+    print("all clouds of each method are equal" if reproducible else "clouds differ")
+    return 0 if reproducible else 1
 
 
 if __name__ == "__main__":
