@@ -14,18 +14,18 @@ from measure import setting
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import textured_corner as corner
-from repeats import CONDITIONS, SMALL, repeat
+from repeats import CONDITIONS, FAST_SETTINGS, repeat
 
 
 def main() -> int:
     """Run the methods and compare their clouds."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("methods", nargs="*", default=list(SMALL), metavar="METHOD", help=", ".join(SMALL))
+    parser.add_argument("methods", nargs="*", default=list(FAST_SETTINGS), metavar="METHOD", help=", ".join(FAST_SETTINGS))
     parser.add_argument("--scene", type=Path, help="photographs; default: nine rendered ones of a textured corner")
     parser.add_argument("--runs", type=int, default=len(CONDITIONS))
     options = parser.parse_args()
-    if unknown := [method for method in options.methods if method not in SMALL]:
-        parser.error(f"unknown method {unknown[0]!r}: expected some of {', '.join(SMALL)}")
+    if unknown := [method for method in options.methods if method not in FAST_SETTINGS]:
+        parser.error(f"unknown method {unknown[0]!r}: expected some of {', '.join(FAST_SETTINGS)}")
     print(setting())
     print(f"{'':7}{'CPUs':>5}{'threads':>8}{'busy':>5}{'points':>9}  sha256 of the cloud")
     reproducible = True
