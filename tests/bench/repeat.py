@@ -20,7 +20,9 @@ from repeats import CONDITIONS, FAST_SETTINGS, repeat
 def main() -> int:
     """Run the methods and compare their clouds."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("methods", nargs="*", default=list(FAST_SETTINGS), metavar="METHOD", help=", ".join(FAST_SETTINGS))
+    parser.add_argument(
+        "methods", nargs="*", default=list(FAST_SETTINGS), metavar="METHOD", help=", ".join(FAST_SETTINGS)
+    )
     parser.add_argument("--scene", type=Path, help="photographs; default: nine rendered ones of a textured corner")
     parser.add_argument("--runs", type=int, default=len(CONDITIONS))
     options = parser.parse_args()
