@@ -22,7 +22,7 @@ from pathlib import Path
 STEPS = ("import", "read", "index, normals", "registration", "distances, metrics", "total")
 
 
-def ours(folder: Path) -> dict:
+def run_pcbench(folder: Path) -> dict:
     """Run and time the comparison with pcbench."""
     clock = Clock()
     from pcbench import compare, read_cloud
@@ -37,38 +37,38 @@ def ours(folder: Path) -> dict:
     result = compare(reference, candidates)
     clock.step("compare")
     values = {candidate.name: paper_metrics(candidate.metrics) for candidate in result.candidates}
-    inner = {
+    inner_s = {
         "registration": sum(c.timings_s["registration"] for c in result.candidates),
         "index, normals": result.candidates[0].timings_s["reference"],
     }
-    clock.steps["registration"] = (inner["registration"], None)
-    clock.steps["index, normals"] = (inner["index, normals"], None)
-    whole, _ = clock.steps.pop("compare")
-    clock.steps["distances, metrics"] = (whole - sum(inner.values()), None)
+    clock.steps["registration"] = (inner_s["registration"], None)
+    clock.steps["index, normals"] = (inner_s["index, normals"], None)
+    compare_s, _ = clock.steps.pop("compare")
+    clock.steps["distances, metrics"] = (compare_s - sum(inner_s.values()), None)
     return clock.result(values)
 
 
-def open3d(folder: Path) -> dict:
+def run_open3d(folder: Path) -> dict:
     """Run a typical user script: normals (k = 20), point-to-plane ICP, both distances, the paper's four metrics."""
     clock = Clock()
     import numpy as np
     import open3d as o3d
 
     clock.step("import")
-    read = o3d.io.read_point_cloud
-    reference = read(str(folder / "reference.ply"))
-    candidates = {name: read(str(folder / f"{name}.ply")) for name in ("sparse", "densified")}
+    read_point_cloud = o3d.io.read_point_cloud
+    reference = read_point_cloud(str(folder / "reference.ply"))
+    candidates = {name: read_point_cloud(str(folder / f"{name}.ply")) for name in ("sparse", "densified")}
     clock.step("read")
     reference.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
     clock.step("index, normals")
-    registered = o3d.pipelines.registration
+    registration = o3d.pipelines.registration
     normals, points = np.asarray(reference.normals), np.asarray(reference.points)
     values = {}
     for name, candidate in candidates.items():
         T = np.eye(4)
         for max_distance in (3.0, 1.0):
-            T = registered.registration_icp(
-                candidate, reference, max_distance, T, registered.TransformationEstimationPointToPlane()
+            T = registration.registration_icp(
+                candidate, reference, max_distance, T, registration.TransformationEstimationPointToPlane()
             ).transformation
         candidate.transform(T)
         clock.step("registration")
@@ -76,13 +76,13 @@ def open3d(folder: Path) -> dict:
         r2c = np.asarray(reference.compute_point_cloud_distance(candidate))
         aligned = np.asarray(candidate.points)
         # D2 needs the index of the closest point; the fastest call that returns it searches again.
-        found = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(points))
-        found.knn_index()
-        nearest = found.knn_search(o3d.core.Tensor(aligned), 1)[0].numpy()[:, 0]
-        plane = np.einsum("ni,ni->n", aligned - points[nearest], normals[nearest])
+        index = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(points))
+        index.knn_index()
+        nearest = index.knn_search(o3d.core.Tensor(aligned), 1)[0].numpy()[:, 0]
+        plane_distances = np.einsum("ni,ni->n", aligned - points[nearest], normals[nearest])
         values[name] = {
             "d1": float(np.mean(c2r**2)),
-            "d2": float(np.mean(plane**2)),
+            "d2": float(np.mean(plane_distances**2)),
             "hausdorff": float(max(c2r.max(), r2c.max())),
             "chamfer": float(np.mean(c2r**2) + np.mean(r2c**2)),
             "T": T.tolist(),
@@ -91,7 +91,7 @@ def open3d(folder: Path) -> dict:
     return clock.result(values)
 
 
-def at_transform(reference, candidate, T: list) -> dict:
+def metrics_at_transform(reference, candidate, T: list) -> dict:
     """Return our metrics with the registration of another tool."""
     import numpy as np
 
@@ -122,15 +122,15 @@ class Clock:
 
     def step(self, name: str) -> None:
         """Add the time since the last step to a step."""
-        now = self._now()
+        stamp = self._now()
         wall, cpu = self.steps.get(name, (0.0, 0.0))
-        self.steps[name] = (wall + now[0] - self.last[0], (cpu or 0.0) + now[1] - self.last[1])
-        self.last = now
+        self.steps[name] = (wall + stamp[0] - self.last[0], (cpu or 0.0) + stamp[1] - self.last[1])
+        self.last = stamp
 
     def result(self, values: dict) -> dict:
         """Return the times of all steps, peak memory and the values."""
-        now = self._now()
-        self.steps["total"] = (now[0] - self.start[0], now[1] - self.start[1])
+        stamp = self._now()
+        self.steps["total"] = (stamp[0] - self.start[0], stamp[1] - self.start[1])
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         return {"steps": self.steps, "peak": peak, "values": values}
 
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.side:
-        print(json.dumps({"ours": ours, "open3d": open3d}[arguments.side](arguments.folder)))
+        print(json.dumps({"ours": run_pcbench, "open3d": run_open3d}[arguments.side](arguments.folder)))
         return
 
     from pcbench import write_cloud
@@ -183,10 +183,12 @@ def main() -> None:
     print(f"{'peak memory, MiB':22}{a:10.0f}{b:10.0f}{b / a:8.1f}\n")
     print(f"{'':22}{'pcbench':>14}{'Open3D':>14}{'at its transform':>20}")
     for candidate, values in runs["ours"][0]["values"].items():
-        theirs = runs["open3d"][0]["values"][candidate]
-        same = at_transform(scene.reference, scene.candidates[candidate], theirs["T"])
+        open3d_values = runs["open3d"][0]["values"][candidate]
+        pcbench_values = metrics_at_transform(scene.reference, scene.candidates[candidate], open3d_values["T"])
         for metric, value in values.items():
-            print(f"{candidate + ' ' + metric:22}{value:14.9g}{theirs[metric]:14.9g}{same[metric]:20.9g}")
+            print(
+                f"{candidate + ' ' + metric:22}{value:14.9g}{open3d_values[metric]:14.9g}{pcbench_values[metric]:20.9g}"
+            )
     print("\nlast column: pcbench's metrics with Open3D's registration, which separates search from registration")
 
 

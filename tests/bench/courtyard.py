@@ -32,19 +32,19 @@ from reconstructors.sfm.sfm import ColmapSfm
 class Case(NamedTuple):
     """A courtyard to solve."""
 
-    own: float  # share of each wall's texture that is unique
+    unique_share: float  # share of each wall's texture that is unique
     inwards: bool  # whether the cameras look across the court instead of outwards from its middle
-    known: bool  # whether the intrinsics are known
+    known_intrinsics: bool  # whether the intrinsics are known
     seed: int
 
 
-def cases(seeds: list[int], owns: list[float]) -> Iterator[Case]:
+def cases(seeds: list[int], unique_shares: list[float]) -> Iterator[Case]:
     """Yield all combinations."""
     for seed in seeds:
-        for own in owns:
+        for unique_share in unique_shares:
             for inwards in (False, True):
-                for known in (False, True):
-                    yield Case(own, inwards, known, seed)
+                for known_intrinsics in (False, True):
+                    yield Case(unique_share, inwards, known_intrinsics, seed)
 
 
 def photograph_scene(case: Case, folder: Path) -> Scene:
@@ -52,16 +52,18 @@ def photograph_scene(case: Case, folder: Path) -> Scene:
     (folder / "images").mkdir()
     cameras = courtyard.cameras(30, courtyard.standard_intrinsics(), case.inwards)
     for camera in cameras:
-        Image.fromarray(courtyard.photograph(camera, case.own, case.seed)).save(folder / "images" / camera.name)
+        Image.fromarray(courtyard.photograph(camera, case.unique_share, case.seed)).save(
+            folder / "images" / camera.name
+        )
     write_colmap_model(folder / "sparse", cameras)
-    return read_scene(folder, cameras="auto" if case.known else "none")
+    return read_scene(folder, cameras="auto" if case.known_intrinsics else "none")
 
 
-def worst_camera(found, truth) -> str:
+def worst_camera(solved, truth) -> str:
     """Return the number of solved cameras and the largest errors of position and direction."""
-    names = sorted(found)
-    fit = robust_similarity(*(np.array([cameras[name].position for name in names]) for cameras in (found, truth)))
-    positions, angles = camera_errors({name: transform_camera(camera, fit) for name, camera in found.items()}, truth)
+    names = sorted(solved)
+    fit = robust_similarity(*(np.array([cameras[name].position for name in names]) for cameras in (solved, truth)))
+    positions, angles = camera_errors({name: transform_camera(camera, fit) for name, camera in solved.items()}, truth)
     return f"{len(names)}: {positions.max():.3f} m, {angles.max():.1f} deg"
 
 
@@ -71,25 +73,27 @@ def rows(case: Case) -> Iterator[str]:
         folder, work = Path(temporary), Path(temporary) / "work"
         work.mkdir()
         scene = photograph_scene(case, folder)
-        truth, refine = read_scene(folder).cameras, "none" if case.known else "all"
+        truth, refine = read_scene(folder).cameras, "none" if case.known_intrinsics else "all"
         for mapping in ("incremental", "global"):
             settings = {"poses": "solve", "refine": refine, "align": "none", "upsample": False, "features": 4000}
-            what = f"{case.own:g} {'across' if case.inwards else 'outwards'}{', known lens' if case.known else ''}"
-            start = f"| {what} | {case.seed} | "
+            view, lens = "across" if case.inwards else "outwards", ", known lens" if case.known_intrinsics else ""
+            case_label = f"{case.unique_share:g} {view}{lens}"
+            row_start = f"| {case_label} | {case.seed} | "
             try:
-                made = ColmapSfm(mapping=mapping, **settings).reconstruct(scene, work)
+                reconstruction = ColmapSfm(mapping=mapping, **settings).reconstruct(scene, work)
             except ReconstructionError:
-                yield f"{start}- | {mapping} | nothing | - | nothing | - | error |"
+                yield f"{row_start}- | {mapping} | nothing | - | nothing | - | error |"
                 continue
 
             def contradictions(cameras) -> int:
                 return len(epipolar_agreement(work / "verified" / DATABASE, cameras).contradicting_pairs)
 
             model, _ = largest_component(map_images(work / "verified", scene, work, mapping, refine, 0), scene)
-            alone = f"{worst_camera(cameras_of(model), truth)} | {contradictions(cameras_of(model))}"
-            warned = "warned" if any(note.startswith("warning: ") for note in made.notes) else "-"
-            accepted = f"{worst_camera(made.cameras, truth)} | {contradictions(made.cameras)} | {warned}"
-            yield f"{start}{contradictions(truth)} | {mapping} | {alone} | {accepted} |"
+            mapper_result = f"{worst_camera(cameras_of(model), truth)} | {contradictions(cameras_of(model))}"
+            warning_note = "warned" if any(note.startswith("warning: ") for note in reconstruction.notes) else "-"
+            cameras = reconstruction.cameras
+            accepted = f"{worst_camera(cameras, truth)} | {contradictions(cameras)} | {warning_note}"
+            yield f"{row_start}{contradictions(truth)} | {mapping} | {mapper_result} | {accepted} |"
 
 
 if __name__ == "__main__":

@@ -24,9 +24,9 @@ from deformation_cases import BENDS, NULLS, PARTS, Pair, bent_city, true_rms, tu
 from pcbench.deformation import Deformation, deform
 
 VERDICTS = ("none", "undecided", "similarity", "affine", "non-affine")
-DOMES = (0.1, 0.2, 0.35, 0.5, 1.0)  # RMS in units of a point's noise
-RATIOS = (100, 50, 25)
-HEAD = f"{'':26}{'runs':>5}" + "".join(f"{verdict:>12}" for verdict in VERDICTS)
+DOME_SIZES = (0.1, 0.2, 0.35, 0.5, 1.0)  # RMS in units of a point's noise
+LENGTH_RATIOS = (100, 50, 25)
+TABLE_HEAD = f"{'':26}{'runs':>5}" + "".join(f"{verdict:>12}" for verdict in VERDICTS)
 
 
 def evaluate(make: Callable[[int], Pair], seed: int, method: str = "icp") -> Deformation:
@@ -35,78 +35,80 @@ def evaluate(make: Callable[[int], Pair], seed: int, method: str = "icp") -> Def
     return deform(pair.reference, pair.candidate, method)[1]
 
 
-def line(name: str, found: list[Deformation]) -> str:
+def table_row(name: str, results: list[Deformation]) -> str:
     """Return a table row with the counts of the verdicts."""
-    verdicts = [each.verdict for each in found]
-    return f"{name:26}{len(found):5}" + "".join(f"{verdicts.count(verdict):12}" for verdict in VERDICTS)
+    verdicts = [result.verdict for result in results]
+    return f"{name:26}{len(results):5}" + "".join(f"{verdicts.count(verdict):12}" for verdict in VERDICTS)
 
 
-def nulls(runs: int, only: str, first: int) -> None:
+def print_nulls(runs: int, name_part: str, first_seed: int) -> None:
     """Print the verdicts on undeformed pairs."""
-    print(f"\nundeformed\n{HEAD}{'smallest p':>12}{'moved':>7}")
+    print(f"\nundeformed\n{TABLE_HEAD}{'smallest p':>12}{'moved':>7}")
     for name, make in NULLS.items():
-        if only not in name:
+        if name_part not in name:
             continue
         try:
-            found = [evaluate(make, seed) for seed in range(first, first + runs)]
+            results = [evaluate(make, seed) for seed in range(first_seed, first_seed + runs)]
         except pytest.skip.Exception:
             continue
-        smallest = min((each.p_value for each in found if each.p_value is not None), default=1.0)
-        moved = sum("a part moved" in each.sentence() for each in found)
-        print(f"{line(name, found)}{smallest:12.1e}{moved:7}", flush=True)
+        smallest = min((result.p_value for result in results if result.p_value is not None), default=1.0)
+        moved_count = sum("a part moved" in result.sentence() for result in results)
+        print(f"{table_row(name, results)}{smallest:12.1e}{moved_count:7}", flush=True)
 
 
-def bends(runs: int, only: str, first: int) -> None:
+def print_bends(runs: int, name_part: str, first_seed: int) -> None:
     """Print the verdicts on deformed pairs, with the sizes of the deformations."""
     print("\ndeformed; ratio of measured to true deformation, and coverage of its interval: along the normals of the")
-    print(f"pairs, and over the surface\n{HEAD}{'pairs':>8}{'':>6}{'surface':>9}{'':>6}")
+    print(f"pairs, and over the surface\n{TABLE_HEAD}{'pairs':>8}{'':>6}{'surface':>9}{'':>6}")
     for name, make in BENDS.items():
-        if only not in name:
+        if name_part not in name:
             continue
         try:
-            rows = [(evaluate(make, seed), true_rms(make(seed))) for seed in range(first, first + runs)]
+            rows = [(evaluate(make, seed), true_rms(make(seed))) for seed in range(first_seed, first_seed + runs)]
         except pytest.skip.Exception:
             continue
-        sized = [(found.amplitude, truth) for found, truth in rows if found.amplitude is not None]
-        ratios = [np.mean([a.rms / t[0] for a, t in sized]), np.mean([(a.rms_surface or 0) / t[1] for a, t in sized])]
+        sizes = [(result.amplitude, truth) for result, truth in rows if result.amplitude is not None]
+        ratios = [np.mean([a.rms / t[0] for a, t in sizes]), np.mean([(a.rms_surface or 0) / t[1] for a, t in sizes])]
         coverage = [
-            np.mean([a.ci[0] <= t[0] <= a.ci[1] for a, t in sized]),
-            np.mean([a.ci_surface is not None and a.ci_surface[0] <= t[1] <= a.ci_surface[1] for a, t in sized]),
+            np.mean([a.ci[0] <= t[0] <= a.ci[1] for a, t in sizes]),
+            np.mean([a.ci_surface is not None and a.ci_surface[0] <= t[1] <= a.ci_surface[1] for a, t in sizes]),
         ]
         numbers = f"{ratios[0]:8.2f}{coverage[0]:6.0%}{ratios[1]:9.2f}{coverage[1]:6.0%}"
-        print(f"{line(name, [found for found, _ in rows])}{numbers}", flush=True)
+        print(f"{table_row(name, [result for result, _ in rows])}{numbers}", flush=True)
 
 
-def parts(runs: int, only: str, first: int) -> None:
+def print_parts(runs: int, name_part: str, first_seed: int) -> None:
     """Print the verdicts on pairs with moved parts, and on unregistered pairs."""
-    print(f"\nparts that moved, and clouds that are not registered\n{HEAD}  warnings")
+    print(f"\nparts that moved, and clouds that are not registered\n{TABLE_HEAD}  warnings")
     for name, make in {**PARTS, "turned by 3 degrees, not registered": turned_city(3.0)}.items():
-        if only not in name:
+        if name_part not in name:
             continue
         method = "none" if name.startswith("turned") else "icp"
-        found = [evaluate(make, seed, method) for seed in range(first, first + runs)]
-        codes = [notice.code for each in found for notice in each.warnings]
+        results = [evaluate(make, seed, method) for seed in range(first_seed, first_seed + runs)]
+        codes = [notice.code for result in results for notice in result.warnings]
         counts = {code: codes.count(code) for code in sorted(set(codes))}
-        counts["a part moved"] = sum("a part moved" in each.sentence() for each in found)
+        counts["a part moved"] = sum("a part moved" in result.sentence() for result in results)
         print(
-            f"{line(name, found)}  {', '.join(f'{word} {count}' for word, count in counts.items() if count)}",
+            f"{table_row(name, results)}  {', '.join(f'{label} {count}' for label, count in counts.items() if count)}",
             flush=True,
         )
 
 
-def domes(runs: int, first: int) -> None:
+def print_domes(runs: int, first_seed: int) -> None:
     """Print the shares of domes that are detected."""
     print("\nshare of detected domes in a city, by RMS in units of a point's noise")
-    print(f"{'noise':8}{'runs':>5}" + "".join(f"{times:8.2f}" for times in DOMES))
-    for ratio in RATIOS:
+    print(f"{'noise':8}{'runs':>5}" + "".join(f"{dome_size:8.2f}" for dome_size in DOME_SIZES))
+    for ratio in LENGTH_RATIOS:
         shares = []
-        for times in DOMES:
-            found = [evaluate(bent_city("dome", times, ratio), seed) for seed in range(first, first + runs)]
-            shares.append(np.mean([each.verdict == "non-affine" for each in found]))
+        for dome_size in DOME_SIZES:
+            results = [
+                evaluate(bent_city("dome", dome_size, ratio), seed) for seed in range(first_seed, first_seed + runs)
+            ]
+            shares.append(np.mean([result.verdict == "non-affine" for result in results]))
         print(f"L/{ratio:<6}{runs:5}" + "".join(f"{share:8.2f}" for share in shares), flush=True)
 
 
-def times(sizes: list[int]) -> None:
+def print_times(sizes: list[int]) -> None:
     """Print seconds for two complete clouds with known registration, indices and normals, as in `compare`."""
     from pcbench.deformation import Side, residual_deformation
     from pcbench.geometry.neighbors import Index
@@ -120,17 +122,17 @@ def times(sizes: list[int]) -> None:
         origin = local_origin(scene.reference)
         surface = Surface(Index(scene.reference.points - origin))
         surface.normals(np.arange(len(surface)))
-        truth = Side(surface, np.ones(len(surface), bool), scene.reference)
+        reference_side = Side(surface, np.ones(len(surface), bool), scene.reference)
         for cloud in scene.candidates.values():
-            found = register(scene.reference, cloud, target=Target(surface))
-            index = Index(found.T_local.apply(cloud.points - origin))
+            registration = register(scene.reference, cloud, target=Target(surface))
+            index = Index(registration.T_local.apply(cloud.points - origin))
             seconds = []
             for _ in range(5):
                 start = time.perf_counter()
-                side = Side(Surface(index), np.ones(len(index), bool), cloud)
-                answer = residual_deformation(truth, side, found, origin)
+                candidate_side = Side(Surface(index), np.ones(len(index), bool), cloud)
+                result = residual_deformation(reference_side, candidate_side, registration, origin)
                 seconds.append(time.perf_counter() - start)
-            print(f"{size:10,}{len(cloud):11,}{np.median(seconds):9.2f}  {answer.verdict}", flush=True)
+            print(f"{size:10,}{len(cloud):11,}{np.median(seconds):9.2f}  {result.verdict}", flush=True)
 
 
 def main() -> None:
@@ -145,10 +147,10 @@ def main() -> None:
     limit_threads(options.threads)
     print(setting())
     if options.domes:
-        return domes(options.runs, options.first)
+        return print_domes(options.runs, options.first)
     if options.times:
-        return times([100_000, 1_270_820, 5_000_000])
-    for table in (nulls, bends, parts):
+        return print_times([100_000, 1_270_820, 5_000_000])
+    for table in (print_nulls, print_bends, print_parts):
         table(options.runs, options.only, options.first)
 
 

@@ -32,7 +32,7 @@ SIZES = (
 )
 CASES = [Case(name, *size) for name in ("plane", "torus", "sphere", "cylinder", "boxes", "city") for size in SIZES]
 NOISES = (0.0, 0.25, 0.5, 1.0, 2.0)
-NOISY = [Case(name, 5_000, 5_000, 1, noise) for name in ("plane", "torus", "boxes") for noise in NOISES]
+NOISY_CASES = [Case(name, 5_000, 5_000, 1, noise) for name in ("plane", "torus", "boxes") for noise in NOISES]
 
 
 def main() -> None:
@@ -44,15 +44,15 @@ def main() -> None:
     print(setting())
     columns = "".join(f"{arrow + ' ' + name:>18}" for arrow in ("c→r", "r→c") for name in METRICS)
     print(f"{'surface':9}{'reference':>10}{'candidate':>10}{'falling':>8}{'noise':>6}{columns}")
-    without = np.ones((2, len(METRICS)))
-    for case in NOISY if options.noise else CASES:
-        found = mean_floors(case, options.runs)
+    noise_free_floors = np.ones((2, len(METRICS)))
+    for case in NOISY_CASES if options.noise else CASES:
+        result = mean_floors(case, options.runs)
         if case.noise == 0:
-            without = np.maximum(found.floors, 1e-30)
-        grown = found.floors / without
+            noise_free_floors = np.maximum(result.floors, 1e-30)
+        floor_ratios = result.floors / noise_free_floors
         cells = "".join(
-            f"{ratio:11.3f} ({of:4.2f})" if options.noise else f"{ratio:18.3f}"
-            for ratio, of in zip(found.ratios.ravel(), grown.ravel(), strict=True)
+            f"{ratio:11.3f} ({floor_ratio:4.2f})" if options.noise else f"{ratio:18.3f}"
+            for ratio, floor_ratio in zip(result.ratios.ravel(), floor_ratios.ravel(), strict=True)
         )
         name, reference, candidate, falling, noise = case
         print(f"{name:9}{reference:10,}{candidate:10,}{falling:8g}{noise:6g}{cells}", flush=True)

@@ -34,8 +34,8 @@ def main() -> None:
     print(f"{'surface':9}{'noise':10}" + "".join(f"{f'{name} {ARROWS[direction]}':>20}" for name, direction in SCORES))
     for name in options.surfaces:
         for noise in options.noises:
-            found = coverage(Case(name, noise, *options.points), options.runs)
-            pairs = zip(found.shares, found.widths, strict=True)
+            result = coverage(Case(name, noise, *options.points), options.runs)
+            pairs = zip(result.shares, result.widths, strict=True)
             print(
                 f"{name:9}{noise:10}" + "".join(f"{share:13.3f} ({width:4.2f})" for share, width in pairs), flush=True
             )

@@ -26,13 +26,13 @@ from mesh_shapes import height_field
 from pcbench.geometry.mesh import Mesh, MeshIndex
 
 
-def ours(vertices, faces):
+def build_pcbench(vertices, faces):
     """Build our index and return its query."""
     index = MeshIndex(Mesh(vertices, faces))
     return lambda points: index.query(points).distances
 
 
-def open3d(vertices, faces):
+def build_open3d(vertices, faces):
     """Build Open3D's scene and return its query."""
     import open3d as o3d
 
@@ -44,7 +44,7 @@ def open3d(vertices, faces):
     )
 
 
-def trimesh(vertices, faces):
+def build_trimesh(vertices, faces):
     """Build trimesh's index and return its query."""
     import trimesh as tm
 
@@ -53,7 +53,7 @@ def trimesh(vertices, faces):
     return lambda points: tm.proximity.closest_point(mesh, points)[1]
 
 
-def timed(call):
+def measure_time(call):
     """Return the result of a call with its wall and CPU seconds."""
     wall, cpu = time.perf_counter(), time.process_time()
     result = call()
@@ -69,39 +69,41 @@ def main() -> None:
 
     vertices, faces = height_field(round((arguments.faces / 2) ** 0.5) + 1)
     rng = np.random.default_rng(0)
-    on = Mesh(vertices, faces).sample(arguments.queries).points
+    surface_points = Mesh(vertices, faces).sample(arguments.queries).points
     queries = {
-        "within 0.2 % of the size": on + rng.normal(0, 0.002, on.shape),
-        "in its box, twice as high": rng.uniform(vertices.min(axis=0) * 2, vertices.max(axis=0) * 2, on.shape),
-        "off by a third": on + rng.normal(0, 0.3, on.shape),
+        "within 0.2 % of the size": surface_points + rng.normal(0, 0.002, surface_points.shape),
+        "in its box, twice as high": rng.uniform(
+            vertices.min(axis=0) * 2, vertices.max(axis=0) * 2, surface_points.shape
+        ),
+        "off by a third": surface_points + rng.normal(0, 0.3, surface_points.shape),
     }
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     print(f"{len(faces):,} faces, {arguments.queries:,} queries, {arguments.runs} runs, medians")
     print(f"commit {commit}, {platform.machine()}, {len(os.sched_getaffinity(0))} cores\n")
     print(f"{'':28}{'':10}{'wall s':>10}{'CPU s':>10}{'ratio':>8}{'largest difference':>22}")
 
-    makers = {"pcbench": ours, "Open3D": open3d, "trimesh": trimesh}
+    builders = {"pcbench": build_pcbench, "Open3D": build_open3d, "trimesh": build_trimesh}
     engines, builds = {}, {}
-    for name, make in makers.items():
+    for name, build in builders.items():
         try:
-            engines[name], builds[name] = timed(lambda make=make: make(vertices, faces))
+            engines[name], builds[name] = measure_time(lambda build=build: build(vertices, faces))
         except ImportError as error:
             print(f"{name} left out: {error}")
     for name, (wall, cpu) in builds.items():
         print(f"{'build':28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / builds['pcbench'][1]:8.1f}")
-    for what, points in queries.items():
+    for query_label, points in queries.items():
         results = {}
         for name, query in engines.items():
             sample = points[::100] if name == "trimesh" else points
             times = []
             for _ in range(1 if name == "trimesh" else arguments.runs):
-                distances, spent = timed(lambda query=query, sample=sample: query(sample))
-                times.append(np.array(spent) * len(points) / len(sample))
+                distances, seconds = measure_time(lambda query=query, sample=sample: query(sample))
+                times.append(np.array(seconds) * len(points) / len(sample))
             wall, cpu = (statistics.median(t[k] for t in times) for k in range(2))
             results[name] = distances, cpu
-            own, own_cpu = results["pcbench"]
-            off = np.abs(distances - own[:: len(points) // len(sample)]).max()
-            print(f"{what:28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / own_cpu:8.1f}{off:22.1e}")
+            pcbench_distances, pcbench_cpu = results["pcbench"]
+            max_difference = np.abs(distances - pcbench_distances[:: len(points) // len(sample)]).max()
+            print(f"{query_label:28}{name:10}{wall:10.2f}{cpu:10.2f}{cpu / pcbench_cpu:8.1f}{max_difference:22.1e}")
 
 
 if __name__ == "__main__":

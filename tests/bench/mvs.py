@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from measure import alternate, limit_threads, setting
 
-PLANES = 128
-WINDOW = 9  # side of a patch in pixels, as in the bundled matcher
+PLANE_COUNT = 128
+WINDOW_SIDE = 9  # side of a patch in pixels, as in the bundled matcher
 
 
 class Case(NamedTuple):
@@ -32,7 +32,7 @@ class Case(NamedTuple):
     depths: Sequence[np.ndarray]
 
 
-def load(folder: Path, number: int, count: int) -> Case:
+def load_case(folder: Path, number: int, count: int) -> Case:
     """Load one image, its sources in the reconstructor's order by angle, and the exact depths of all."""
     from PIL import Image
 
@@ -40,34 +40,36 @@ def load(folder: Path, number: int, count: int) -> Case:
     from reconstructors.mvs.patchmatch import GrayView
 
     scene = read_scene(folder)
-    exact = {name: np.load(folder / "truth" / "depth" / f"{Path(name).stem}.npy") for name in scene.images}
+    exact_depths = {name: np.load(folder / "truth" / "depth" / f"{Path(name).stem}.npy") for name in scene.images}
     name = scene.images[number]
-    own, truth = scene.cameras[name], exact[name]
+    reference_camera, truth = scene.cameras[name], exact_depths[name]
     height, width = truth.shape
     depth = truth[height // 2, width // 2]
-    target = own.position + own.direction * depth
+    target = reference_camera.position + reference_camera.direction * depth
 
-    def off(other: str) -> float:
-        a, b = own.position - target, scene.cameras[other].position - target
+    def angle_deviation(other: str) -> float:
+        a, b = reference_camera.position - target, scene.cameras[other].position - target
         cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
         return abs(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))) - 12)
 
-    others = sorted((other for other in scene.images if other != name), key=off)[:count]
+    others = sorted((other for other in scene.images if other != name), key=angle_deviation)[:count]
 
-    def view(which: str) -> GrayView:
-        return GrayView(np.asarray(Image.open(scene.folder / which).convert("L")), scene.cameras[which])
+    def view(image_name: str) -> GrayView:
+        return GrayView(np.asarray(Image.open(scene.folder / image_name).convert("L")), scene.cameras[image_name])
 
-    seen = truth[truth > 0]
-    depth_range = (0.9 * float(seen.min()), 1.1 * float(seen.max()))
-    return Case(view(name), [view(other) for other in others], depth_range, truth, [exact[other] for other in others])
+    valid_depths = truth[truth > 0]
+    depth_range = (0.9 * float(valid_depths.min()), 1.1 * float(valid_depths.max()))
+    return Case(
+        view(name), [view(other) for other in others], depth_range, truth, [exact_depths[other] for other in others]
+    )
 
 
 def bundled(case: Case) -> np.ndarray:
     """Run three photometric and two geometric iterations; the sources' depth maps are given."""
     from reconstructors.mvs.patchmatch import match, refine
 
-    found = match(case.reference, case.sources, case.depth_range)
-    return refine(case.reference, case.sources, case.depths, found, case.depth_range).depth
+    matched = match(case.reference, case.sources, case.depth_range)
+    return refine(case.reference, case.sources, case.depths, matched, case.depth_range).depth
 
 
 def photometric(case: Case) -> np.ndarray:
@@ -88,31 +90,33 @@ def plane_sweep(case: Case) -> np.ndarray:
     gray = case.reference.gray.astype(np.float32)
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(values, -1, (WINDOW, WINDOW))
+        return cv2.boxFilter(values, -1, (WINDOW_SIDE, WINDOW_SIDE))
 
-    own = mean(gray)
-    own_variance = np.maximum(mean(gray * gray) - own * own, 1)
+    reference_mean = mean(gray)
+    reference_variance = np.maximum(mean(gray * gray) - reference_mean * reference_mean, 1)
     k = centred(case.reference.camera)
-    inverse = np.linspace(1 / case.depth_range[1], 1 / case.depth_range[0], PLANES)
-    costs = np.empty((PLANES, *gray.shape), np.float32)
-    for number, step in enumerate(inverse):
-        each = []
+    inverse_depths = np.linspace(1 / case.depth_range[1], 1 / case.depth_range[0], PLANE_COUNT)
+    costs = np.empty((PLANE_COUNT, *gray.shape), np.float32)
+    for number, inverse_depth in enumerate(inverse_depths):
+        source_costs = []
         for source in case.sources:
             relative = source.camera.cam_from_world @ case.reference.camera.cam_from_world.inverse()
-            plane = relative.rotation + np.outer(relative.translation, [0, 0, step])
+            plane = relative.rotation + np.outer(relative.translation, [0, 0, inverse_depth])
             homography = centred(source.camera) @ plane @ np.linalg.inv(k)
-            there = cv2.warpPerspective(
+            warped = cv2.warpPerspective(
                 source.gray, homography, gray.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             ).astype(np.float32)
-            other = mean(there)
-            variance = np.maximum(mean(there * there) - other * other, 1)
-            each.append(1 - (mean(gray * there) - own * other) / np.sqrt(own_variance * variance))
-        costs[number] = np.sort(each, axis=0)[:2].mean(axis=0)
-    best = np.clip(costs.argmin(axis=0), 1, PLANES - 2)
+            warped_mean = mean(warped)
+            warped_variance = np.maximum(mean(warped * warped) - warped_mean * warped_mean, 1)
+            source_costs.append(
+                1 - (mean(gray * warped) - reference_mean * warped_mean) / np.sqrt(reference_variance * warped_variance)
+            )
+        costs[number] = np.sort(source_costs, axis=0)[:2].mean(axis=0)
+    best = np.clip(costs.argmin(axis=0), 1, PLANE_COUNT - 2)
     a, b, c = (np.take_along_axis(costs, (best + d)[None], axis=0)[0] for d in (-1, 0, 1))
-    bend = np.maximum(a - 2 * b + c, 1e-6)
-    offset = np.clip(0.5 * (a - c) / bend, -0.5, 0.5)
-    return (1 / (inverse[0] + (best + offset) * (inverse[1] - inverse[0]))).astype(np.float32)
+    curvature = np.maximum(a - 2 * b + c, 1e-6)
+    offset = np.clip(0.5 * (a - c) / curvature, -0.5, 0.5)
+    return (1 / (inverse_depths[0] + (best + offset) * (inverse_depths[1] - inverse_depths[0]))).astype(np.float32)
 
 
 def centred(camera: Any) -> np.ndarray:
@@ -138,9 +142,13 @@ class Accuracy(NamedTuple):
 
 def accuracy(case: Case, depth: np.ndarray) -> Accuracy:
     """Evaluate a depth map against the exact depths."""
-    seen = case.truth > 0
-    off = np.abs(depth - case.truth)[seen] / (case.truth[seen] / case.reference.camera.intrinsics.fx)
-    return Accuracy(*(float(np.mean(off < limit)) for limit in (1, 2, 5)), float(np.median(off)))
+    has_truth = case.truth > 0
+    footprint_errors = np.abs(depth - case.truth)[has_truth] / (
+        case.truth[has_truth] / case.reference.camera.intrinsics.fx
+    )
+    return Accuracy(
+        *(float(np.mean(footprint_errors < limit)) for limit in (1, 2, 5)), float(np.median(footprint_errors))
+    )
 
 
 def measure(folder: str, sources: int, threads: int, runs: int) -> None:
@@ -155,14 +163,14 @@ def measure(folder: str, sources: int, threads: int, runs: int) -> None:
     count = len(read_scene(Path(folder)).images)
     rows: dict[str, list[list[float]]] = {name: [] for name in CONTESTANTS}
     for number in (0, count // 3, 2 * count // 3):
-        case = load(Path(folder), number, sources)
+        case = load_case(Path(folder), number, sources)
         seconds = alternate({name: partial(run, case) for name, run in CONTESTANTS.items()}, runs)
         for name, run in CONTESTANTS.items():
             rows[name].append([*seconds[name], *accuracy(case, run(case))])
     print(json.dumps({name: np.mean(values, axis=0).tolist() for name, values in rows.items()}))
 
 
-def city(folder: Path, images: int, size: str) -> None:
+def create_city(folder: Path, images: int, size: str) -> None:
     """Create the synthetic city."""
     options = ["--images", str(images), "--size", size, "--seed", "3", "--points", "1000", "--quiet"]
     subprocess.run([sys.executable, "-m", "pcbench.cli", "synth", "city", "--out", folder, *options], check=True)
@@ -178,8 +186,8 @@ def peak_memory(folder: Path, work: Path) -> float:
     )
     arguments = [folder, "--out", work / "cloud.ply", "--workspace", work / "workspace"]
     work.mkdir()
-    done = subprocess.run([sys.executable, "-c", script, *arguments], check=True, stdout=subprocess.PIPE, text=True)
-    return float(done.stdout.splitlines()[-1])
+    process = subprocess.run([sys.executable, "-c", script, *arguments], check=True, stdout=subprocess.PIPE, text=True)
+    return float(process.stdout.splitlines()[-1])
 
 
 def main() -> None:
@@ -195,13 +203,13 @@ def main() -> None:
     if options.child:
         folder, *numbers = options.child
         return measure(folder, *map(int, numbers))
-    missing = "" if "OpenCV plane sweep" in CONTESTANTS else "; missing: cv2 (pip install opencv-python-headless)"
-    print(f"{setting()}; median of {options.runs} alternating runs, mean of three images{missing}")
+    missing_note = "" if "OpenCV plane sweep" in CONTESTANTS else "; missing: cv2 (pip install opencv-python-headless)"
+    print(f"{setting()}; median of {options.runs} alternating runs, mean of three images{missing_note}")
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         if options.memory:
             for images in (10, 50):
-                city(root / f"{images}", images, "480x270")
+                create_city(root / f"{images}", images, "480x270")
                 peak = peak_memory(root / f"{images}", root / f"work{images}")
                 print(f"{images} images of 480x270: {peak:.0f} MiB at most", flush=True)
             return
@@ -211,21 +219,21 @@ def main() -> None:
         print(f"{'size':>10}{'sources':>8}{'threads':>8}  {'method':22}{'wall s':>8}{'CPU s':>8}{'ratio':>7}", end="")
         print(f"{'< 1 px':>8}{'< 2 px':>8}{'< 5 px':>8}{'median':>8}")
         for size in sizes.split(","):
-            city(root / size, 12, size)
+            create_city(root / size, 12, size)
             for count in sources.split(","):
-                for number in threads.split(","):
-                    child = [str(root / size), count, number, str(options.runs)]
-                    done = subprocess.run(
-                        [sys.executable, Path(__file__), "--child", *child],
+                for thread_count in threads.split(","):
+                    child_arguments = [str(root / size), count, thread_count, str(options.runs)]
+                    process = subprocess.run(
+                        [sys.executable, Path(__file__), "--child", *child_arguments],
                         check=True,
                         stdout=subprocess.PIPE,
                         text=True,
                     )
-                    found = json.loads(done.stdout)
-                    for name, (wall, cpu, one, two, five, median) in found.items():
-                        ratio = cpu / found["pcbench"][1]
+                    results = json.loads(process.stdout)
+                    for name, (wall, cpu, one, two, five, median) in results.items():
+                        ratio = cpu / results["pcbench"][1]
                         print(
-                            f"{size:>10}{count:>8}{number:>8}  {name:22}{wall:8.2f}{cpu:8.2f}{ratio:7.2f}"
+                            f"{size:>10}{count:>8}{thread_count:>8}  {name:22}{wall:8.2f}{cpu:8.2f}{ratio:7.2f}"
                             f"{one:8.3f}{two:8.3f}{five:8.3f}{median:8.3f}",
                             flush=True,
                         )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from measure import setting
-from mvs_city import make, pcbench, reconstruct, scored
+from mvs_city import make_city, pcbench, reconstruct, score_workspace
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -21,15 +21,15 @@ from dense_cases import read_city
 
 SWEEPS = {"spacing": "0.55,0.7,1", "image_scale": "0.35,0.5,0.7,1", "sources": "2,4,8"}
 CONFIDENCES = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)
-AT = 1  # index of the bench's threshold of 2 pixels
-LOOKS = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
+THRESHOLD_INDEX = 1  # index of the bench's threshold of 2 pixels
+LINE_STYLES = {"spacing": ("#0072b2", "o"), "image_scale": ("#d55e00", "s"), "sources": ("#009e73", "^")}
 # Label positions that are clear of the lines: upper left of rising lines, lower right of the lowest rising line, and
 # upper right of falling lines.
-ABOVE = ((-4, 5), "right", "bottom")
-BESIDE = {"spacing": ((4, -5), "left", "top"), "confidence": ((5, 3), "left", "bottom")}
+LABEL_ABOVE = ((-4, 5), "right", "bottom")
+LABEL_BESIDE = {"spacing": ((4, -5), "left", "top"), "confidence": ((5, 3), "left", "bottom")}
 
 
-class Place(NamedTuple):
+class ChartPoint(NamedTuple):
     """A point of a chart: the value of the setting, and its position."""
 
     label: str
@@ -37,42 +37,44 @@ class Place(NamedTuple):
     y: float
 
 
-def budgets(city: Path, out: Path) -> dict[str, list[Place]]:
+def measure_budgets(city: Path, out: Path) -> dict[str, list[ChartPoint]]:
     """Measure seconds and F-scores over the visible part for each value of each setting."""
-    found: dict[str, list[Place]] = {}
+    points_by_setting: dict[str, list[ChartPoint]] = {}
     for key, values in SWEEPS.items():
         folder, reference = out / key, city / "truth" / "cloud.ply"
-        chosen = ["--method", "mvs", "--sweep", f"{key}={values}", "--out", folder, "--no-figures", "--quiet"]
-        pcbench("bench", city, "--reference", reference, *chosen)
+        bench_options = ["--method", "mvs", "--sweep", f"{key}={values}", "--out", folder, "--no-figures", "--quiet"]
+        pcbench("bench", city, "--reference", reference, *bench_options)
         rows = [row for row in json.loads((folder / "bench.json").read_text())["rows"] if row["status"] == "ok"]
         for row in rows:
-            at = row["thresholds"][AT]
-            found.setdefault(key, []).append(Place(row["choices"][key], row["cpu_s"], at["fscore_visible"]))
+            threshold_score = row["thresholds"][THRESHOLD_INDEX]
+            points_by_setting.setdefault(key, []).append(
+                ChartPoint(row["choices"][key], row["cpu_s"], threshold_score["fscore_visible"])
+            )
             print(
                 f"{key:12}{row['choices'][key]:>6}{row['wall_s']:8.1f}{row['cpu_s']:8.1f}{row['points']:10,}"
-                f"{at['precision']:9.3f}{at['recall_visible']:9.3f}{at['fscore_visible']:9.3f}",
+                f"{threshold_score['precision']:9.3f}{threshold_score['recall_visible']:9.3f}{threshold_score['fscore_visible']:9.3f}",
                 flush=True,
             )
-    return found
+    return points_by_setting
 
 
-def confidences(folder: Path, work: Path) -> list[Place]:
+def measure_confidences(folder: Path, work: Path) -> list[ChartPoint]:
     """Measure completeness over the visible part and precision per confidence; only filter and fusion run again."""
-    city, found = read_city(folder), []
+    city, points = read_city(folder), []
     work.mkdir(exist_ok=True)
     for confidence in CONFIDENCES:
         reconstruct(folder, work, confidence)
-        score = scored(city, work)
-        found.append(Place(f"{confidence:g}", score.recall[AT], score.precision[AT]))
+        score = score_workspace(city, work)
+        points.append(ChartPoint(f"{confidence:g}", score.recall[THRESHOLD_INDEX], score.precision[THRESHOLD_INDEX]))
         print(
-            f"{'confidence':12}{confidence:6g}{'':16}{score.points:10,}{score.precision[AT]:9.3f}{score.recall[AT]:9.3f}"
-            f"{score.fscore[AT]:9.3f}{score.wrong:9.2%}",
+            f"{'confidence':12}{confidence:6g}{'':16}{score.points:10,}{score.precision[THRESHOLD_INDEX]:9.3f}{score.recall[THRESHOLD_INDEX]:9.3f}"
+            f"{score.fscore[THRESHOLD_INDEX]:9.3f}{score.wrong:9.2%}",
             flush=True,
         )
-    return found
+    return points
 
 
-def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
+def draw(lines: dict[str, list[ChartPoint]], path: Path, x: str, y: str) -> None:
     """Draw lines with labelled points."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -80,14 +82,14 @@ def draw(lines: dict[str, list[Place]], path: Path, x: str, y: str) -> None:
     figure = Figure(figsize=(7, 4.2), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     axis = figure.add_subplot()
-    for key, places in lines.items():
-        color, shape = LOOKS.get(key, ("#0072b2", "o"))
-        axis.plot([p.x for p in places], [p.y for p in places], f"-{shape}", color=color, alpha=0.85, label=key)
-        offset, ha, va = BESIDE.get(key, ABOVE)
-        for place in places:
+    for key, points in lines.items():
+        color, shape = LINE_STYLES.get(key, ("#0072b2", "o"))
+        axis.plot([p.x for p in points], [p.y for p in points], f"-{shape}", color=color, alpha=0.85, label=key)
+        offset, ha, va = LABEL_BESIDE.get(key, LABEL_ABOVE)
+        for point in points:
             axis.annotate(
-                place.label,
-                (place.x, place.y),
+                point.label,
+                (point.x, point.y),
                 offset,
                 textcoords="offset points",
                 ha=ha,
@@ -121,17 +123,22 @@ def main() -> None:
         root = options.folder or Path(temporary)
         root.mkdir(parents=True, exist_ok=True)
         if not (root / "city").exists():
-            make(root / "city", "city", options)
-        where = "2 footprints"
+            make_city(root / "city", "city", options)
+        threshold_label = "2 footprints"
         if options.only != "confidence":
-            found = budgets(root / "city", root)
+            lines = measure_budgets(root / "city", root)
             if options.chart:
-                draw(found, options.chart / "mvs_budgets.png", "CPU seconds", f"F-score over the visible part, {where}")
+                draw(
+                    lines,
+                    options.chart / "mvs_budgets.png",
+                    "CPU seconds",
+                    f"F-score over the visible part, {threshold_label}",
+                )
         if options.only != "budgets":
-            line = {"confidence": confidences(root / "city", root / "confidence")}
+            line = {"confidence": measure_confidences(root / "city", root / "confidence")}
             if options.chart:
                 path = options.chart / "mvs_confidence.png"
-                draw(line, path, f"share of the visible part, {where}", f"precision, {where}")
+                draw(line, path, f"share of the visible part, {threshold_label}", f"precision, {threshold_label}")
 
 
 if __name__ == "__main__":

@@ -25,18 +25,18 @@ from pcbench.io import read_cloud
 from pcbench.scenes.synthetic.layout import lay_out
 from pcbench.scenes.synthetic.plan import CitySettings
 
-LAKES = 6  # a seed that creates two lakes of four blocks
+LAKES_SEED = 6  # a seed that creates two lakes of four blocks
 CASES = {
     "city": "",
     "texture 0": "--texture 0",
     "repeated": "--repeated",
-    "water": f"--water --reflections --seed {LAKES}",
-    "hard": f"--hard --seed {LAKES}",
+    "water": f"--water --reflections --seed {LAKES_SEED}",
+    "hard": f"--hard --seed {LAKES_SEED}",
     "moved": "",
 }
-EXTENT = 100  # side of the cities, in metres
-SHORE = 3.0  # margin of the lakes that is left out, in metres
-MOVING = 0.2  # size of the moving object, as a share of the image's sides
+CITY_EXTENT = 100  # side of the cities, in metres
+SHORE_MARGIN = 3.0  # margin of the lakes that is left out, in metres
+MOVING_OBJECT_SHARE = 0.2  # size of the moving object, as a share of the image's sides
 
 
 def pcbench(*arguments: object) -> None:
@@ -44,36 +44,46 @@ def pcbench(*arguments: object) -> None:
     subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, arguments)], check=True)
 
 
-def make(folder: Path, name: str, options: argparse.Namespace) -> None:
+def make_city(folder: Path, name: str, options: argparse.Namespace) -> None:
     """Create the city of a case."""
-    size = ["--images", options.images, "--size", options.size, "--extent", EXTENT, "--rig", options.rig]
-    chosen = [*size, "--seed", options.seed, *CASES[name].split()]
-    pcbench("synth", "city", "--out", folder, "--points", 200_000, "--quiet", *chosen)
+    size = ["--images", options.images, "--size", options.size, "--extent", CITY_EXTENT, "--rig", options.rig]
+    city_options = [*size, "--seed", options.seed, *CASES[name].split()]
+    pcbench("synth", "city", "--out", folder, "--points", 200_000, "--quiet", *city_options)
     if name == "moved":
-        move(folder, np.random.default_rng(options.seed))
+        add_moving_objects(folder, np.random.default_rng(options.seed))
 
 
-def move(folder: Path, rng: np.random.Generator) -> None:
+def add_moving_objects(folder: Path, rng: np.random.Generator) -> None:
     """Paste a textured part of another photograph at a random position of each; no two images agree on it."""
     paths = sorted((folder / "images").iterdir())
     photographs = [Image.open(path).copy() for path in paths]
     for number, path in enumerate(paths):
         width, height = photographs[number].size
-        wide, high = int(MOVING * width), int(MOVING * height)
-        other = photographs[(number + len(paths) // 2) % len(paths)]
-        (x, y), (left, upper) = rng.integers(0, [[width - wide, height - high]] * 2)
-        shown = photographs[number].copy()
-        shown.paste(other.crop((left, upper, left + wide, upper + high)), (x, y))
-        shown.save(path)
+        patch_width, patch_height = int(MOVING_OBJECT_SHARE * width), int(MOVING_OBJECT_SHARE * height)
+        source = photographs[(number + len(paths) // 2) % len(paths)]
+        (x, y), (left, upper) = rng.integers(0, [[width - patch_width, height - patch_height]] * 2)
+        edited = photographs[number].copy()
+        edited.paste(source.crop((left, upper, left + patch_width, upper + patch_height)), (x, y))
+        edited.save(path)
 
 
 def reconstruct(folder: Path, work: Path, confidence: float | None = None) -> None:
     """Reconstruct the dense cloud of a city."""
-    chosen = [] if confidence is None else ["--set", f"confidence={confidence}"]
-    pcbench("reconstruct", "mvs", folder, "--out", work / "cloud.ply", "--workspace", work / "work", "--quiet", *chosen)
+    setting_options = [] if confidence is None else ["--set", f"confidence={confidence}"]
+    pcbench(
+        "reconstruct",
+        "mvs",
+        folder,
+        "--out",
+        work / "cloud.ply",
+        "--workspace",
+        work / "work",
+        "--quiet",
+        *setting_options,
+    )
 
 
-HEAD = (
+TABLE_HEAD = (
     f"{'':12}{'':>9}{'points within':>21}{'wrong':>8}{'seen, within':>21}{'empty':>7}{'textured':>10}"
     f"{'depth error, footprints':>27}{'normal':>8}{'plain pixels':>21}{'sky':>7}\n"
     f"{'':12}{'points':>9}{'1':>7}{'2':>7}{'5':>7}{'':8}{'1':>7}{'2':>7}{'5':>7}{'':7}{'2':>10}"
@@ -83,58 +93,63 @@ HEAD = (
 
 def row(name: str, city: City, score: CloudScore, workspace: Path) -> str:
     """Return the table row of a city."""
-    found = score_maps(city, workspace)
-    right = "".join(f"{share:7.3f}" for share in score.precision)
-    there = "".join(f"{share:7.3f}" for share in score.recall)
-    depth = "".join(f"{error:6.2f}" for error in found.depth)
-    shares = f"{found.plain:7.1%}{found.plain_known:7.1%}{found.plain_wrong:7.2%}{found.sky_known:7.2%}"
+    map_scores = score_maps(city, workspace)
+    precisions = "".join(f"{share:7.3f}" for share in score.precision)
+    recalls = "".join(f"{share:7.3f}" for share in score.recall)
+    depth_errors = "".join(f"{error:6.2f}" for error in map_scores.depth)
+    shares = (
+        f"{map_scores.plain:7.1%}{map_scores.plain_known:7.1%}{map_scores.plain_wrong:7.2%}{map_scores.sky_known:7.2%}"
+    )
     return (
-        f"{name:12}{score.points:9,}{right}{score.wrong:8.2%}{there}{score.empty:7.1%}{score.textured[1]:10.3f}   "
-        f"{depth}{found.normal:8.1f}{shares}"
+        f"{name:12}{score.points:9,}{precisions}{score.wrong:8.2%}{recalls}{score.empty:7.1%}"
+        f"{score.textured[1]:10.3f}   {depth_errors}{map_scores.normal:8.1f}{shares}"
     )
 
 
-def on_lakes(city: City, points: np.ndarray) -> str:
+def describe_lakes(city: City, points: np.ndarray) -> str:
     """Return the share of water with points nearby, and the share of wrong points over it, as text."""
-    plan = lay_out(CitySettings(extent=EXTENT, water=True, seed=LAKES))
-    limit, seen, over = MIN_WRONG_FOOTPRINTS * city.footprint, [], []
+    plan = lay_out(CitySettings(extent=CITY_EXTENT, water=True, seed=LAKES_SEED))
+    limit, is_covered, is_wrong = MIN_WRONG_FOOTPRINTS * city.footprint, [], []
     for lake in (block for block in plan.blocks if block.kind == "lake"):
-        low, high = np.add(lake.low, SHORE), np.subtract(lake.high, SHORE)
-        here = city.seen[((city.seen[:, :2] > low) & (city.seen[:, :2] < high)).all(axis=1)]
-        level = np.median(here[:, 2])
-        there = points[((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)]
-        seen.append(Index(points).query(here[np.abs(here[:, 2] - level) < 0.1]).distances < limit)
-        over.append(np.abs(there[:, 2] - level) > limit)
-    kept, wrong = (float(np.mean(np.concatenate(of))) for of in (seen, over))
-    return f"{'':12}of its lakes {kept:.1%} have points near, and of the points over them {wrong:.2%} are wrong"
+        low, high = np.add(lake.low, SHORE_MARGIN), np.subtract(lake.high, SHORE_MARGIN)
+        water_points = city.seen[((city.seen[:, :2] > low) & (city.seen[:, :2] < high)).all(axis=1)]
+        level = np.median(water_points[:, 2])
+        points_over_lake = points[((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)]
+        is_covered.append(Index(points).query(water_points[np.abs(water_points[:, 2] - level) < 0.1]).distances < limit)
+        is_wrong.append(np.abs(points_over_lake[:, 2] - level) > limit)
+    covered_share, wrong_share = (float(np.mean(np.concatenate(flags))) for flags in (is_covered, is_wrong))
+    return (
+        f"{'':12}of its lakes {covered_share:.1%} have points near, and of the points over them {wrong_share:.2%} are"
+        " wrong"
+    )
 
 
-def scored(city: City, work: Path) -> CloudScore:
+def score_workspace(city: City, work: Path) -> CloudScore:
     """Score the cloud of a workspace."""
     return score_cloud(city, read_cloud(work / "cloud.ply").points)
 
 
-def cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> None:
+def print_cities(root: Path, names: Sequence[str], options: argparse.Namespace) -> None:
     """Create, reconstruct and score cities."""
-    print(HEAD)
+    print(TABLE_HEAD)
     for name in names:
         folder, work = root / name.replace(" ", ""), root / f"{name.replace(' ', '')}_work"
         if not folder.exists():
-            make(folder, name, options)
+            make_city(folder, name, options)
         work.mkdir(exist_ok=True)
         reconstruct(folder, work)
         city = read_city(folder)
-        print(row(name, city, scored(city, work), work / "work" / "plugin"), flush=True)
-        if f"--seed {LAKES}" in CASES[name]:
-            print(on_lakes(city, read_cloud(work / "cloud.ply").points), flush=True)
+        print(row(name, city, score_workspace(city, work), work / "work" / "plugin"), flush=True)
+        if f"--seed {LAKES_SEED}" in CASES[name]:
+            print(describe_lakes(city, read_cloud(work / "cloud.ply").points), flush=True)
 
 
-def what_is_missed(root: Path) -> None:
+def print_missed_surface(root: Path) -> None:
     """Print the properties of the missing textured surface."""
     city = read_city(root / "city")
     print(f"\n{'textured, visible in':24}{'share':>8}{'within 2':>10}{'of the missed':>15}")
-    for name, found in recall_by_view(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
-        print(f"{name:24}{found.share:8.1%}{found.recall:10.3f}{found.missed:15.1%}")
+    for name, view_recall in recall_by_view(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
+        print(f"{name:24}{view_recall.share:8.1%}{view_recall.recall:10.3f}{view_recall.missed:15.1%}")
 
 
 def main() -> None:
@@ -148,13 +163,15 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="Folder that keeps all files; existing ones are used again.")
     options = parser.parse_args()
     print(setting())
-    print(f"{options.images} images of {options.size}, rig {options.rig}, cities of {EXTENT} m, seed {options.seed}")
+    print(
+        f"{options.images} images of {options.size}, rig {options.rig}, cities of {CITY_EXTENT} m, seed {options.seed}"
+    )
     with tempfile.TemporaryDirectory() as temporary:
         root = options.folder or Path(temporary)
         root.mkdir(parents=True, exist_ok=True)
-        cities(root, options.cases.split(","), options)
+        print_cities(root, options.cases.split(","), options)
         if options.missed:
-            what_is_missed(root)
+            print_missed_surface(root)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from pathlib import Path
 from measure import setting
 
 SCENE = "--images 20 --size 480x320 --extent 100 --rig oblique --gps 0.5 --points 200000 --seed 5"
-SOLVED = ("--cameras", "none", "--set", "poses=solve")
-COMPARED = ("--register", "none", "--no-figures", "--thresholds")
+SOLVE_OPTIONS = ("--cameras", "none", "--set", "poses=solve")
+COMPARE_OPTIONS = ("--register", "none", "--no-figures", "--thresholds")
 
 
 def pcbench(*arguments: object) -> str:
@@ -26,40 +26,43 @@ def pcbench(*arguments: object) -> str:
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
-def rows(printed: str) -> list[tuple[str, list[str]]]:
+def table_rows(output: str) -> list[tuple[str, list[str]]]:
     """Return the rows of the table in the output of `pcbench compare`, after the line with the directions."""
-    lines = iter(printed.splitlines())
+    lines = iter(output.splitlines())
     next(line for line in lines if "r→c" in line)
-    found = []
+    parsed = []
     for line in lines:
         if not line.strip():
             break
         label, *cells = re.split(r"\s{2,}", line.strip())
-        found.append((" " * (len(line) - len(line.lstrip())) + label, cells))
-    return found
+        parsed.append((" " * (len(line) - len(line.lstrip())) + label, cells))
+    return parsed
 
 
 def side_by_side(left: str, right: str) -> str:
     """Merge two tables of `pcbench compare`; a row of only one table is empty in the other."""
-    tables = rows(left), rows(right)
+    tables = table_rows(left), table_rows(right)
     labels = [[label for label, _ in table] for table in tables]
     lines = []
-    for _, a, b, c, d in SequenceMatcher(None, *labels, autojunk=False).get_opcodes():
-        for i in range(max(b - a, d - c)):
-            of_left = tables[0][a + i] if a + i < b else ("", [])
-            of_right = tables[1][c + i] if c + i < d else ("", [])
-            if of_left[0] == of_right[0]:
-                lines.append((of_left[0], of_left[1], of_right[1]))
+    for _, left_start, left_end, right_start, right_end in SequenceMatcher(None, *labels, autojunk=False).get_opcodes():
+        for index in range(max(left_end - left_start, right_end - right_start)):
+            left_row = tables[0][left_start + index] if left_start + index < left_end else ("", [])
+            right_row = tables[1][right_start + index] if right_start + index < right_end else ("", [])
+            if left_row[0] == right_row[0]:
+                lines.append((left_row[0], left_row[1], right_row[1]))
             else:
                 lines += [
                     (label, *cells)
-                    for label, cells in ((of_left[0], (of_left[1], [])), (of_right[0], ([], of_right[1])))
+                    for label, cells in ((left_row[0], (left_row[1], [])), (right_row[0], ([], right_row[1])))
                     if label
                 ]
-    return "\n".join(f"{label:26}{text(first)}{text(second)}".rstrip() for label, first, second in lines)
+    return "\n".join(
+        f"{label:26}{format_cells(left_cells)}{format_cells(right_cells)}".rstrip()
+        for label, left_cells, right_cells in lines
+    )
 
 
-def text(cells: list[str]) -> str:
+def format_cells(cells: list[str]) -> str:
     """Return the cells of both directions as text; a symmetric value is in the first column."""
     return "".join(f"{cell:>12}" for cell in [*cells, "", ""][:2])
 
@@ -78,17 +81,19 @@ def main() -> None:
         if not city.exists():
             pcbench("synth", "city", "--out", city, "--quiet", *options.scene.split())
         for name in ("sfm", "mvs"):
-            pcbench("reconstruct", name, city, "--out", root / f"{name}.ply", *SOLVED, "--quiet")
-        printed = []
+            pcbench("reconstruct", name, city, "--out", root / f"{name}.ply", *SOLVE_OPTIONS, "--quiet")
+        outputs = []
         for reference in (root / "mvs.ply", city / "truth" / "cloud.ply"):
             report = root / f"against_{reference.stem}"
-            made = pcbench("compare", reference, root / "sfm.ply", "--out", report, *COMPARED, options.threshold)
-            printed.append(made.replace(f"{root}/", ""))
-            print(printed[-1].split("\n\n")[0], end="\n\n")
+            output = pcbench(
+                "compare", reference, root / "sfm.ply", "--out", report, *COMPARE_OPTIONS, options.threshold
+            )
+            outputs.append(output.replace(f"{root}/", ""))
+            print(outputs[-1].split("\n\n")[0], end="\n\n")
         print(
             f"{'':26}{'against MVS':>24}{'against the truth':>24}\n{'':26}{'c→r':>12}{'r→c':>12}{'c→r':>12}{'r→c':>12}"
         )
-        print(side_by_side(*printed))
+        print(side_by_side(*outputs))
 
 
 if __name__ == "__main__":

@@ -71,13 +71,13 @@ def contestants(reference, candidate, threads: int) -> dict[str, Callable[[], ob
         "open3d": open3d,
         "point-cloud-utils": point_cloud_utils,
     }
-    runs: dict[str, Callable[[], object]] = {
+    searches: dict[str, Callable[[], object]] = {
         "pcbench": lambda: match_both_directions(Index(reference), Index(candidate))
     }
     for name, search in one_way.items():
         if importlib.util.find_spec(PEERS[name]):
-            runs[name] = lambda search=search: (search(reference, candidate), search(candidate, reference))
-    return runs
+            searches[name] = lambda search=search: (search(reference, candidate), search(candidate, reference))
+    return searches
 
 
 def measure(density: str, size: int, threads: int, runs: int) -> None:
@@ -85,9 +85,9 @@ def measure(density: str, size: int, threads: int, runs: int) -> None:
     limit_threads(threads)
     from clouds import pair
 
-    race = contestants(*pair(density, size), threads)
-    alternate(race, 1)  # imports and warm-up
-    print(json.dumps(alternate(race, runs)))
+    searches = contestants(*pair(density, size), threads)
+    alternate(searches, 1)  # imports and warm-up
+    print(json.dumps(alternate(searches, runs)))
 
 
 def draw(rows: list[dict], threads: int, file: str) -> None:
@@ -97,9 +97,9 @@ def draw(rows: list[dict], threads: int, file: str) -> None:
     densities = list(dict.fromkeys(row["density"] for row in rows))
     figure, axes = plt.subplots(1, len(densities), figsize=(4.5 * len(densities), 4), sharey=True, squeeze=False)
     for axis, density in zip(axes[0], densities, strict=True):
-        chosen = [row for row in rows if row["density"] == density and row["threads"] == threads]
-        for name in dict.fromkeys(name for row in chosen for name in row["seconds"]):
-            line = [(row["size"], row["seconds"][name][0]) for row in chosen if name in row["seconds"]]
+        density_rows = [row for row in rows if row["density"] == density and row["threads"] == threads]
+        for name in dict.fromkeys(name for row in density_rows for name in row["seconds"]):
+            line = [(row["size"], row["seconds"][name][0]) for row in density_rows if name in row["seconds"]]
             axis.loglog(*zip(*line, strict=True), marker="o", label=name, linewidth=2.5 if name == "pcbench" else 1)
         axis.set(title=density, xlabel="reference points")
         axis.grid(True, which="both", alpha=0.3)
@@ -124,18 +124,24 @@ def main() -> None:
         density, *numbers = options.child
         measure(density, *map(int, numbers))
         return
-    missing = [name for name, module in PEERS.items() if not importlib.util.find_spec(module)]
-    print(f"{setting()}; median of {options.runs} alternating runs" + (f"; missing: {missing}" if missing else ""))
+    missing_peers = [name for name, module in PEERS.items() if not importlib.util.find_spec(module)]
+    print(
+        f"{setting()}; median of {options.runs} alternating runs"
+        + (f"; missing: {missing_peers}" if missing_peers else "")
+    )
     print(f"{'density':14}{'points':>10}{'threads':>8}  {'library':18}{'wall s':>9}{'CPU s':>9}{'ratio':>7}")
     rows = []
     for density in options.densities.split(","):
         for size in (round(float(text)) for text in options.sizes.split(",")):
             for threads in map(int, options.threads.split(",")):
-                child = [density, str(size), str(threads), str(options.runs)]
-                done = subprocess.run(
-                    [sys.executable, Path(__file__), "--child", *child], check=True, stdout=subprocess.PIPE, text=True
+                child_arguments = [density, str(size), str(threads), str(options.runs)]
+                process = subprocess.run(
+                    [sys.executable, Path(__file__), "--child", *child_arguments],
+                    check=True,
+                    stdout=subprocess.PIPE,
+                    text=True,
                 )
-                seconds = json.loads(done.stdout)
+                seconds = json.loads(process.stdout)
                 rows.append({"density": density, "size": size, "threads": threads, "seconds": seconds})
                 for name, (wall, cpu) in seconds.items():
                     ratio = wall / seconds["pcbench"][0]

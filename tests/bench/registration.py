@@ -27,7 +27,15 @@ from pathlib import Path
 import numpy as np
 from measure import alternate, setting
 from registration_cases import ALSO_GLOBAL, SWEEPS, Case, clouds, rotation
-from registration_peers import MAX_DISTANCES, VOXEL, Method, global_methods, ours, refinements, with_small_gicp
+from registration_peers import (
+    MAX_DISTANCES,
+    VOXEL,
+    Method,
+    global_methods,
+    pcbench_method,
+    refinements,
+    small_gicp_method,
+)
 
 from pcbench import register
 from pcbench.geometry.neighbors import Index
@@ -36,7 +44,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.registration import Target, local_origin
 from pcbench.scenes.synthetic import demo
 
-LIMIT = 0.05  # largest error of a success, in metres
+MAX_SUCCESS_ERROR = 0.05  # largest error of a success, in metres
 
 
 # ---- measuring ----
@@ -44,19 +52,19 @@ LIMIT = 0.05  # largest error of a success, in metres
 
 def outcome(method: Method, case: Case, seed: int) -> dict:
     """Run a method on one case."""
-    reference, candidate, true = clouds(case, seed)
+    reference, candidate, T_true = clouds(case, seed)
     wall, cpu = time.perf_counter(), _cpu_seconds()
     transform, confident = method(reference, candidate)
     row = {"wall": time.perf_counter() - wall, "cpu": _cpu_seconds() - cpu, "error": None, "confident": confident}
     if transform is not None:
-        there = transform.apply(true.inverse().apply(reference))
-        row["error"] = float(np.sqrt(np.square(there - reference).sum(axis=1).mean()))
+        aligned = transform.apply(T_true.inverse().apply(reference))
+        row["error"] = float(np.sqrt(np.square(aligned - reference).sum(axis=1).mean()))
     return row
 
 
 def verdict(row: dict) -> str:
     """Classify an outcome."""
-    if row["error"] is not None and row["error"] <= LIMIT:
+    if row["error"] is not None and row["error"] <= MAX_SUCCESS_ERROR:
         return "success"
     return "wrong" if row["confident"] else "said"
 
@@ -65,7 +73,7 @@ def run(name: str, seeds: int, *, quick: bool) -> list[dict]:
     """Run all methods on a sweep and print its table."""
     sweep, rows = SWEEPS[name], []
     methods = global_methods() if sweep.everyone else refinements()
-    methods |= {method: ours(method) for method in ALSO_GLOBAL.get(name, ())}
+    methods |= {method: pcbench_method(method) for method in ALSO_GLOBAL.get(name, ())}
     print(f"\n{sweep.title}, {sweep.unit}".rstrip(", "))
     print(f"{'':>8}  {'method':24}{'success':>8}{'said so':>9}{'wrong':>7}{'error mm':>10}{'wall s':>8}{'CPU s':>8}")
     for value in sweep.quick if quick else sweep.values:
@@ -91,11 +99,11 @@ def speed(runs: int) -> None:
     reference = scene.reference
     origin = local_origin(reference)
     start = Similarity(rotation(np.array([0.0, 0.0, 1.0]), np.radians(5)), np.array([2.0, 0.0, 0.0]))
-    true = scene.T_reference_candidate["densified"]
-    candidate = start.apply(true.apply(scene.candidates["densified"].points))
+    T_true = scene.T_reference_candidate["densified"]
+    candidate = start.apply(T_true.apply(scene.candidates["densified"].points))
     target = Target(Surface(Index(reference.points - origin)))
     register(reference, candidate, target=target)  # computes the normals that are needed
-    race: dict[str, Callable[[], object]] = {
+    contestants: dict[str, Callable[[], object]] = {
         "pcbench icp, index included": lambda: register(reference, candidate),
         "pcbench icp, index and normals there": lambda: register(reference, candidate, target=target),
     }
@@ -103,15 +111,15 @@ def speed(runs: int) -> None:
         import small_gicp
 
         threads = len(os.sched_getaffinity(0))
-        goal, tree = small_gicp.preprocess_points(reference.points, VOXEL, num_threads=threads)
-        source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
+        preprocessed_target, tree = small_gicp.preprocess_points(reference.points, VOXEL, num_threads=threads)
+        preprocessed_candidate, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
 
         def align(kind: str) -> None:
             T = np.eye(4)
             for max_distance in MAX_DISTANCES:
                 T = small_gicp.align(
-                    goal,
-                    source,
+                    preprocessed_target,
+                    preprocessed_candidate,
                     tree,
                     T,
                     registration_type=kind,
@@ -121,15 +129,15 @@ def speed(runs: int) -> None:
                 ).T_target_source
 
         for kind in ("PLANE_ICP", "GICP", "VGICP"):
-            run_all = with_small_gicp(kind)
-            race[f"small_gicp {kind}, preprocessing included"] = lambda run_all=run_all: run_all(
+            run_all = small_gicp_method(kind)
+            contestants[f"small_gicp {kind}, preprocessing included"] = lambda run_all=run_all: run_all(
                 reference.points, candidate
             )
-        race["small_gicp PLANE_ICP, preprocessed"] = lambda: align("PLANE_ICP")
-        race["small_gicp GICP, preprocessed"] = lambda: align("GICP")
+        contestants["small_gicp PLANE_ICP, preprocessed"] = lambda: align("PLANE_ICP")
+        contestants["small_gicp GICP, preprocessed"] = lambda: align("GICP")
     print(f"\n{len(reference):,} against {len(candidate):,} points, start 5 degrees and 2 m; median of {runs} runs")
     print(f"{'':44}{'wall s':>8}{'CPU s':>8}")
-    for name, (wall, cpu) in alternate(race, runs).items():
+    for name, (wall, cpu) in alternate(contestants, runs).items():
         print(f"{name:44}{wall:>8.2f}{cpu:>8.2f}")
 
 
@@ -141,7 +149,11 @@ def _cpu_seconds() -> float:
 # ---- chart ----
 
 COLORS = {"success": "#0072B2", "said": "#D8DADD", "wrong": "#D55E00"}  # palette of Okabe and Ito
-LABELS = {"success": f"right to {100 * LIMIT:.0f} cm", "said": "failed with a warning", "wrong": "confidently wrong"}
+LABELS = {
+    "success": f"right to {100 * MAX_SUCCESS_ERROR:.0f} cm",
+    "said": "failed with a warning",
+    "wrong": "confidently wrong",
+}
 
 
 def draw(rows: list[dict], file: str) -> None:
@@ -151,22 +163,26 @@ def draw(rows: list[dict], file: str) -> None:
 
     names = [name for name in SWEEPS if any(row["sweep"] == name for row in rows)]
     table = {(row["sweep"], row["value"], row["method"]): row for row in rows}
-    near = [name for name in names if not SWEEPS[name].everyone]
-    far = [name for name in names if SWEEPS[name].everyone]
-    blocks = [(group, _methods(rows, group)) for group in (near[:3], near[3:], far) if group]
+    refinement_sweeps = [name for name in names if not SWEEPS[name].everyone]
+    global_sweeps = [name for name in names if SWEEPS[name].everyone]
+    blocks = [
+        (group, _methods(rows, group))
+        for group in (refinement_sweeps[:3], refinement_sweeps[3:], global_sweeps)
+        if group
+    ]
     # Sizes are in inches, so that bars are equally large in all blocks.
-    bar, head, top, bottom, left, width = 0.27, 0.75, 0.8, 0.3, 1.85, 11.0
-    height = top + bottom + sum(head + bar * len(methods) for _, methods in blocks)
+    bar_height, title_height, top_margin, bottom_margin, left_margin, width = 0.27, 0.75, 0.8, 0.3, 1.85, 11.0
+    height = top_margin + bottom_margin + sum(title_height + bar_height * len(methods) for _, methods in blocks)
     figure = plt.figure(figsize=(width, height), facecolor="white")
-    y0 = height - top
+    y0 = height - top_margin
     for group, methods in blocks:
         counts = [len({row["value"] for row in rows if row["sweep"] == name}) for name in group]
-        cell = min(0.72, (width - left - 0.3 - 0.35 * len(group)) / sum(counts))
-        x0, y0 = left, y0 - head - bar * len(methods)
+        cell_width = min(0.72, (width - left_margin - 0.3 - 0.35 * len(group)) / sum(counts))
+        x0, y0 = left_margin, y0 - title_height - bar_height * len(methods)
         for k, (name, columns) in enumerate(zip(group, counts, strict=True)):
-            area = (x0 / width, (y0 + 0.45) / height, columns * cell / width, bar * len(methods) / height)
+            area = (x0 / width, (y0 + 0.45) / height, columns * cell_width / width, bar_height * len(methods) / height)
             axis = figure.add_axes(area)
-            x0 += columns * cell + 0.35
+            x0 += columns * cell_width + 0.35
             values = list(dict.fromkeys(row["value"] for row in rows if row["sweep"] == name))
             for x, value in enumerate(values):
                 for y, method in enumerate(methods):
@@ -192,8 +208,8 @@ def draw(rows: list[dict], file: str) -> None:
                 loc="left",
                 pad=5,
             )
-            ruled = [y + 0.5 for y in range(len(methods) - 1) if (methods[y] in OURS) != (methods[y + 1] in OURS)]
-            axis.hlines(ruled, -0.5, len(values) - 0.5, color="#8A8F96", lw=0.8)
+            separators = [y + 0.5 for y in range(len(methods) - 1) if (methods[y] in OURS) != (methods[y + 1] in OURS)]
+            axis.hlines(separators, -0.5, len(values) - 0.5, color="#8A8F96", lw=0.8)
             for side in axis.spines.values():
                 side.set_visible(False)
     handles = [
@@ -201,8 +217,10 @@ def draw(rows: list[dict], file: str) -> None:
         for k in COLORS
     ]
     figure.text(0.15 / width, 1 - 0.36 / height, "Which registration can be relied on?", fontsize=15, fontweight="bold")
-    place = (0.1 / width, 1 - 0.46 / height)
-    figure.legend(handles=handles, loc="upper left", ncols=3, frameon=False, fontsize=10, bbox_to_anchor=place)
+    legend_position = (0.1 / width, 1 - 0.46 / height)
+    figure.legend(
+        handles=handles, loc="upper left", ncols=3, frameon=False, fontsize=10, bbox_to_anchor=legend_position
+    )
     note = "Share of scenes: two samples of a 200 m city with 2 cm noise. Bold: pcbench. Dots: not run."
     figure.text(0.15 / width, 0.1 / height, note, fontsize=9, color="#50555C")
     figure.savefig(file, dpi=150)

@@ -59,23 +59,23 @@ def clouds(case: Case, seed: int) -> tuple[FloatArray, FloatArray, Similarity]:
     rng = np.random.default_rng(seed)
     count = 80_000
     if case.shape == "city":
-        town = city(seed)
+        scene = city(seed)
         width = 200 / (2 - case.overlap)
         sizes = (count, count / case.density)
-        first, second = (town.sample(int(4.4 * n), rng)[0] for n in sizes)
-        first, second = (p[np.abs(p[:, :2]).max(axis=1) < 100] for p in (first, second))
-        first, second = first[first[:, 0] < width - 100], second[second[:, 0] > 100 - width]
+        reference, candidate = (scene.sample(int(4.4 * n), rng)[0] for n in sizes)
+        reference, candidate = (p[np.abs(p[:, :2]).max(axis=1) < 100] for p in (reference, candidate))
+        reference, candidate = reference[reference[:, 0] < width - 100], candidate[candidate[:, 0] > 100 - width]
     else:
-        first, second = (_degenerate(case.shape, int(n), rng) for n in (count, count / case.density))
-    first, second = (p + rng.normal(0, 0.02, p.shape) for p in (first, second))
-    outlier_count = round(len(second) * case.outliers / (1 - case.outliers))
-    second = np.concatenate([second, rng.uniform(second.min(0), second.max(0), (outlier_count, 3))])
+        reference, candidate = (_degenerate(case.shape, int(n), rng) for n in (count, count / case.density))
+    reference, candidate = (p + rng.normal(0, 0.02, p.shape) for p in (reference, candidate))
+    outlier_count = round(len(candidate) * case.outliers / (1 - case.outliers))
+    candidate = np.concatenate([candidate, rng.uniform(candidate.min(0), candidate.max(0), (outlier_count, 3))])
     angle = rng.uniform(45, 180) if case.angle_deg < 0 else case.angle_deg
     axis, heading = rng.normal(size=3), rng.uniform(0, 2 * np.pi)
     shift = case.offset * np.array([np.cos(heading), np.sin(heading), 0.0])
-    R, center = rotation(axis / np.linalg.norm(axis), np.radians(angle)), second.mean(axis=0)
-    true = Similarity(R, center + shift - case.scale * R @ center, case.scale)
-    return first, true.inverse().apply(second), true
+    R, center = rotation(axis / np.linalg.norm(axis), np.radians(angle)), candidate.mean(axis=0)
+    T_true = Similarity(R, center + shift - case.scale * R @ center, case.scale)
+    return reference, T_true.inverse().apply(candidate), T_true
 
 
 def _degenerate(shape: str, count: int, rng: np.random.Generator) -> FloatArray:

@@ -17,35 +17,35 @@ VOXEL, FEATURE_VOXEL = 0.5, 2.0
 MIN_MATCHED_SHARE = 0.3  # of the candidate, for a peer's result to count as confident
 
 
-class Answer(NamedTuple):
+class MethodResult(NamedTuple):
     """Result of a method: a transform candidate -> reference, and whether the method is confident in it."""
 
     transform: Similarity | None
     confident: bool
 
 
-Method = Callable[[FloatArray, FloatArray], Answer]
+Method = Callable[[FloatArray, FloatArray], MethodResult]
 
 
-def ours(method: str) -> Method:
+def pcbench_method(method: str) -> Method:
     """Return one of our methods."""
 
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+    def run(reference: FloatArray, candidate: FloatArray) -> MethodResult:
         try:
             result = register(reference, candidate, method)
         except RegistrationError:
-            return Answer(None, False)
-        return Answer(result.T_reference_candidate, result.converged is True and not result.warnings)
+            return MethodResult(None, False)
+        return MethodResult(result.T_reference_candidate, result.converged is True and not result.warnings)
 
     return run
 
 
-def with_open3d(kind: str) -> Method:
+def open3d_method(kind: str) -> Method:
     """Return one of Open3D's ICP variants, coarse to fine."""
     from open3d import geometry, utility
     from open3d.pipelines import registration as o3d
 
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+    def run(reference: FloatArray, candidate: FloatArray) -> MethodResult:
         clouds = []
         for points in (reference, candidate):
             cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
@@ -56,61 +56,63 @@ def with_open3d(kind: str) -> Method:
             criteria = o3d.ICPConvergenceCriteria(max_iteration=60)
             if kind == "GICP":
                 estimator = o3d.TransformationEstimationForGeneralizedICP()
-                found = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
+                result = o3d.registration_generalized_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
             else:
                 # A robust kernel from the start would keep only what fits already, so the last distance alone has it.
                 robust = kind == "Tukey" and max_distance == MAX_DISTANCES[-1]
                 estimator = o3d.TransformationEstimationPointToPlane(*([o3d.TukeyLoss(0.3)] if robust else []))
-                found = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
-            T, fitness = found.transformation, found.fitness
-        return Answer(_rigid(T), fitness >= MIN_MATCHED_SHARE)
+                result = o3d.registration_icp(clouds[1], clouds[0], max_distance, T, estimator, criteria)
+            T, fitness = result.transformation, result.fitness
+        return MethodResult(_rigid(T), fitness >= MIN_MATCHED_SHARE)
 
     return run
 
 
-def with_small_gicp(kind: str) -> Method:
+def small_gicp_method(kind: str) -> Method:
     """Return one of small_gicp's methods, coarse to fine."""
     import small_gicp
 
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+    def run(reference: FloatArray, candidate: FloatArray) -> MethodResult:
         threads = len(os.sched_getaffinity(0))
         target, tree = small_gicp.preprocess_points(reference, VOXEL, num_threads=threads)
         source, _ = small_gicp.preprocess_points(candidate, VOXEL, num_threads=threads)
-        T, done = np.eye(4), None
+        T, result = np.eye(4), None
         for max_distance in MAX_DISTANCES:
             options = {"init_T_target_source": T, "max_correspondence_distance": max_distance, "num_threads": threads}
             if kind == "VGICP":
                 voxels = small_gicp.GaussianVoxelMap(max_distance / 2)
                 voxels.insert(target)
-                done = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
+                result = small_gicp.align(voxels, source, init_T_target_source=T, num_threads=threads)
             else:
-                done = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **options)
-            T = done.T_target_source
-        return Answer(_rigid(T), bool(done.converged) and done.num_inliers >= MIN_MATCHED_SHARE * source.size())
+                result = small_gicp.align(target, source, tree, registration_type=kind, max_iterations=60, **options)
+            T = result.T_target_source
+        return MethodResult(
+            _rigid(T), bool(result.converged) and result.num_inliers >= MIN_MATCHED_SHARE * source.size()
+        )
 
     return run
 
 
-def with_kiss(reference: FloatArray, candidate: FloatArray) -> Answer:
+def register_with_kiss(reference: FloatArray, candidate: FloatArray) -> MethodResult:
     """Run KISS-Matcher with its defaults, then our ICP."""
     import kiss_matcher
 
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(FEATURE_VOXEL))
     with _no_output():
-        found = matcher.estimate([*candidate.astype(np.float32)], [*reference.astype(np.float32)])
+        solution = matcher.estimate([*candidate.astype(np.float32)], [*reference.astype(np.float32)])
     if matcher.get_num_final_inliers() < 5:
-        return Answer(None, False)
-    first = _rigid(_matrix(found.rotation, found.translation))
-    answer = ours("icp")(reference, first.apply(candidate))
-    return Answer(None if answer.transform is None else answer.transform @ first, answer.confident)
+        return MethodResult(None, False)
+    initial_transform = _rigid(_matrix(solution.rotation, solution.translation))
+    refined = pcbench_method("icp")(reference, initial_transform.apply(candidate))
+    return MethodResult(None if refined.transform is None else refined.transform @ initial_transform, refined.confident)
 
 
-def with_features(solver: str) -> Method:
+def feature_method(solver: str) -> Method:
     """Return Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
     from open3d import geometry, utility
     from open3d.pipelines import registration as o3d
 
-    def run(reference: FloatArray, candidate: FloatArray) -> Answer:
+    def run(reference: FloatArray, candidate: FloatArray) -> MethodResult:
         utility.random.seed(0)
         v, clouds, features = FEATURE_VOXEL, [], []
         for points in (candidate, reference):
@@ -119,60 +121,60 @@ def with_features(solver: str) -> Method:
             clouds.append(cloud)
             features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
         if solver == "FGR":
-            option = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
-            found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, option)
+            options = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
+            result = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
         else:
-            checks = [
+            checkers = [
                 o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
                 o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
             ]
-            found = o3d.registration_ransac_based_on_feature_matching(
+            result = o3d.registration_ransac_based_on_feature_matching(
                 *clouds,
                 *features,
                 True,
                 1.5 * v,
                 o3d.TransformationEstimationPointToPoint(False),
                 3,
-                checks,
+                checkers,
                 o3d.RANSACConvergenceCriteria(100_000, 0.999),
             )
-        fine = []
+        fine_clouds = []
         for points in (candidate, reference):
             cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
             cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
-            fine.append(cloud)
+            fine_clouds.append(cloud)
         plane = o3d.TransformationEstimationPointToPlane()
-        found = o3d.registration_icp(*fine, MAX_DISTANCES[-1], found.transformation, plane)
-        return Answer(_rigid(found.transformation), found.fitness >= MIN_MATCHED_SHARE)
+        result = o3d.registration_icp(*fine_clouds, MAX_DISTANCES[-1], result.transformation, plane)
+        return MethodResult(_rigid(result.transformation), result.fitness >= MIN_MATCHED_SHARE)
 
     return run
 
 
 def refinements() -> dict[str, Method]:
     """Return the methods that refine an initial pose."""
-    methods = {name: ours(name) for name in ("icp", "icp-point", "similarity")}
+    methods = {name: pcbench_method(name) for name in ("icp", "icp-point", "similarity")}
     if importlib.util.find_spec("open3d"):
         methods |= {
-            "Open3D plane": with_open3d("plane"),
-            "Open3D plane, Tukey": with_open3d("Tukey"),
-            "Open3D GICP": with_open3d("GICP"),
+            "Open3D plane": open3d_method("plane"),
+            "Open3D plane, Tukey": open3d_method("Tukey"),
+            "Open3D GICP": open3d_method("GICP"),
         }
     if importlib.util.find_spec("small_gicp"):
         methods |= {
-            "small_gicp plane": with_small_gicp("PLANE_ICP"),
-            "small_gicp GICP": with_small_gicp("GICP"),
-            "small_gicp VGICP": with_small_gicp("VGICP"),
+            "small_gicp plane": small_gicp_method("PLANE_ICP"),
+            "small_gicp GICP": small_gicp_method("GICP"),
+            "small_gicp VGICP": small_gicp_method("VGICP"),
         }
     return methods
 
 
 def global_methods() -> dict[str, Method]:
     """Return the methods that need no initial pose."""
-    methods = {name: ours(name) for name in ("global", "global-similarity")}
+    methods = {name: pcbench_method(name) for name in ("global", "global-similarity")}
     if importlib.util.find_spec("kiss_matcher"):
-        methods["KISS-Matcher, our ICP"] = with_kiss
+        methods["KISS-Matcher, our ICP"] = register_with_kiss
     if importlib.util.find_spec("open3d"):
-        methods |= {"Open3D FPFH, RANSAC": with_features("RANSAC"), "Open3D FPFH, FGR": with_features("FGR")}
+        methods |= {"Open3D FPFH, RANSAC": feature_method("RANSAC"), "Open3D FPFH, FGR": feature_method("FGR")}
     return methods
 
 

@@ -22,27 +22,27 @@ Scene = Callable[[int], FloatArray]
 
 def forest(_: int) -> FloatArray:
     """Airborne scan of a conifer forest."""
-    return _real("wild/MixedConifer.laz")
+    return _read_scan("wild/MixedConifer.laz")
 
 
 def hills(_: int) -> FloatArray:
     """Airborne scan of hills."""
-    return _real("wild/Topography.laz")
+    return _read_scan("wild/Topography.laz")
 
 
 def street(_: int) -> FloatArray:
     """Vehicle scan of a street."""
-    return _real("small_gicp/target.ply")
+    return _read_scan("small_gicp/target.ply")
 
 
 def crossing(_: int) -> FloatArray:
     """Vehicle scan of a crossing."""
-    return _real("small_gicp/source.ply")
+    return _read_scan("small_gicp/source.ply")
 
 
 def stadium(_: int) -> FloatArray:
     """Airborne scan of a stadium."""
-    return _real("autzen/autzen_trim.las")
+    return _read_scan("autzen/autzen_trim.las")
 
 
 def town(seed: int) -> FloatArray:
@@ -56,16 +56,18 @@ def room(seed: int) -> FloatArray:
     """Depth image of a room of 4.2 m x 5.6 m x 2.6 m with a dozen boxes: dense nearby, sparse far away."""
     rng = np.random.default_rng(seed)
     size = np.array([4.2, 5.6, 2.6])
-    half = rng.uniform(0.15, 0.6, (12, 3)) * [1, 1, 1.3]
-    center = np.column_stack([rng.uniform(0.5, 3.7, 12), rng.uniform(1.5, 5.2, 12), half[:, 2]])
+    half_size = rng.uniform(0.15, 0.6, (12, 3)) * [1, 1, 1.3]
+    center = np.column_stack([rng.uniform(0.5, 3.7, 12), rng.uniform(1.5, 5.2, 12), half_size[:, 2]])
     eye = np.array([2.1, 0.3, 1.5])
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.75, 0.75, 320), np.linspace(-0.56, 0.56, 240)))
     rays = np.column_stack([u, np.ones_like(u), v - 0.15])
     depth = np.where(rays > 0, (size - eye) / rays, -eye / rays).min(axis=1)
-    for middle, arm in zip(center, half, strict=True):
-        enter, leave = np.sort([(middle - arm - eye) / rays, (middle + arm - eye) / rays], axis=0)
-        near, far = enter.max(axis=1), leave.min(axis=1)
-        depth = np.where((near < far) & (near > 0), np.minimum(depth, near), depth)
+    for box_center, box_half_size in zip(center, half_size, strict=True):
+        enter, leave = np.sort(
+            [(box_center - box_half_size - eye) / rays, (box_center + box_half_size - eye) / rays], axis=0
+        )
+        entry_depth, exit_depth = enter.max(axis=1), leave.min(axis=1)
+        depth = np.where((entry_depth < exit_depth) & (entry_depth > 0), np.minimum(depth, entry_depth), depth)
     return eye + rays * (depth + rng.normal(0, 0.002, len(depth)) * depth**2)[:, None]
 
 
@@ -81,13 +83,13 @@ def bumps(seed: int) -> FloatArray:
 def knot(seed: int) -> FloatArray:
     """Trefoil knot of a tube with varying thickness."""
     rng = np.random.default_rng(seed)
-    t, turn = rng.uniform(0, 2 * np.pi, (2, 60_000))
-    middle, ahead = _trefoil(t), _trefoil(t + 1e-4)
-    along = (ahead - middle) / np.linalg.norm(ahead - middle, axis=1)[:, None]
-    side = np.cross(along, [0.3, 0.5, 0.8])
+    t, tube_angle = rng.uniform(0, 2 * np.pi, (2, 60_000))
+    middle, next_middle = _trefoil(t), _trefoil(t + 1e-4)
+    tangent = (next_middle - middle) / np.linalg.norm(next_middle - middle, axis=1)[:, None]
+    side = np.cross(tangent, [0.3, 0.5, 0.8])
     side /= np.linalg.norm(side, axis=1)[:, None]
-    arm = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(along, side)
-    return middle + (0.35 + 0.12 * np.sin(t + 1))[:, None] * arm
+    radial = np.cos(tube_angle)[:, None] * side + np.sin(tube_angle)[:, None] * np.cross(tangent, side)
+    return middle + (0.35 + 0.12 * np.sin(t + 1))[:, None] * radial
 
 
 def rough_ground(seed: int) -> FloatArray:
@@ -96,8 +98,8 @@ def rough_ground(seed: int) -> FloatArray:
     xy = rng.uniform(-100, 100, (60_000, 2))
     waves, phases = rng.normal(0, 0.12, (25, 2)), rng.uniform(0, 2 * np.pi, 25)
     heights = np.sin(xy @ waves.T + phases) @ (0.25 / np.linalg.norm(waves, axis=1).clip(0.05))
-    shrub = np.sin(xy @ rng.normal(0, 0.4, (6, 2)).T).sum(axis=1) > 1
-    return np.column_stack([xy, heights + shrub * rng.uniform(0, 3, len(xy)) + rng.normal(0, 0.1, len(xy))])
+    has_shrub = np.sin(xy @ rng.normal(0, 0.4, (6, 2)).T).sum(axis=1) > 1
+    return np.column_stack([xy, heights + has_shrub * rng.uniform(0, 3, len(xy)) + rng.normal(0, 0.1, len(xy))])
 
 
 # Thresholds were tuned on the first group only.
@@ -111,25 +113,25 @@ HELD_OUT: dict[str, Scene] = {
 }
 
 
-def of_folder(folder: Path) -> dict[str, Scene]:
+def mesh_scenes(folder: Path) -> dict[str, Scene]:
     """Return one scene per mesh in a folder, with 60,000 points each."""
     meshes = {path.stem: read_mesh(path) for path in sorted(folder.iterdir())}
-    return {name: partial(_sampled, mesh) for name, mesh in meshes.items()}
+    return {name: partial(_sample, mesh) for name, mesh in meshes.items()}
 
 
-def available(scenes: dict[str, Scene]) -> dict[str, Scene]:
+def available_scenes(scenes: dict[str, Scene]) -> dict[str, Scene]:
     """Return the scenes whose data exist."""
-    found = {}
+    result = {}
     for name, scene in scenes.items():
         try:
             scene(0)
         except FileNotFoundError:
             continue
-        found[name] = scene
-    return found
+        result[name] = scene
+    return result
 
 
-def _sampled(mesh: Mesh, seed: int) -> FloatArray:
+def _sample(mesh: Mesh, seed: int) -> FloatArray:
     return mesh.sample(60_000, seed).points
 
 
@@ -137,14 +139,14 @@ def _trefoil(t: FloatArray) -> FloatArray:
     return np.column_stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)])
 
 
-def _real(name: str) -> FloatArray:
+def _read_scan(name: str) -> FloatArray:
     path = Path(os.environ.get("PCBENCH_DATA", Path(__file__).parents[3] / "shared" / "data"), name)
     if not path.exists():
         raise FileNotFoundError(path)
     points = read_cloud(path).points
-    return _thinned(points - np.floor(points.mean(axis=0)))
+    return _subsample(points - np.floor(points.mean(axis=0)))
 
 
-def _thinned(points: FloatArray) -> FloatArray:
+def _subsample(points: FloatArray) -> FloatArray:
     """Return at most 80,000 of the points."""
     return points if len(points) <= _MAX_POINTS else np.random.default_rng(0).permutation(points)[:_MAX_POINTS]

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from measure import setting
 from registration_cases import rotation
-from registration_scenes import HELD_OUT, TUNED, Scene, available, of_folder
+from registration_scenes import HELD_OUT, TUNED, Scene, available_scenes, mesh_scenes
 
 from pcbench import register
 from pcbench.errors import RegistrationError
@@ -52,66 +52,66 @@ class Trial(NamedTuple):
     ratio: int
 
 
-def trial(name: str, scene: Scene, method: str, number: int) -> Trial:
+def make_trial(name: str, scene: Scene, method: str, number: int) -> Trial:
     """Create a trial; the same index gives the same trial for all methods with, or without, a scale."""
     rng = np.random.default_rng([number, *name.encode()])
     points = rng.permutation(scene(number))
-    first, second = points[::2], points[1::2]
+    reference, moving = points[::2], points[1::2]
     angle, overlap, ratio = (rng.choice(values) for values in (ANGLES, OVERLAPS, RATIOS))
     if method.startswith("global"):
         angle = rng.uniform(5, 180)
     upright = np.ptp(points[:, 2]) < 0.3 * np.ptp(points[:, :2], axis=0).max()  # flat scenes are cut vertically
     direction = rng.normal(size=3) * [1, 1, not upright]
-    along = [cloud @ (direction / np.linalg.norm(direction)) for cloud in (first, second)]
+    coordinates = [cloud @ (direction / np.linalg.norm(direction)) for cloud in (reference, moving)]
     width = 1 / (2 - overlap)
-    first = first[along[0] <= np.quantile(along[0], width)]
-    second = second[along[1] >= np.quantile(along[1], 1 - width)][::ratio]
-    spacing = median_spacing(Index(first))
-    first, second = (cloud + rng.normal(0, NOISE * spacing, cloud.shape) for cloud in (first, second))
+    reference = reference[coordinates[0] <= np.quantile(coordinates[0], width)]
+    moving = moving[coordinates[1] >= np.quantile(coordinates[1], 1 - width)][::ratio]
+    spacing = median_spacing(Index(reference))
+    reference, moving = (cloud + rng.normal(0, NOISE * spacing, cloud.shape) for cloud in (reference, moving))
     axis, heading = rng.normal(size=(2, 3))
     axis = [0, 0, 1] + 0.1 * axis if upright and rng.random() < 0.5 else axis
     scale = float(np.exp(rng.uniform(-np.log(2), np.log(2)))) if "similarity" in method else 1.0
     mirrored = name not in SYMMETRIC and rng.random() < 0.1
-    R, center = rotation(axis / np.linalg.norm(axis), np.radians(angle)), second.mean(axis=0)
-    shift = rng.uniform(0, 0.05) * robust_extent(first) * heading / np.linalg.norm(heading)
-    true = Similarity(R, center + shift - scale * R @ center, scale)
+    R, center = rotation(axis / np.linalg.norm(axis), np.radians(angle)), moving.mean(axis=0)
+    shift = rng.uniform(0, 0.05) * robust_extent(reference) * heading / np.linalg.norm(heading)
+    T_true = Similarity(R, center + shift - scale * R @ center, scale)
     if mirrored:
-        second = (second - center) * [-1, 1, 1] + center
-    candidate = true.inverse().apply(second)
-    return Trial(first, candidate, None if mirrored else true, spacing, float(angle), overlap, ratio)
+        moving = (moving - center) * [-1, 1, 1] + center
+    candidate = T_true.inverse().apply(moving)
+    return Trial(reference, candidate, None if mirrored else T_true, spacing, float(angle), overlap, ratio)
 
 
-def outcome(name: str, scene: Scene, method: str, number: int) -> dict:
+def run_trial(name: str, scene: Scene, method: str, number: int) -> dict:
     """Run a method on one trial and classify its pose."""
-    made = trial(name, scene, method, number)
-    row = {"scene": name, "method": method, "number": number, "angle": made.angle, "overlap": made.overlap}
-    row |= {"ratio": int(made.ratio), "mirrored": made.true is None, "off": None, "codes": []}
+    trial = make_trial(name, scene, method, number)
+    row = {"scene": name, "method": method, "number": number, "angle": trial.angle, "overlap": trial.overlap}
+    row |= {"ratio": int(trial.ratio), "mirrored": trial.true is None, "off": None, "codes": []}
     cpu = _cpu_seconds()
     try:
-        found = register(made.reference, made.candidate, method)
+        registration = register(trial.reference, trial.candidate, method)
     except RegistrationError:
         return row | {"kind": "refused", "cpu": _cpu_seconds() - cpu}
-    row |= {"cpu": _cpu_seconds() - cpu, "codes": [notice.code for notice in found.warnings]}
-    row["contrast"] = found.contrast
-    row["pose"] = found.T_reference_candidate.matrix.tolist()
-    if made.true is not None:
-        places = made.true.apply(made.candidate)
-        there = found.T_reference_candidate.apply(made.candidate)
-        row["off"] = float(np.sqrt(np.square(there - places).sum(axis=1).mean()) / made.spacing)
+    row |= {"cpu": _cpu_seconds() - cpu, "codes": [notice.code for notice in registration.warnings]}
+    row["contrast"] = registration.contrast
+    row["pose"] = registration.T_reference_candidate.matrix.tolist()
+    if trial.true is not None:
+        expected = trial.true.apply(trial.candidate)
+        aligned = registration.T_reference_candidate.apply(trial.candidate)
+        row["off"] = float(np.sqrt(np.square(aligned - expected).sum(axis=1).mean()) / trial.spacing)
     if row["off"] is not None and row["off"] <= 1:
-        return row | {"kind": "right, warned" if found.warnings else "right"}
-    return row | {"kind": "said" if found.warnings else "silent"}
+        return row | {"kind": "right, warned" if registration.warnings else "right"}
+    return row | {"kind": "said" if registration.warnings else "silent"}
 
 
-def run(scenes: dict[str, Scene], methods: Iterable[str], numbers: Iterable[int]) -> list[dict]:
+def run_trials(scenes: dict[str, Scene], methods: Iterable[str], numbers: Iterable[int]) -> list[dict]:
     """Run all trials and print their tables."""
     rows = []
     for method in methods:
         print(f"\n{method:20}{'trials':>8}" + "".join(f"{kind:>15}" for kind in KINDS) + f"{'CPU s':>8}")
         for name, scene in scenes.items():
-            found = [outcome(name, scene, method, number) for number in numbers]
-            _print(name, found)
-            rows += found
+            outcomes = [run_trial(name, scene, method, number) for number in numbers]
+            _print(name, outcomes)
+            rows += outcomes
         _print("all", [row for row in rows if row["method"] == method])
     return rows
 
@@ -137,11 +137,11 @@ def main() -> None:
     parser.add_argument("--rows", type=Path)
     options = parser.parse_args()
     print(setting())
-    scenes = available(TUNED | HELD_OUT) | (of_folder(options.meshes) if options.meshes else {})
+    scenes = available_scenes(TUNED | HELD_OUT) | (mesh_scenes(options.meshes) if options.meshes else {})
     if options.only:
         scenes = {name: scenes[name] for name in options.only.split(",")}
     numbers = range(options.start, options.start + options.trials)
-    rows = run(scenes, options.methods.split(","), numbers)
+    rows = run_trials(scenes, options.methods.split(","), numbers)
     if options.rows:
         options.rows.write_text(json.dumps(rows))
 

@@ -31,7 +31,7 @@ from reconstructors.splat.photographs import Pyramid
 from reconstructors.splat.splat import initial_model
 from reconstructors.splat.train import Schedule, Training, evaluate
 
-DEGREE = 2
+SH_DEGREE = 2
 
 
 class SurfaceMeasuringDensity(Parsimonious):
@@ -46,23 +46,27 @@ class SurfaceMeasuringDensity(Parsimonious):
     def _evaluate(self, training: Training) -> Budget:
         budget = super()._evaluate(training)
         start = time.process_time()
-        self.scores.append(surface(self.inputs, training.model))
+        self.scores.append(score_surface(self.inputs, training.model))
         self.measuring_s += time.process_time() - start
         return budget
 
 
-def surface(inputs: Inputs, model: Gaussians) -> CloudScore:
+def score_surface(inputs: Inputs, model: Gaussians) -> CloudScore:
     """Score the surface of a model."""
     return score_cloud(inputs.city.truth, extract.surface(model, inputs.frame, inputs.cameras).points)
 
 
 def train(
-    inputs: Inputs, count: int, steps: int, density: Density[Training], shown: list[Pyramid]
+    inputs: Inputs, count: int, steps: int, density: Density[Training], training_pyramids: list[Pyramid]
 ) -> tuple[Training, float]:
     """Train a model; return the training and its CPU seconds."""
-    schedule = Schedule(steps=steps, sh_degree=DEGREE)
+    schedule = Schedule(steps=steps, sh_degree=SH_DEGREE)
     training = Training(
-        initial_model(inputs.dense.cloud, inputs.frame, count, 0), shown, schedule, density, inputs.supervision
+        initial_model(inputs.dense.cloud, inputs.frame, count, 0),
+        training_pyramids,
+        schedule,
+        density,
+        inputs.supervision,
     )
     start = time.process_time()
     training.run(steps)
@@ -72,10 +76,14 @@ def train(
 def compare(inputs: Inputs, count: int, steps: int) -> None:
     """Compare the selected budget with the initial one and print both."""
     names = [pyramid[0].name for pyramid in inputs.shown]
-    of = dict(zip(names, inputs.shown, strict=True))
-    choosing = split_for_selection(names, {name: inputs.cameras[name].position for name in names})
-    density = SurfaceMeasuringDensity(inputs, [[of[name] for name in block] for block in choosing.blocks])
-    ours, seconds = train(inputs, count, steps, density, [of[name] for name in choosing.train])
+    pyramid_by_name = dict(zip(names, inputs.shown, strict=True))
+    selection_split = split_for_selection(names, {name: inputs.cameras[name].position for name in names})
+    density = SurfaceMeasuringDensity(
+        inputs, [[pyramid_by_name[name] for name in block] for block in selection_split.blocks]
+    )
+    selected_training, seconds = train(
+        inputs, count, steps, density, [pyramid_by_name[name] for name in selection_split.train]
+    )
     seconds -= density.measuring_s
     curve = density.curve
     assert curve is not None
@@ -87,12 +95,12 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
             f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
             f"{'  chosen' if budget is curve.chosen else ''}"
         )
-    rows = [("chosen", ours, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
+    rows = [("chosen", selected_training, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
     held_out = {photograph.name: photograph for photograph in inputs.held_out}
     blocks = [[held_out[name] for name in block] for block in inputs.split.blocks]
     psnr = [np.array([np.mean(evaluate(training.model, block)) for block in blocks]) for _, training, _ in rows]
     for (name, training, seconds), scores in zip(rows, psnr, strict=True):
-        model, score = training.model, surface(inputs, training.model)
+        model, score = training.model, score_surface(inputs, training.model)
         print(
             f"{name:9}{len(model):9,} of degree {model.degree}: {scores.mean():.2f} dB held out, {seconds:.0f} CPU s,"
             f" surface {score.accuracy:.3f} m, F-score {score.fscore_seen:.3f}"
@@ -111,14 +119,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=900)
     parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
     options = parser.parse_args()
-    print(f"{setting()}; {options.gaussians:,} Gaussians, {options.steps:,} steps, degree {DEGREE}")
+    print(f"{setting()}; {options.gaussians:,} Gaussians, {options.steps:,} steps, degree {SH_DEGREE}")
     with tempfile.TemporaryDirectory() as temporary:
         for case in options.cases.split(";"):
             label = case.replace(", ", "_").replace(" ", "_")
-            made = city((options.folder or Path(temporary)) / label, case, options.images, options.size)
+            scored_city = city((options.folder or Path(temporary)) / label, case, options.images, options.size)
             work = Path(temporary) / f"{label}.work"
             work.mkdir()
-            inputs = prepare(made, work, torch.device("cpu"))
+            inputs = prepare(scored_city, work, torch.device("cpu"))
             print(f"\n{options.images} images of {options.size} of a city of {EXTENT} m ({case}); {inputs.split.words}")
             compare(inputs, options.gaussians, options.steps)
 

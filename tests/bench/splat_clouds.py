@@ -25,8 +25,8 @@ from reconstructors.mvs.mvs import DenseMvs
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat.splat import GaussianSplatting
 
-OPAQUE = 0.5  # minimum opacity
-HEAD = (
+MIN_OPAQUE_OPACITY = 0.5  # minimum opacity
+TABLE_HEAD = (
     f"{'':38}{'CPU s':>7}{'points':>9}{'accuracy':>10}{'completeness':>14}{'of seen':>9}{'precision':>11}{'recall':>8}"
     f"{'F-score':>9}{'of seen':>9}"
 )
@@ -47,7 +47,7 @@ class Row(NamedTuple):
         )
 
 
-def cpu() -> float:
+def cpu_seconds() -> float:
     """Return the CPU seconds of this process and its children."""
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
@@ -56,18 +56,18 @@ def cpu() -> float:
 def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
     """Yield the rows of a city."""
 
-    def timed(method: Reconstructor, folder: Path) -> tuple[Reconstruction, float]:
+    def reconstruct_timed(method: Reconstructor, folder: Path) -> tuple[Reconstruction, float]:
         """Run a method in a workspace that later splats use as their initial model."""
         folder.mkdir(parents=True, exist_ok=True)
-        start = cpu()
-        made = method.reconstruct(city.scene, folder)
-        return made, cpu() - start
+        start = cpu_seconds()
+        reconstruction = method.reconstruct(city.scene, folder)
+        return reconstruction, cpu_seconds() - start
 
-    spent = {}
+    seconds_by_start = {}
     methods: tuple[tuple[str, Reconstructor], ...] = (("sfm", ColmapSfm()), ("mvs", DenseMvs()))
     for start, method in methods:
-        made, spent[start] = timed(method, work / start / start)
-        yield Row(start, spent[start], score_cloud(city.truth, made.cloud.points))
+        reconstruction, seconds_by_start[start] = reconstruct_timed(method, work / start / start)
+        yield Row(start, seconds_by_start[start], score_cloud(city.truth, reconstruction.cloud.points))
     budget = {"steps": options.steps, "gaussians": options.gaussians}
     splats = {
         "sfm, classic": GaussianSplatting(start="sfm", density="classic", **budget),
@@ -75,18 +75,18 @@ def rows(city: City, work: Path, options: argparse.Namespace) -> Iterator[Row]:
         "mvs": GaussianSplatting(density="fixed", **budget),
     }
     for name, splat in splats.items():
-        training = None
+        training_s = None
         clouds = {
             "surface": splat,
             "means": replace(splat, cloud="means"),
-            f"means, opacity {OPAQUE}": replace(splat, cloud="means", min_opacity=OPAQUE),
+            f"means, opacity {MIN_OPAQUE_OPACITY}": replace(splat, cloud="means", min_opacity=MIN_OPAQUE_OPACITY),
         }
         for cloud, method in clouds.items():
-            made, seconds = timed(method, work / splat.start)
-            if training is None:  # the first one trains; the others use its model
-                training = seconds
-            seconds = spent[splat.start] + (training if method is splat else training + seconds)
-            yield Row(f"splat from {name}: {cloud}", seconds, score_cloud(city.truth, made.cloud.points))
+            reconstruction, seconds = reconstruct_timed(method, work / splat.start)
+            if training_s is None:  # the first one trains; the others use its model
+                training_s = seconds
+            seconds = seconds_by_start[splat.start] + (training_s if method is splat else training_s + seconds)
+            yield Row(f"splat from {name}: {cloud}", seconds, score_cloud(city.truth, reconstruction.cloud.points))
 
 
 def main() -> None:
@@ -106,9 +106,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         root = options.folder or Path(temporary)
         for number, case in enumerate(options.cases.split(";")):
-            made = city(root / case.replace(", ", "_").replace(" ", "_"), case, options.images, options.size)
-            print(f"\n{case}; two footprints of a pixel are {2 * made.truth.pixel:.2f} m\n{HEAD}")
-            for row in rows(made, Path(temporary) / f"work{number}", options):
+            scored_city = city(root / case.replace(", ", "_").replace(" ", "_"), case, options.images, options.size)
+            print(f"\n{case}; two footprints of a pixel are {2 * scored_city.truth.pixel:.2f} m\n{TABLE_HEAD}")
+            for row in rows(scored_city, Path(temporary) / f"work{number}", options):
                 print(row, flush=True)
 
 

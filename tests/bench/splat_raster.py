@@ -49,7 +49,7 @@ def measure(options: dict[str, Any]) -> None:
 
     width, height = map(int, options["size"].split("x"))
     picture = make_picture(options["count"], width, height, options["device"])
-    on_gpu = options["device"] != "cpu"
+    uses_gpu = options["device"] != "cpu"
     contestants: dict[str, Any] = {"pcbench": Ours(picture), "pcbench, geometry": Ours(picture, geometry=True)}
     for ours in contestants.values():
         step(ours, lambda: None)
@@ -58,18 +58,18 @@ def measure(options: dict[str, Any]) -> None:
     if options["peers"]:
         if instances * 256 < MAX_TORCH_PIXELS:
             contestants["plain torch"] = PlainTorch(picture)
-        if options["opensplat"] and not on_gpu:
+        if options["opensplat"] and not uses_gpu:
             contestants["OpenSplat"] = OpenSplat(picture, build_opensplat(Path(options["opensplat"])))
-        if on_gpu and importlib.util.find_spec("gsplat"):
+        if uses_gpu and importlib.util.find_spec("gsplat"):
             contestants["gsplat"] = Gsplat(picture)
-    wait = torch.cuda.synchronize if on_gpu else lambda: None
+    wait = torch.cuda.synchronize if uses_gpu else lambda: None
     samples: dict[str, list[list[Seconds]]] = {name: [] for name in contestants}
     for run in range(options["runs"] + 1):  # the first run is a warm-up
         for name, contestant in contestants.items():
             if (parts := step(contestant, wait)) and run:
                 samples[name].append(parts)
     image = contestants["pcbench"].image.clamp(max=1)
-    found = {
+    results = {
         "drawn": len(contestants["pcbench"].pulled.ids),
         "instances": instances,
         "alpha": 1 - float(contestants["pcbench"].transmittance.mean()),
@@ -78,7 +78,9 @@ def measure(options: dict[str, Any]) -> None:
         "rows": {
             name: {
                 # With a GPU the CPU only launches the work.
-                "parts": [statistics.median(parts[i][0 if on_gpu else 1] for parts in runs) for i in range(len(PARTS))],
+                "parts": [
+                    statistics.median(parts[i][0 if uses_gpu else 1] for parts in runs) for i in range(len(PARTS))
+                ],
                 "cpu": [pick(sum(part.cpu for part in parts) for parts in runs) for pick in (statistics.median, min)],
                 "wall": [pick(sum(part.wall for part in parts) for parts in runs) for pick in (statistics.median, min)],
                 "off": float((contestants[name].image.clamp(max=1) - image).abs().mean()),
@@ -86,31 +88,31 @@ def measure(options: dict[str, Any]) -> None:
             for name, runs in samples.items()
         },
     }
-    print(json.dumps(found))
+    print(json.dumps(results))
 
 
 def run_child(options: dict[str, Any], isa: str) -> dict[str, Any]:
     """Measure in a child process, with one instruction set."""
     # Passive waiting: threads that spin while they wait would add CPU time.
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", **({"PCBENCH_ISA": isa} if isa else {})}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, Path(__file__), "--child", json.dumps(options)],
         env=environment,
         check=True,
         stdout=subprocess.PIPE,
         text=True,
     )
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(process.stdout.splitlines()[-1])
 
 
-def describe(found: dict[str, Any], size: str, count: int) -> str:
+def describe(results: dict[str, Any], size: str, count: int) -> str:
     """Return a line on the picture and the memory."""
-    buffers = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in found["bytes"])
-    tiles = f", {found['instances']:,} tile instances" if found["instances"] else ""
+    buffers = " and ".join(f"{bytes_ / count:.0f}" for bytes_ in results["bytes"])
+    tiles = f", {results['instances']:,} tile instances" if results["instances"] else ""
     memory = f"; bytes per Gaussian: {MODEL_BYTES} of model and moments, {buffers} of buffers" if buffers else ""
     return (
-        f"{size}, {count:,} Gaussians: {found['drawn']:,} rendered{tiles}, {found['contributors']:.0f} per pixel, "
-        f"alpha {found['alpha']:.2f}{memory}"
+        f"{size}, {count:,} Gaussians: {results['drawn']:,} rendered{tiles}, {results['contributors']:.0f} per pixel, "
+        f"alpha {results['alpha']:.2f}{memory}"
     )
 
 
@@ -133,21 +135,21 @@ def main() -> None:
     print(f"milliseconds: {clock} time for parts and ratio; CPU and wall time for the complete step, median and least")
     head = "".join(f"{name:>9}" for name in (*PARTS, "CPU", "least", "wall", "least", "ratio"))
     print(f"{'threads':>7} {'loops':10}{'method':18}{head}{'image off':>11}")
-    isas, every_threads = options.isas.split(","), [int(number) for number in options.threads.split(",")]
+    isas, thread_counts = options.isas.split(","), [int(number) for number in options.threads.split(",")]
     for size, count in itertools.product(options.sizes.split(","), map(int, options.counts.split(","))):
-        for number, (isa, threads) in enumerate(itertools.product(isas, every_threads)):
+        for number, (isa, threads) in enumerate(itertools.product(isas, thread_counts)):
             child = {"size": size, "count": count, "threads": threads, "runs": options.runs, "device": options.device}
             child["first"] = number == 0
             peers = {"peers": not options.no_peers and isa == isas[0], "opensplat": options.opensplat}
-            found = run_child(child | peers, isa)
+            results = run_child(child | peers, isa)
             if number == 0:
-                print("\n" + describe(found, size, count))
-            own = found["rows"]["pcbench"]
-            for name, row in found["rows"].items():
+                print("\n" + describe(results, size, count))
+            pcbench_row = results["rows"]["pcbench"]
+            for name, row in results["rows"].items():
                 times = (*row["parts"], *row["cpu"], *row["wall"])
-                ratio = sum(row["parts"]) / sum(own["parts"])
+                ratio = sum(row["parts"]) / sum(pcbench_row["parts"])
                 print(
-                    f"{threads:7} {isa or 'widest':10}{name:18}{''.join(f'{1e3 * each:9.1f}' for each in times)}"
+                    f"{threads:7} {isa or 'widest':10}{name:18}{''.join(f'{1e3 * seconds:9.1f}' for seconds in times)}"
                     f"{ratio:9.1f}{row['off']:11.1e}",
                     flush=True,
                 )

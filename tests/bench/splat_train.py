@@ -74,19 +74,19 @@ class Run(NamedTuple):
     fscore_seen: float
 
 
-def prepare(made: City, work: Path, device: torch.device) -> Inputs:
+def prepare(scored_city: City, work: Path, device: torch.device) -> Inputs:
     """Reconstruct the dense cloud and read the photographs."""
-    scene = made.scene
+    scene = scored_city.scene
     dense = INITIAL_MVS.reconstruct(scene, work)
     cameras = {name: pinhole(camera, 1.0) for name, camera in dense.cameras.items()}
     frame = LocalFrame.of(list(cameras.values()))
     split = hold_out(list(cameras), "blocks", {name: camera.position for name, camera in cameras.items()})
     folders = {name: view_stage(scene, dense.cameras[name], camera, work) for name, camera in cameras.items()}
     pyramids = read_photographs(folders, cameras, frame, 3, device)
-    shown = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
+    training_pyramids = [pyramid for pyramid in pyramids if pyramid[0].name in split.train]
     held_out = [pyramid[0] for pyramid in pyramids if pyramid[0].name in split.test]
-    supervision = read_supervision(work / MAPS, shown, frame.unit)
-    return Inputs(made, cameras, dense, frame, split, shown, held_out, supervision)
+    supervision = read_supervision(work / MAPS, training_pyramids, frame.unit)
+    return Inputs(scored_city, cameras, dense, frame, split, training_pyramids, held_out, supervision)
 
 
 def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: int, device: torch.device) -> Run:
@@ -118,11 +118,11 @@ def train(inputs: Inputs, contestant: Contestant, count: int, steps: int, seed: 
 
 def summary(runs: list[Run]) -> str:
     """Return medians and half of the range over the seeds, as text."""
-    words = []
+    cells = []
     for values, digits in zip(zip(*runs, strict=True), (0, 2, 2, 3, 3, 3), strict=True):
-        half = (max(values) - min(values)) / 2
-        words.append(f"{statistics.median(values):8.{digits}f} ± {half:<5.{digits}f}")
-    return "".join(words)
+        half_range = (max(values) - min(values)) / 2
+        cells.append(f"{statistics.median(values):8.{digits}f} ± {half_range:<5.{digits}f}")
+    return "".join(cells)
 
 
 def main() -> None:
@@ -145,16 +145,16 @@ def main() -> None:
             parser.error("--gsplat takes a GPU (--device cuda) and the package gsplat")
         contestants += [Contestant("unsupervised", False), Contestant("gsplat", False, draw_by_gsplat)]
     counts, steps = ([int(word) for word in words.split(",")] for words in (options.counts, options.steps))
-    middle, most = counts[len(counts) // 2], steps[-1]
-    budgets = sorted({(middle, each) for each in steps} | {(count, most) for count in counts})
+    middle_count, max_steps = counts[len(counts) // 2], steps[-1]
+    budgets = sorted({(middle_count, step_count) for step_count in steps} | {(count, max_steps) for count in counts})
     print(f"{setting()}; {options.device}")
     with tempfile.TemporaryDirectory() as temporary:
         folder = (options.folder or Path(temporary)) / options.case.replace(", ", "_").replace(" ", "_")
-        made = city(folder, options.case, options.images, options.size)
+        scored_city = city(folder, options.case, options.images, options.size)
         work = Path(temporary) / "work"
         work.mkdir()
         device = torch.device(options.device)
-        inputs = prepare(made, work, device)
+        inputs = prepare(scored_city, work, device)
         print(
             f"{options.images} images of {options.size} of a city of {EXTENT} m ({options.case}), held out:"
             f" {inputs.split.words}; {options.seeds} seeds: median ± half the range"
@@ -163,9 +163,9 @@ def main() -> None:
         names = (clock, "PSNR", "held out", "accuracy", "complete", "F-score")
         print(f"{'':13}{'N':>6}{'steps':>6}" + "".join(f"{name:>9}{'':7}" for name in names))
         for contestant in contestants:
-            for count, each in budgets:
-                runs = [train(inputs, contestant, count, each, seed, device) for seed in range(options.seeds)]
-                print(f"{contestant.name:13}{count:6}{each:6}{summary(runs)}", flush=True)
+            for count, step_count in budgets:
+                runs = [train(inputs, contestant, count, step_count, seed, device) for seed in range(options.seeds)]
+                print(f"{contestant.name:13}{count:6}{step_count:6}{summary(runs)}", flush=True)
 
 
 if __name__ == "__main__":

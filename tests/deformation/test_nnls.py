@@ -8,7 +8,7 @@ from pcbench.deformation.nnls import nonnegative_least_squares
 
 
 @pytest.mark.parametrize("columns", [1, 3, 6, 9])
-def test_against_scipy(columns):
+def test_nnls_matches_scipy(columns):
     nnls = import_or_skip("scipy.optimize").nnls
     rng = np.random.default_rng(columns)
     for scale in (1e-6, 1.0, 1e6):
@@ -16,5 +16,5 @@ def test_against_scipy(columns):
             matrix, values = rng.normal(size=(12, columns)), scale * rng.normal(size=12)
             expected = nnls(matrix, values)[0]
             # 1e-9: both solve the same small systems in float64.
-            found = nonnegative_least_squares(matrix, values)
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * scale)
+            computed = nonnegative_least_squares(matrix, values)
+            np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-9 * scale)

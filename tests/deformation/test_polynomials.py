@@ -9,12 +9,12 @@ from pcbench.deformation.polynomials import PARAMETERS, model_columns, monomials
 
 def test_moments_contain_the_normal_equations_of_a_cubic_field():
     rng = np.random.default_rng(0)
-    places, normals = rng.uniform(-1, 1, (50, 3)), rng.normal(size=(50, 3))
+    positions, normals = rng.uniform(-1, 1, (50, 3)), rng.normal(size=(50, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     weights, residuals = rng.random(50), rng.normal(size=50)
-    design = np.einsum("an,nk->nak", monomials(places), normals).reshape(50, 60)
+    design = np.einsum("an,nk->nak", monomials(positions), normals).reshape(50, 60)
     starts = np.array([0, 20, 20])  # a group of twenty pairs, an empty one, the rest
-    moments, scores = normal_equations(places, normals, weights, residuals, starts)
+    moments, scores = normal_equations(positions, normals, weights, residuals, starts)
     for group, rows in enumerate((slice(0, 20), slice(20, 20), slice(20, 50))):
         matrix = design[rows].T @ (weights[rows, None] * design[rows])
         # Sums of fifty terms of size one.
@@ -23,28 +23,30 @@ def test_moments_contain_the_normal_equations_of_a_cubic_field():
 
 
 def test_invalid_groups_are_refused():
-    one, places = np.ones(4), np.zeros((4, 3))
+    values, positions = np.ones(4), np.zeros((4, 3))
     for starts in ([2, 1], [0, 5], [-1]):
         with check_error(ValueError):
-            normal_equations(places, places, one, one, np.array(starts))
+            normal_equations(positions, positions, values, values, np.array(starts))
 
 
 @pytest.mark.parametrize(
     ("smaller", "larger"), [("rigid", "similarity"), ("similarity", "affine"), ("affine", "cubic")]
 )
 def test_models_are_nested_and_count_their_parameters(smaller, larger):
-    small, large = model_columns(smaller), model_columns(larger)
-    assert np.linalg.matrix_rank(small) == small.shape[1] == PARAMETERS[smaller]
-    assert np.linalg.matrix_rank(np.hstack([small, large])) == large.shape[1]
+    smaller_columns, larger_columns = model_columns(smaller), model_columns(larger)
+    assert np.linalg.matrix_rank(smaller_columns) == smaller_columns.shape[1] == PARAMETERS[smaller]
+    assert np.linalg.matrix_rank(np.hstack([smaller_columns, larger_columns])) == larger_columns.shape[1]
 
 
-def test_rigid_fields_keep_distances_and_similar_ones_shapes():
-    places = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    for model, columns in (("rigid", 6), ("similarity", 7)):
+def test_rigid_fields_preserve_distances_and_similarities_preserve_shapes():
+    positions = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    for model, column_count in (("rigid", 6), ("similarity", 7)):
         for column in model_columns(model).T:
-            moved = np.einsum("an,ak->nk", monomials(places), column.reshape(20, 3))
+            displacements = np.einsum("an,ak->nk", monomials(positions), column.reshape(20, 3))
             # The gradient is antisymmetric, but for a scale.
-            gradient = np.linalg.lstsq(places - places.mean(0), moved - moved.mean(0), rcond=None)[0]
-            symmetric = gradient + gradient.T
-            np.testing.assert_allclose(symmetric, symmetric[0, 0] * np.eye(3), atol=1e-12)
-        assert model_columns(model).shape[1] == columns
+            gradient = np.linalg.lstsq(
+                positions - positions.mean(0), displacements - displacements.mean(0), rcond=None
+            )[0]
+            symmetric_part = gradient + gradient.T
+            np.testing.assert_allclose(symmetric_part, symmetric_part[0, 0] * np.eye(3), atol=1e-12)
+        assert model_columns(model).shape[1] == column_count

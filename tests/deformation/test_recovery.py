@@ -27,11 +27,11 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
     step = scene.geometry.step("affine", "cubic")
     lengths = scene.geometry.lengths
     # Two kernels of fixed lengths that together have the area of the simulated one.
-    above = int(np.searchsorted(lengths, NOISE.length))
-    below, beyond = lengths[above - 1] ** 2, lengths[above] ** 2
+    larger_index = int(np.searchsorted(lengths, NOISE.length))
+    smaller_area, larger_area = lengths[larger_index - 1] ** 2, lengths[larger_index] ** 2
     components = np.zeros(len(lengths))
-    components[above] = 0.02**2 * (NOISE.length**2 - below) / (beyond - below)
-    components[above - 1] = 0.02**2 - components[above]
+    components[larger_index] = 0.02**2 * (NOISE.length**2 - smaller_area) / (larger_area - smaller_area)
+    components[larger_index - 1] = 0.02**2 - components[larger_index]
     predicted = np.trace(scene.geometry.covariance(step, Noise(0.02**2, components, lengths)))
     powers = []
     for seed in range(40):
@@ -42,11 +42,11 @@ def test_covariance_of_the_modes_is_that_of_simulated_noise(scene, waves):
 
 
 def test_noise_is_recovered(scene, waves):
-    found = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
-    assert np.mean([np.sqrt(n.white) for n in found]) == pytest.approx(0.02, rel=0.1)
-    assert np.mean([np.sqrt(n.correlated) for n in found]) == pytest.approx(0.02, rel=0.15)
+    estimates = [scene.judge(scene.noise(NOISE, waves, seed)).noise for seed in range(10)]
+    assert np.mean([np.sqrt(n.white) for n in estimates]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean([np.sqrt(n.correlated) for n in estimates]) == pytest.approx(0.02, rel=0.15)
     # One percent of the noise, taken as correlated across the scene, would be a fifth of that area.
-    assert np.median([n.correlation_length for n in found]) == pytest.approx(5.0, rel=0.4)
+    assert np.median([n.correlation_length for n in estimates]) == pytest.approx(5.0, rel=0.4)
 
 
 def test_no_bend_is_found_in_noise(scene, waves):
@@ -55,36 +55,36 @@ def test_no_bend_is_found_in_noise(scene, waves):
     assert not any(f.verdict == "non-affine" for f in findings)
 
 
-@pytest.mark.parametrize("times", [1, 2, 5])
+@pytest.mark.parametrize("noise_multiple", [1, 2, 5])
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_bend_is_found(scene, waves, kind, times):
-    bend = times * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
-    judged = scene.judge(scene.noise(NOISE, waves, 7) + bend)
-    assert judged.finding.verdict == "non-affine"
-    if times >= 2:
-        error = np.sqrt(np.mean(np.square(scene.fitted(judged) - bend)))
-        assert error <= 0.25 * times * NOISE.total
+def test_every_bend_is_detected(scene, waves, kind, noise_multiple):
+    bend = noise_multiple * NOISE.total * scene.beyond_affine(bends(scene.places, SIZE)[kind])
+    judgement = scene.judge(scene.noise(NOISE, waves, 7) + bend)
+    assert judgement.finding.verdict == "non-affine"
+    if noise_multiple >= 2:
+        error = np.sqrt(np.mean(np.square(scene.fitted(judgement) - bend)))
+        assert error <= 0.25 * noise_multiple * NOISE.total
 
 
 @pytest.mark.parametrize("model", ["similarity", "affine"])
-def test_smaller_models_are_enough_for_smaller_deformations(scene, waves, model):
-    x = scene.places
-    field = 1e-3 * x if model == "similarity" else 2e-3 * x[:, [1]] * [1.0, 0.0, 0.0]
-    judged = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
-    assert (judged.finding.verdict, judged.finding.model) == (model, model)
+def test_simple_deformations_select_simple_models(scene, waves, model):
+    positions = scene.places
+    field = 1e-3 * positions if model == "similarity" else 2e-3 * positions[:, [1]] * [1.0, 0.0, 0.0]
+    judgement = scene.judge(scene.noise(NOISE, waves, 8) + (field * scene.normals).sum(axis=1))
+    assert (judgement.finding.verdict, judgement.finding.model) == (model, model)
 
 
 @pytest.mark.slow
-def test_the_detectable_dome_is_mostly_found(scene, waves):
+def test_dome_of_minimum_detectable_size_is_usually_detected(scene, waves):
     noise = scene.judge(scene.noise(NOISE, waves, 9)).noise
     limit = minimum_detectable_rms(scene.geometry, noise)
     dome = scene.beyond_affine(bends(scene.places, SIZE)["dome"])
 
-    def found(size):
-        runs = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
-        return np.mean([run.verdict == "non-affine" for run in runs])
+    def detected_share(size):
+        findings = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
+        return np.mean([finding.verdict == "non-affine" for finding in findings])
 
     # 90 % of such domes are found, within the scatter of 30 runs and of the noise estimate; far fewer of half that
     # size.
-    assert found(limit) >= 0.75
-    assert found(limit / 2) <= 0.5
+    assert detected_share(limit) >= 0.75
+    assert detected_share(limit / 2) <= 0.5

@@ -25,21 +25,25 @@ def clouds():
 
 
 @pytest.fixture(scope="module")
-def bent(clouds):
+def bent_result(clouds):
     return deform(*clouds)[1]
 
 
-def test_an_answer_survives_a_round_trip(bent):
-    assert bent.verdict == "non-affine"
-    noted = bent.with_warnings([Notice("few-tiles", "only 3 tiles")])
-    for found in (bent, noted, Deformation.undecided_because(Notice("few-pairs", "12 pairs of points"))):
-        again = Deformation.from_json(json.loads(to_json(found)))
-        assert again == found  # the field is not compared
-        assert again.field is None
+def test_result_json_round_trip(bent_result):
+    assert bent_result.verdict == "non-affine"
+    result_with_warning = bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])
+    for result in (
+        bent_result,
+        result_with_warning,
+        Deformation.undecided_because(Notice("few-pairs", "12 pairs of points")),
+    ):
+        restored = Deformation.from_json(json.loads(to_json(result)))
+        assert restored == result  # the field is not compared
+        assert restored.field is None
 
 
-def test_json_has_the_documented_keys_in_order(bent):
-    values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
+def test_json_has_the_documented_keys_in_order(bent_result):
+    values = json.loads(to_json(bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     assert list(values) == [
         "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "noise",
         "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms", "warnings", "warning_codes",
@@ -52,35 +56,42 @@ def test_json_has_the_documented_keys_in_order(bent):
     assert values["warning_codes"] == ["few-tiles"]
 
 
-def test_reports_without_codes_are_read(bent):
-    values = json.loads(to_json(bent.with_warnings([Notice("few-tiles", "only 3 tiles")])))
+def test_reports_without_codes_are_read(bent_result):
+    values = json.loads(to_json(bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     del values["warning_codes"]
     assert Deformation.from_json(values).warnings == (Notice("", "only 3 tiles"),)
 
 
-def test_older_reports_without_both_sizes_are_read(bent):
-    values = json.loads(to_json(bent))
+def test_older_reports_without_both_sizes_are_read(bent_result):
+    values = json.loads(to_json(bent_result))
     del values["amplitude"]["rms_surface"], values["amplitude"]["ci_surface"], values["local"]["largest"]
     values["p_value_noise"], values["tiles"]["agreement"] = 0.5, 1.0
-    again = Deformation.from_json(values)
-    assert again.amplitude.rms == bent.amplitude.rms
-    assert again.amplitude.rms_surface is None
-    check_text(again.sentence())
+    restored = Deformation.from_json(values)
+    assert restored.amplitude.rms == bent_result.amplitude.rms
+    assert restored.amplitude.rms_surface is None
+    check_text(restored.sentence())
 
 
-def test_numbers_have_six_digits(bent):
-    numbers = [bent.amplitude.rms, bent.noise.n_eff, bent.growth.with_distance.profile[0].mean, bent.rungs[4].cv_score]
+def test_numbers_have_six_digits(bent_result):
+    numbers = [
+        bent_result.amplitude.rms,
+        bent_result.noise.n_eff,
+        bent_result.growth.with_distance.profile[0].mean,
+        bent_result.rungs[4].cv_score,
+    ]
     assert numbers == [float(f"{number:.6g}") for number in numbers]
 
 
-def test_an_answer_in_words(bent):
-    size = bent.amplitude
-    assert f"{size.rms:.3g} [{size.ci[0]:.3g}, {size.ci[1]:.3g}] m RMS" in check_text(bent.sentence("a.ply", "m"))
-    assert f"{size.rms:.3g} RMS, p < 1e-9" in check_text(repr(bent))
+def test_sentence_and_repr_of_a_result(bent_result):
+    amplitude = bent_result.amplitude
+    assert f"{amplitude.rms:.3g} [{amplitude.ci[0]:.3g}, {amplitude.ci[1]:.3g}] m RMS" in check_text(
+        bent_result.sentence("a.ply", "m")
+    )
+    assert f"{amplitude.rms:.3g} RMS, p < 1e-9" in check_text(repr(bent_result))
     text = "only 12 pairs of points: too few to distinguish a deformation from noise"
-    undecided_because = Deformation.undecided_because(Notice("few-pairs", text))
-    check_text(undecided_because.sentence("a.ply"), masked=False)
-    check_text(repr(undecided_because))
+    undecided = Deformation.undecided_because(Notice("few-pairs", text))
+    check_text(undecided.sentence("a.ply"), masked=False)
+    check_text(repr(undecided))
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "x", None, [1], True])
@@ -89,7 +100,7 @@ def test_a_seed_must_be_an_integer(seed):
         deform(np.eye(3), np.eye(3), seed=seed)
 
 
-def test_it_is_deterministic():
+def test_deform_is_deterministic():
     rng = np.random.default_rng(13)
     reference, candidate = add_noise(sample_city(60_000, rng), rng), add_noise(sample_city(20_000, rng), rng)
     first, second = (verdict(reference, candidate) for _ in range(2))
@@ -97,23 +108,23 @@ def test_it_is_deterministic():
     np.testing.assert_array_equal(first.field.displacements, second.field.displacements)
 
 
-def test_arrays_are_clouds_without_a_unit(clouds, bent):
-    _, found = deform(clouds[0].points, clouds[1].points)
-    assert found.verdict == "non-affine"
-    assert found.amplitude == bent.amplitude  # the scale is part of the affine field
+def test_arrays_are_clouds_without_a_unit(clouds, bent_result):
+    _, result = deform(clouds[0].points, clouds[1].points)
+    assert result.verdict == "non-affine"
+    assert result.amplitude == bent_result.amplitude  # the scale is part of the affine field
 
 
 def test_a_given_pose_is_an_object_or_an_array(clouds):
-    _, by_text = deform(*clouds, "none")
+    _, expected = deform(*clouds, "none")
     for pose in (Similarity.identity(), np.eye(4)):
-        assert deform(*clouds, pose)[1] == by_text
+        assert deform(*clouds, pose)[1] == expected
 
 
 def test_a_region_is_an_object_or_its_text(clouds):
     box = ",".join(map(str, [*LEFT_HALF.lower, *LEFT_HALF.upper]))
-    by_object, by_text = (deform(*clouds, crop=crop)[1] for crop in (LEFT_HALF, f"box:{box}"))
-    assert by_object == by_text
-    assert by_object.field.places[:, 0].max() < 5  # planes at closest points extend a little beyond
+    result_by_object, result_by_text = (deform(*clouds, crop=crop)[1] for crop in (LEFT_HALF, f"box:{box}"))
+    assert result_by_object == result_by_text
+    assert result_by_object.field.places[:, 0].max() < 5  # planes at closest points extend a little beyond
 
 
 def test_an_empty_region_is_refused(clouds):
@@ -121,7 +132,7 @@ def test_an_empty_region_is_refused(clouds):
         deform(*clouds, crop=Box(LEFT_HALF.lower - 1000, LEFT_HALF.upper - 1000))
 
 
-def test_deform_writes_a_folder(clouds, bent, tmp_path, capsys):
+def test_deform_writes_a_folder(clouds, bent_result, tmp_path, capsys):
     from pcbench import cli
 
     write_cloud(tmp_path / "ref.ply", clouds[0])
@@ -130,7 +141,7 @@ def test_deform_writes_a_folder(clouds, bent, tmp_path, capsys):
     cli.app([*arguments, "--no-figures"], standalone_mode=False)
     assert "cand.ply" in capsys.readouterr().out
     values = json.loads((tmp_path / "bend/deformation.json").read_text())
-    assert Deformation.from_json(values) == bent
+    assert Deformation.from_json(values) == bent_result
     assert {p.name for p in (tmp_path / "bend").iterdir()} == {
         "T.txt", "aligned.ply", "deformation.csv", "deformation.json", "deformation.ply", "manifest.json",
     }  # fmt: skip

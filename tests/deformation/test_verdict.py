@@ -15,51 +15,54 @@ from pcbench.scenes.synthetic import city
 UTM = np.array([500_000.0, 4_800_000.0, 100.0])
 
 
-def test_a_dome_between_two_clouds_is_found_with_its_size():
+def test_dome_is_detected_with_its_size():
     rng = np.random.default_rng(1)
     candidate = add_dome(sample_city(40_000, rng), 0.1)
-    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
-    assert found.verdict == "non-affine"
+    result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
+    assert result.verdict == "non-affine"
     # Along the normals: half of the surface is walls or steep roofs, which hardly show a vertical displacement.
-    low, high = found.amplitude.ci
-    assert 0.06 < low < found.amplitude.rms < high < 0.1
-    assert found.growth.with_distance.ci[1] < 0
-    field = found.field
-    truth = add_dome(field.places, 0.1) - field.places
-    seen = field.counts >= 20
-    vertical = np.isfinite(field.vertical) & seen
-    assert np.corrcoef(field.displacements[vertical, 2], truth[vertical, 2])[0, 1] > 0.98
+    low, high = result.amplitude.ci
+    assert 0.06 < low < result.amplitude.rms < high < 0.1
+    assert result.growth.with_distance.ci[1] < 0
+    field = result.field
+    true_displacements = add_dome(field.places, 0.1) - field.places
+    populated = field.counts >= 20
+    with_vertical = np.isfinite(field.vertical) & populated
+    assert np.corrcoef(field.displacements[with_vertical, 2], true_displacements[with_vertical, 2])[0, 1] > 0.98
     # The signed means follow it within their noise.
-    assert np.corrcoef(field.vertical[vertical], truth[vertical, 2])[0, 1] > 0.95
+    assert np.corrcoef(field.vertical[with_vertical], true_displacements[with_vertical, 2])[0, 1] > 0.95
 
 
-def test_a_bend_of_fifty_sigma_is_no_outlier():
+def test_bend_of_fifty_sigma_is_not_rejected_as_an_outlier():
     """A robust fit that starts from the rigid model would give it almost no weight."""
     rng = np.random.default_rng(2)
     candidate = add_dome(sample_city(40_000, rng), 1.0)
-    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
-    assert found.verdict == "non-affine"
-    assert found.amplitude.rms > 0.6
-    assert found.remaining_rms < 0.05
+    result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
+    assert result.verdict == "non-affine"
+    assert result.amplitude.rms > 0.6
+    assert result.remaining_rms < 0.05
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.1])
+@pytest.mark.parametrize("dome_height", [0.0, 0.1])
 @pytest.mark.parametrize("case", ["sparse candidate", "sparse reference", "overlap", "outliers", "utm"])
-def test_hard_pairs(case, bend):
+def test_verdict_on_sparse_partial_noisy_and_distant_clouds(case, dome_height):
     rng = np.random.default_rng(3)
-    few, many = (6_000, 300_000) if case.startswith("sparse") else (50_000, 100_000)
+    candidate_count, reference_count = (6_000, 300_000) if case.startswith("sparse") else (50_000, 100_000)
     if case == "sparse reference":
-        few, many = many, few
-    reference, candidate = add_noise(sample_city(many, rng), rng), add_noise(add_dome(sample_city(few, rng), bend), rng)
+        candidate_count, reference_count = reference_count, candidate_count
+    reference, candidate = (
+        add_noise(sample_city(reference_count, rng), rng),
+        add_noise(add_dome(sample_city(candidate_count, rng), dome_height), rng),
+    )
     if case == "overlap":  # 40 % of each cloud
         reference, candidate = reference[reference[:, 0] < 86], candidate[candidate[:, 0] > -86]
     if case == "outliers":
-        strays = rng.random(len(candidate)) < 0.3
-        candidate[strays] = rng.uniform([-200, -200, -5], [200, 200, 50], (int(strays.sum()), 3))
+        is_outlier = rng.random(len(candidate)) < 0.3
+        candidate[is_outlier] = rng.uniform([-200, -200, -5], [200, 200, 50], (int(is_outlier.sum()), 3))
     if case == "utm":
         reference, candidate = reference + UTM, candidate + UTM
-    found = verdict(reference, candidate)
-    assert found.verdict == ("non-affine" if bend else "none"), found.warnings
+    result = verdict(reference, candidate)
+    assert result.verdict == ("non-affine" if dome_height else "none"), result.warnings
 
 
 def test_one_moved_building_is_a_local_change():
@@ -67,36 +70,36 @@ def test_one_moved_building_is_a_local_change():
     candidate = sample_city(60_000, rng)
     patches = city(3).patches
     roofs = patches.take(np.flatnonzero((patches.kind == 2) & (np.hypot(*patches.corner[:, :2].T) > 100)))
-    largest = int(np.argmax(roofs.areas()))
-    middle = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest, :2]
-    half = 0.5 * np.abs(roofs.u + roofs.v)[largest, :2] + 0.05
-    moved = (np.abs(candidate[:, :2] - middle) < half).all(axis=1)  # its walls and its roof; it has no floor
-    candidate[moved] += [0.2, 0.1, 0.1]
-    found = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
-    assert found.verdict == "none"
-    assert np.isfinite(found.field.local).sum() == found.local.tiles_tested < len(found.field.local)
-    places = found.field.places[found.field.changed]
-    inside = (np.abs(places[:, :2] - middle) < half + 15).all(axis=1)
-    assert inside.sum() >= 1
-    assert inside.mean() >= 0.7
+    largest_index = int(np.argmax(roofs.areas()))
+    center = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest_index, :2]
+    half_size = 0.5 * np.abs(roofs.u + roofs.v)[largest_index, :2] + 0.05
+    on_building = (np.abs(candidate[:, :2] - center) < half_size).all(axis=1)  # its walls and its roof; it has no floor
+    candidate[on_building] += [0.2, 0.1, 0.1]
+    result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
+    assert result.verdict == "none"
+    assert np.isfinite(result.field.local).sum() == result.local.tiles_tested < len(result.field.local)
+    changed_positions = result.field.places[result.field.changed]
+    near_building = (np.abs(changed_positions[:, :2] - center) < half_size + 15).all(axis=1)
+    assert near_building.sum() >= 1
+    assert near_building.mean() >= 0.7
 
 
 def test_scale_counts_only_between_metric_clouds():
     rng = np.random.default_rng(5)
     reference, candidate = add_noise(sample_city(80_000, rng), rng), add_noise(1.002 * sample_city(40_000, rng), rng)
     assert verdict(reference, candidate).verdict == "similarity"
-    _, found = deform(Cloud(reference), Cloud(candidate))
-    assert (found.verdict, found.model) == ("none", "similarity")
-    assert warning_codes(found) == ["scale-differs"]
+    _, result = deform(Cloud(reference), Cloud(candidate))
+    assert (result.verdict, result.model) == ("none", "similarity")
+    assert warning_codes(result) == ["scale-differs"]
 
 
-def test_residual_tilt_and_scale_are_no_bend():
+def test_residual_tilt_and_scale_are_not_reported_as_a_bend():
     rng = np.random.default_rng(6)
     tilt = np.array([[1, 0, 0.002], [0, 1, 0], [-0.002, 0, 1]])
-    found = verdict(
+    result = verdict(
         add_noise(sample_city(80_000, rng), rng), add_noise(1.001 * sample_city(40_000, rng) @ tilt.T, rng), "none"
     )
-    assert found.verdict == "similarity"
+    assert result.verdict == "similarity"
 
 
 def test_shear_is_affine():
@@ -111,49 +114,51 @@ def test_shear_is_affine():
 def test_flat_ground_shows_no_horizontal_motion():
     rng = np.random.default_rng(8)
     ground = [np.column_stack([rng.uniform(-100, 100, (n, 2)), np.zeros(n)]) for n in (60_000, 30_000)]
-    found = verdict(add_noise(ground[0], rng), add_noise(ground[1], rng))
-    assert found.verdict == "none"
-    assert found.observable == Observable(x=0.0, y=0.0, z=1.0)
+    result = verdict(add_noise(ground[0], rng), add_noise(ground[1], rng))
+    assert result.verdict == "none"
+    assert result.observable == Observable(x=0.0, y=0.0, z=1.0)
 
 
-def test_noise_above_an_exact_plane_is_noise():
+def test_noise_above_an_exact_plane_is_not_reported_as_a_deformation():
     """The noise is part of the positions, so a displacement proportional to z would explain all of it."""
     rng = np.random.default_rng(8)
-    exact = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), np.zeros(20_000)])
-    points = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
-    found = verdict(exact, points, "none")
-    assert found.verdict == "none"
+    plane = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), np.zeros(20_000)])
+    noisy_points = np.column_stack([rng.uniform(-50, 50, (20_000, 2)), rng.normal(0, 0.01, 20_000)])
+    result = verdict(plane, noisy_points, "none")
+    assert result.verdict == "none"
     # Outliers beyond the maximum correspondence distance are not counted, so sigma is less than 0.01.
-    assert found.noise.sigma_white == pytest.approx(0.01, rel=0.25)
-    assert found.minimum_detectable_rms > 1e-4
-    low, high = verdict(exact, add_dome(points, 0.01), "none").amplitude.ci
+    assert result.noise.sigma_white == pytest.approx(0.01, rel=0.25)
+    assert result.minimum_detectable_rms > 1e-4
+    low, high = verdict(plane, add_dome(noisy_points, 0.01), "none").amplitude.ci
     assert high - low > 1e-4
 
 
-@pytest.mark.parametrize("shape", ["one place", "a line", "two places"])
+@pytest.mark.parametrize("shape", ["one point", "a line", "two points"])
 def test_clouds_without_a_surface_are_undecided(shape):
     rng = np.random.default_rng(8)
     reference = sample_city(20_000, rng)
-    steps = {"one place": np.zeros(2000), "a line": np.linspace(0, 1, 2000), "two places": np.arange(2000) % 2}[shape]
-    points = reference[0] + steps[:, None] * [0.0, 0.0, 30.0]
+    positions = {"one point": np.zeros(2000), "a line": np.linspace(0, 1, 2000), "two points": np.arange(2000) % 2}[
+        shape
+    ]
+    points = reference[0] + positions[:, None] * [0.0, 0.0, 30.0]
     assert verdict(reference, points, "none").verdict == "undecided"
     assert verdict(points, reference, "none").verdict == "undecided"
 
 
 def test_an_exact_copy_is_not_bent():
     points = sample_city(20_000, np.random.default_rng(9))
-    found = verdict(points, points.copy())
-    assert found.verdict == "none"
-    assert found.amplitude.rms < 1e-12
-    assert found.local.tiles_changed == 0
+    result = verdict(points, points.copy())
+    assert result.verdict == "none"
+    assert result.amplitude.rms < 1e-12
+    assert result.local.tiles_changed == 0
 
 
 def test_too_few_points_are_undecided():
     rng = np.random.default_rng(10)
     points = sample_city(250, rng)
-    found = verdict(points, add_noise(points, rng), "none")
-    assert found.verdict == "undecided"
-    assert warning_codes(found) == ["few-pairs"]
+    result = verdict(points, add_noise(points, rng), "none")
+    assert result.verdict == "undecided"
+    assert warning_codes(result) == ["few-pairs"]
 
 
 def test_the_map_projection_is_removed_first():
@@ -166,43 +171,49 @@ def test_the_map_projection_is_removed_first():
         z = 40 * np.sin(xy[:, 0] / 200) * np.cos(xy[:, 1] / 170) + 15 * np.sin(xy.sum(axis=1) / 90)
         return np.column_stack([xy, z])
 
-    on_map = terrain(150_000) + UTM
-    places = terrain(50_000) + UTM
-    in_space = places + euclidean_offsets("EPSG:32632", places)
-    reference = Cloud(add_noise(on_map, rng), unit="m", crs="EPSG:32632")
-    candidate = Cloud(add_noise(in_space, rng), unit="m")
-    _, found = deform(reference, candidate)
-    assert found.verdict == "none"
-    assert warning_codes(found) == ["map-bend-taken-off"]
-    _, unknown = deform(Cloud(reference.points, unit="m"), candidate)
-    assert unknown.verdict == "non-affine"
-    assert "map-not-named" in warning_codes(unknown)
+    reference_on_map = terrain(150_000) + UTM
+    candidate_on_map = terrain(50_000) + UTM
+    candidate_in_space = candidate_on_map + euclidean_offsets("EPSG:32632", candidate_on_map)
+    reference = Cloud(add_noise(reference_on_map, rng), unit="m", crs="EPSG:32632")
+    candidate = Cloud(add_noise(candidate_in_space, rng), unit="m")
+    _, result = deform(reference, candidate)
+    assert result.verdict == "none"
+    assert warning_codes(result) == ["map-bend-taken-off"]
+    _, result_without_crs = deform(Cloud(reference.points, unit="m"), candidate)
+    assert result_without_crs.verdict == "non-affine"
+    assert "map-not-named" in warning_codes(result_without_crs)
 
 
 def test_the_curvature_of_the_earth_is_correct():
     import_or_skip("pyproj")
-    x = np.linspace(-3000, 3000, 61)
-    places = np.stack(np.meshgrid(x, x, [0.0, 100.0]), axis=-1).reshape(-1, 3) + [500_000, 5_000_000, 0]
-    offsets = euclidean_offsets("EPSG:32632", places)
-    edge = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmax(), 2]
-    middle = offsets[np.hypot(*(places[:, :2] - [500_000, 5_000_000]).T).argmin(), 2]
+    coordinates = np.linspace(-3000, 3000, 61)
+    positions = np.stack(np.meshgrid(coordinates, coordinates, [0.0, 100.0]), axis=-1).reshape(-1, 3) + [
+        500_000,
+        5_000_000,
+        0,
+    ]
+    offsets = euclidean_offsets("EPSG:32632", positions)
+    edge_height = offsets[np.hypot(*(positions[:, :2] - [500_000, 5_000_000]).T).argmax(), 2]
+    center_height = offsets[np.hypot(*(positions[:, :2] - [500_000, 5_000_000]).T).argmin(), 2]
     # d^2 / 2R at the corner, 4243 m from the centre; the scale of the projection remains in the plane.
-    assert middle - edge == pytest.approx(4243**2 / (2 * 6.37e6), rel=0.02)
+    assert center_height - edge_height == pytest.approx(4243**2 / (2 * 6.37e6), rel=0.02)
 
 
 def test_vegetation_classes_have_low_weight():
     rng = np.random.default_rng(12)
     ground = sample_city(60_000, rng)
-    square = np.square(ground[:, :2]).sum(axis=1)
-    foliage = rng.random(len(ground)) < 0.15
+    squared_radius = np.square(ground[:, :2]).sum(axis=1)
+    is_foliage = rng.random(len(ground)) < 0.15
     candidate = ground.copy()
     # The candidate sees the leaves, higher towards the edge, which looks like bending.
-    candidate[foliage, 2] += 0.08 * square[foliage] / square.max()
-    classes = np.where(foliage, 5, 2).astype(np.uint8)
+    candidate[is_foliage, 2] += 0.08 * squared_radius[is_foliage] / squared_radius.max()
+    classes = np.where(is_foliage, 5, 2).astype(np.uint8)
     reference = Cloud(add_noise(sample_city(120_000, rng), rng), unit="m")
-    _, blind = deform(reference, Cloud(add_noise(candidate, rng), unit="m"))
-    _, seeing = deform(reference, Cloud(add_noise(candidate, rng), unit="m", attributes={"classification": classes}))
-    assert seeing.amplitude.rms < 0.5 * blind.amplitude.rms
+    _, result_without_classes = deform(reference, Cloud(add_noise(candidate, rng), unit="m"))
+    _, result_with_classes = deform(
+        reference, Cloud(add_noise(candidate, rng), unit="m", attributes={"classification": classes})
+    )
+    assert result_with_classes.amplitude.rms < 0.5 * result_without_classes.amplitude.rms
 
 
 # Real geometry and density
@@ -217,16 +228,16 @@ def lidar():
     "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
 )  # with seed 18 an unconstrained field among the trees finds pairs that confirm it
 def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
-    found, _ = HalvesScene(lidar, 0.1, seed).judge(None, 0.0)
-    assert found.verdict == "none", found.warnings
+    result, _ = HalvesScene(lidar, 0.1, seed).judge(None, 0.0)
+    assert result.verdict == "none", result.warnings
 
 
 @pytest.mark.parametrize(
     "kind", ["dome", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("strip drift", "half wave of a sine"))]
 )
-def test_bent_halves_of_a_lidar_cloud(lidar, kind):
-    found, error = HalvesScene(lidar, 0.1, 16).judge(kind, 2.0)
-    assert found.verdict == "non-affine", found.warnings
+def test_bends_of_lidar_halves_are_detected(lidar, kind):
+    result, error = HalvesScene(lidar, 0.1, 16).judge(kind, 2.0)
+    assert result.verdict == "non-affine", result.warnings
     # Noise of 0.2 that is correlated over 20 feet adds a deformation itself.
-    assert found.amplitude.rms == pytest.approx(0.4, rel=0.15)
+    assert result.amplitude.rms == pytest.approx(0.4, rel=0.15)
     assert error <= 0.25

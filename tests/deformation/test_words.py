@@ -23,29 +23,29 @@ def corridor(bend, seed):
     return points + bend * np.outer(np.square(x / 30), [0, 0, 1])
 
 
-def field(bend, seed):
+def flat_ground(bend, seed):
     """Return flat ground of 40 m."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-20, 20, (12_000, 2))
     return np.column_stack([xy, rng.normal(0, 0.01, len(xy)) + bend * np.square(xy / 20).sum(axis=1)])
 
 
-@pytest.mark.parametrize("scene", [corridor, field])
+@pytest.mark.parametrize("scene", [corridor, flat_ground])
 def test_an_undetermined_pose_is_reported_before_the_verdict(scene):
-    reference, straight, bent = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
-    registration, found = deform(reference, straight)
+    reference, undeformed, deformed = scene(0.0, 1), scene(0.0, 2), scene(0.2, 3)
+    registration, result = deform(reference, undeformed)
     assert registration.warnings[0].code == UNOBSERVABLE
-    assert found.verdict == "none"
-    check_text(found.sentence("a"))
-    assert not found.further_warnings  # the sentence contains it
-    _, found = deform(reference, bent)
-    assert found.verdict == "undecided"
-    assert "p =" not in check_text(found.sentence("a"))
-    assert (found.amplitude, found.p_value, found.local, found.minimum_detectable_rms) == (None,) * 4
+    assert result.verdict == "none"
+    check_text(result.sentence("a"))
+    assert not result.further_warnings  # the sentence contains it
+    _, result = deform(reference, deformed)
+    assert result.verdict == "undecided"
+    assert "p =" not in check_text(result.sentence("a"))
+    assert (result.amplitude, result.p_value, result.local, result.minimum_detectable_rms) == (None,) * 4
     # A given pose was not estimated, so its free directions do not matter.
-    _, found = deform(reference, bent, "none")
-    assert found.verdict == "non-affine"
-    check_text(found.sentence("a"))
+    _, result = deform(reference, deformed, "none")
+    assert result.verdict == "non-affine"
+    check_text(result.sentence("a"))
 
 
 @pytest.fixture(scope="module")
@@ -54,41 +54,45 @@ def town():
 
 
 def test_candidates_with_doubtful_poses_get_no_verdict(town):
-    other = city(3).sample(15_000, np.random.default_rng(2))[0]
-    clouds = {"right": other, "wrong": town[::2] + [11, 7, 0]}
-    found = compare(town, clouds, Settings(register="none"))
-    wrong = found["wrong"]
-    assert wrong.registration.doubtful
-    assert wrong.deformation.warnings[0].code == "doubtful-registration"
-    assert (wrong.deformation.amplitude, wrong.deformation.p_value, wrong.deformation.growth) == (None, None, None)
-    text = markdown(found)
-    check_text(wrong.deformation.sentence("wrong"))
-    assert wrong.deformation.sentence("wrong") in text
+    registered = city(3).sample(15_000, np.random.default_rng(2))[0]
+    clouds = {"right": registered, "wrong": town[::2] + [11, 7, 0]}
+    comparison = compare(town, clouds, Settings(register="none"))
+    candidate = comparison["wrong"]
+    assert candidate.registration.doubtful
+    assert candidate.deformation.warnings[0].code == "doubtful-registration"
+    assert (candidate.deformation.amplitude, candidate.deformation.p_value, candidate.deformation.growth) == (
+        None,
+        None,
+        None,
+    )
+    text = markdown(comparison)
+    check_text(candidate.deformation.sentence("wrong"))
+    assert candidate.deformation.sentence("wrong") in text
     assert "than wrong" not in text
     assert "told apart" not in text
 
 
-@pytest.mark.parametrize("place", ["where it is", "survey", "feet"])
-def test_a_cloud_against_itself_differs_by_nothing(town, place):
+@pytest.mark.parametrize("frame", ["local", "survey", "feet"])
+def test_cloud_compared_with_itself_has_no_differences(town, frame):
     cloud = {
-        "where it is": Cloud(town),
+        "local": Cloud(town),
         "survey": Cloud(town + UTM),
         "feet": Cloud((town + UTM) / 0.3048, unit="ft"),
-    }[place]
-    found = compare(cloud, cloud)
-    itself = found["candidate_1"]
-    assert itself.metrics.hausdorff.symmetric_max == 0
-    assert itself.registration.rmse == 0
-    assert not (*itself.warnings, *itself.registration.warnings, *itself.deformation.warnings)
-    assert itself.deformation.remaining_rms == itself.deformation.noise.sigma_white == 0
-    text = markdown(found)
-    assert check_text(itself.deformation.sentence("candidate_1")) in text
+    }[frame]
+    comparison = compare(cloud, cloud)
+    candidate = comparison["candidate_1"]
+    assert candidate.metrics.hausdorff.symmetric_max == 0
+    assert candidate.registration.rmse == 0
+    assert not (*candidate.warnings, *candidate.registration.warnings, *candidate.deformation.warnings)
+    assert candidate.deformation.remaining_rms == candidate.deformation.noise.sigma_white == 0
+    text = markdown(comparison)
+    assert check_text(candidate.deformation.sentence("candidate_1")) in text
     assert not re.search(r"e-1\d", text)
 
 
 def test_a_registered_copy_differs_by_rounding(town):
-    found = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
-    assert 0 < found.metrics.hausdorff.symmetric_max < 1e-8
-    assert not (*found.warnings, *found.registration.warnings, *found.deformation.warnings)
-    check_text(found.deformation.sentence())
-    assert found.deformation.amplitude.rms == found.deformation.minimum_detectable_rms == 0
+    candidate = compare(town + UTM, town + UTM + [0.3, 0.1, 0.05])["candidate_1"]
+    assert 0 < candidate.metrics.hausdorff.symmetric_max < 1e-8
+    assert not (*candidate.warnings, *candidate.registration.warnings, *candidate.deformation.warnings)
+    check_text(candidate.deformation.sentence())
+    assert candidate.deformation.amplitude.rms == candidate.deformation.minimum_detectable_rms == 0

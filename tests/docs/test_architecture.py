@@ -11,16 +11,16 @@ PAGE = ROOT / "docs" / "architecture.md"
 def test_the_tree_is_the_one_on_disk():
     """The tree lists every folder of the packages, and nothing that does not exist."""
     (tree,) = (block.text for block in blocks(PAGE) if block.mark and block.mark[0] == "checked by")
-    listed, above = set(), []
+    documented, parents = set(), []
     for line in tree.splitlines():
         depth = (len(line) - len(line.lstrip())) // 2
-        above = [*above[:depth], line.split()[0]]
-        listed.add("".join(above))
-    for path in listed:
+        parents = [*parents[:depth], line.split()[0]]
+        documented.add("".join(parents))
+    for path in documented:
         assert (ROOT / path).is_dir() if path.endswith("/") else (ROOT / path).is_file(), path
     for package in ("pcbench", "reconstructors"):
         folders = {source.parent for kind in ("*.py", "*.h") for source in (ROOT / package).rglob(kind)}
-        missing = {f"{folder.relative_to(ROOT)}/" for folder in folders} - listed
+        missing = {f"{folder.relative_to(ROOT)}/" for folder in folders} - documented
         assert not missing, f"not in the tree of {PAGE.name}: {missing}"
 
 

@@ -20,10 +20,10 @@ from wording import check_error
 from pcbench import cli
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-SHELL = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
+SHELL_COMMANDS = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 
 # Commands that create the inputs of several pages; each is run once.
-SHARED = (
+SHARED_COMMANDS = (
     "pcbench demo --points 200000 --no-bench --no-figures --out demo",
     "pcbench synth city --images 12 --size 240x160 --extent 100 --points 20000 --out city",
 )
@@ -36,10 +36,12 @@ def _name(page: Path) -> str:
 def _call(command: str, folder: Path) -> str:
     """Return the standard output and standard error of a command, which must succeed."""
     words = shlex.split(command)
-    if words[0] in SHELL:
+    if words[0] in SHELL_COMMANDS:
         environment = {**os.environ, "LC_ALL": "C"}  # the order of names depends on the language
         return subprocess.run(words, cwd=folder, env=environment, check=True, capture_output=True, text=True).stdout
-    assert words[0] == "pcbench", f"expected a command of pcbench or one of {', '.join(SHELL)}; got {command!r}"
+    assert words[0] == "pcbench", (
+        f"expected a command of pcbench or one of {', '.join(SHELL_COMMANDS)}; got {command!r}"
+    )
     output = io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
@@ -55,15 +57,15 @@ def _call(command: str, folder: Path) -> str:
 @pytest.fixture(scope="module")
 def call(tmp_path_factory):
     """Run a command of a page in a folder; commands in SHARED are run once and their results copied."""
-    shared = {}
+    outputs = {}
 
     def run(command: str, folder: Path) -> str:
-        if command not in SHARED:
+        if command not in SHARED_COMMANDS:
             return _call(command, folder)
-        if command not in shared:
+        if command not in outputs:
             home = tmp_path_factory.mktemp("shared")
-            shared[command] = home, _call(command, home)
-        home, output = shared[command]
+            outputs[command] = home, _call(command, home)
+        home, output = outputs[command]
         shutil.copytree(home, folder, dirs_exist_ok=True)
         return output
 
@@ -72,74 +74,76 @@ def call(tmp_path_factory):
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_output_on_page_matches(page, call, tmp_path, request, monkeypatch):
-    found = blocks(page)
-    runs = [block for block in found if block.mark is None]
-    if any("synth city" in block.text for block in runs):
+    page_blocks = blocks(page)
+    executed = [block for block in page_blocks if block.mark is None]
+    if any("synth city" in block.text for block in executed):
         request.getfixturevalue("renderer")
-    if any(f"reconstruct {name}" in block.text for block in runs for name in ("sfm", "mvs")):
+    if any(f"reconstruct {name}" in block.text for block in executed for name in ("sfm", "mvs")):
         import_or_skip("pycolmap")
     monkeypatch.setenv("COLUMNS", "132")
     namespace, output = {"__name__": "__main__"}, ""
-    for block in found:
-        where = f"{_name(page)}:{block.line}"
+    for block in page_blocks:
+        location = f"{_name(page)}:{block.line}"
         if block.title is not None:
             (tmp_path / block.title).write_text(block.text)
         elif block.mark is not None:
-            _check_mark(block, where)
+            _check_mark(block, location)
         elif block.language == "console":
-            for command, shown in commands(block):
-                printed = call(command, tmp_path)
-                assert not shown or matches(shown, printed), f"{where}: {command}\nshown:\n{shown}\nprinted:\n{printed}"
+            for command, expected in commands(block):
+                computed = call(command, tmp_path)
+                assert not expected or matches(expected, computed), (
+                    f"{location}: {command}\nshown:\n{expected}\nprinted:\n{computed}"
+                )
         elif block.language == "python":
             stdout = io.StringIO()
             with contextlib.chdir(tmp_path), contextlib.redirect_stdout(stdout):
-                exec(compile(block.text, where, "exec"), namespace)
+                exec(compile(block.text, location, "exec"), namespace)
             output = stdout.getvalue()
         elif block.language == "text" and block.follows:
-            assert matches(block.text, output), f"{where}\nshown:\n{block.text}\nprinted:\n{output}"
+            assert matches(block.text, output), f"{location}\nshown:\n{block.text}\nprinted:\n{output}"
         else:
-            pytest.fail(f"{where}: neither run nor marked, see tests/docs_blocks.py")
+            pytest.fail(f"{location}: neither run nor marked, see tests/docs_blocks.py")
 
 
-def _check_mark(block: Block, where: str) -> None:
-    kind, what = block.mark
+def _check_mark(block: Block, location: str) -> None:
+    kind, target = block.mark
     if kind == "checked by":
-        file, function = what.split("::")
-        assert f"def {function}(" in (ROOT / file).read_text(), f"{where}: no {what}"
+        file, function = target.split("::")
+        assert f"def {function}(" in (ROOT / file).read_text(), f"{location}: no {target}"
     elif kind == "part of":
-        lines = {" ".join(line.split()) for line in (ROOT / what).read_text().splitlines()}
+        lines = {" ".join(line.split()) for line in (ROOT / target).read_text().splitlines()}
         for line in block.text.splitlines():
-            assert " ".join(line.split()) in lines | {""}, f"{where}: {line!r} is not in {what}"
+            assert " ".join(line.split()) in lines | {""}, f"{location}: {line!r} is not in {target}"
     else:
-        _check_command(what, where)
+        _check_command(target, location)
 
 
-def _check_command(command: str, where: str) -> None:
+def _check_command(command: str, location: str) -> None:
     """Check that a target of the Makefile, a script of the repository or a pcbench command has these options."""
     words = shlex.split(command)
     if words[0] == "make":
         assert re.search(rf"^{re.escape(words[1])}:", (ROOT / "Makefile").read_text(), re.MULTILINE), (
-            f"{where}: no target {words[1]}"
+            f"{location}: no target {words[1]}"
         )
         return
     if words[0] == "python":
         text = (ROOT / words[1]).read_text()
     else:
-        assert words[0] == "pcbench", f"{where}: expected make, python or pcbench; got {command!r}"
-        text = _call(" ".join([*_names(words), "--help"]), ROOT)
+        assert words[0] == "pcbench", f"{location}: expected make, python or pcbench; got {command!r}"
+        text = _call(" ".join([*_command_words(words), "--help"]), ROOT)
     for option in (word for word in words if word.startswith("--")):
-        assert option in text, f"{where}: {words[0]} {words[1]} has no option {option}"
+        assert option in text, f"{location}: {words[0]} {words[1]} has no option {option}"
 
 
-def _names(words: list[str]) -> list[str]:
+def _command_words(words: list[str]) -> list[str]:
     return words[: 3 if words[1] in ("synth", "experiment") else 2]
 
 
 def test_commands_of_the_readme(call, tmp_path):
     """The first command of the README works on any clouds of these names, and its make targets exist."""
-    call(SHARED[0], tmp_path)
-    for name, made in (("ref", "reference"), ("a", "sparse"), ("b", "densified")):
-        (tmp_path / "demo" / "clouds" / f"{made}.ply").rename(tmp_path / f"{name}.ply")
+    call(SHARED_COMMANDS[0], tmp_path)
+    for name, cloud in (("ref", "reference"), ("a", "sparse"), ("b", "densified")):
+        (tmp_path / "demo" / "clouds" / f"{cloud}.ply").rename(tmp_path / f"{name}.ply")
     marked = [b for b in blocks(ROOT / "README.md") if b.mark and b.mark[1].endswith("test_commands_of_the_readme")]
     (compare,), makes = (commands(block) for block in marked)
     assert "report: report" in call(f"{compare[0]} --no-figures", tmp_path)
@@ -159,12 +163,12 @@ def test_targets_of_make():
 @pytest.mark.slow
 def test_table_of_readme_matches_demo(tmp_path):
     """The demo runs at its full size, as in the README."""
-    (shown,) = (b.text for b in blocks(ROOT / "README.md") if b.mark == ("made by", "pcbench demo --out demo"))
-    assert matches(shown, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
+    (expected,) = (b.text for b in blocks(ROOT / "README.md") if b.mark == ("made by", "pcbench demo --out demo"))
+    assert matches(expected, _call("pcbench demo --out demo --no-bench --no-figures", tmp_path))
 
 
 @pytest.mark.parametrize(
-    "shown, printed, same",
+    "expected, computed, is_match",
     [
         ("a 1.234  b", "a 1.235 b", True),  # one in the last digit
         ("a 1,234 b", "a 1,300 b", False),
@@ -173,12 +177,12 @@ def test_table_of_readme_matches_demo(tmp_path):
         ("1.50 none", "1.50 affine", False),
     ],
 )
-def test_comparison_of_shown_and_printed_text(shown, printed, same):
-    assert matches(shown, printed) is same
+def test_output_matches_with_tolerance_in_last_digit(expected, computed, is_match):
+    assert matches(expected, computed) is is_match
 
 
-def test_block_without_mark_is_found(call, tmp_path, request, monkeypatch):
-    page = SimpleNamespace(read_text=lambda: "```text\nsaid by nobody\n```\n", relative_to=lambda root: "page.md")
+def test_block_without_mark_is_an_error(call, tmp_path, request, monkeypatch):
+    page = SimpleNamespace(read_text=lambda: "```text\nnot marked\n```\n", relative_to=lambda root: "page.md")
     with check_error(pytest.fail.Exception):
         test_output_on_page_matches(page, call, tmp_path, request, monkeypatch)
 

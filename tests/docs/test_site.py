@@ -15,8 +15,8 @@ INTERNAL = {"cli", "native", "children"}  # packages that programs do not import
 
 def test_every_exported_name_is_in_the_reference():
     page = (ROOT / "docs" / "reference" / "index.md").read_text()
-    listed = re.findall(r"^        - (\w+)$", page, re.MULTILINE)
-    assert sorted(listed) == sorted(set(pcbench.__all__) - {"__version__"})
+    documented = re.findall(r"^        - (\w+)$", page, re.MULTILINE)
+    assert sorted(documented) == sorted(set(pcbench.__all__) - {"__version__"})
 
 
 def test_every_package_has_a_reference_page():
@@ -25,7 +25,7 @@ def test_every_package_has_a_reference_page():
     assert packages <= pages
 
 
-def check(site):
+def check_site(site):
     command = [sys.executable, str(ROOT / "docs" / "check_site.py"), str(site)]
     return subprocess.run(command, capture_output=True, text=True)
 
@@ -42,25 +42,25 @@ def check(site):
 )
 def test_resources_of_other_hosts_are_found(tmp_path, text, address):
     (tmp_path / "page.html").write_text(text)
-    done = check(tmp_path)
-    assert done.returncode == (0 if address is None else 1)
-    assert address is None or f"page.html: fetches {address}" in done.stderr
+    process = check_site(tmp_path)
+    assert process.returncode == (0 if address is None else 1)
+    assert address is None or f"page.html: fetches {address}" in process.stderr
 
 
 def test_empty_site_is_an_error(tmp_path):
-    assert "no pages" in check(tmp_path).stderr
+    assert "no pages" in check_site(tmp_path).stderr
 
 
 @pytest.mark.slow
 def test_site_loads_nothing_from_other_hosts(tmp_path):
     """Build the site as `make docs` does. The strict build fails on links to pages or objects that do not exist."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "NO_COLOR": "1"},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert process.returncode == 0, process.stdout + process.stderr
     assert len(list(tmp_path.rglob("*.html"))) > 20
-    assert check(tmp_path).returncode == 0
+    assert check_site(tmp_path).returncode == 0

@@ -25,7 +25,7 @@ class Job:
     seeds: tuple[int, ...] = (0, 1)
 
 
-def files_of(folder):
+def read_files(folder):
     return {path.name: path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -47,18 +47,18 @@ def test_foreign_folder_is_rejected(tmp_path, kind, name, text):
     (tmp_path / name).write_text(text)
     with check_error(), study_folder(tmp_path, kind, Job()):
         pass
-    assert files_of(tmp_path) == {Path(name).name: text}
+    assert read_files(tmp_path) == {Path(name).name: text}
 
 
 def test_views_leave_foreign_folder_unchanged(tmp_path):
     write_view_folder(tmp_path / "a", "near", 9)
-    mine = {"views.md": "mine", "scores.csv": "mine", "scores.json": "{}"}
+    foreign_files = {"views.md": "mine", "scores.csv": "mine", "scores.json": "{}"}
     (tmp_path / "out/runs").mkdir(parents=True)
-    for name, text in mine.items():
+    for name, text in foreign_files.items():
         (tmp_path / "out" / name).write_text(text)
     with check_error():
         run_views(ViewsJob((tmp_path / "a",)), tmp_path / "out")
-    assert files_of(tmp_path / "out") == mine
+    assert read_files(tmp_path / "out") == foreign_files
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
@@ -93,13 +93,13 @@ def test_study_recognises_its_folder(tmp_path, kind):
         (VIEWS, {"scores.json": '{"schema": "pcbench.view-scores/1"}'}),
     ],
 )
-def test_folders_of_earlier_versions_are_accepted(tmp_path, kind, left):
-    for name, text in left.items():
+def test_folders_of_earlier_versions_are_accepted(tmp_path, kind, files):
+    for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     with study_folder(tmp_path, kind, Job()):
         pass
-    for name, text in left.items():
+    for name, text in files.items():
         assert (tmp_path / name).read_text() == text
 
 
@@ -109,12 +109,12 @@ def test_records_are_returned_for_the_same_inputs_only(tmp_path):
     write_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
     assert read_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
     assert read_record(path, {"a": 2, "b": (2, 3)}) is None
-    for damaged in ("", "{", "[]", "{}"):
-        path.write_text(damaged)
+    for content in ("", "{", "[]", "{}"):
+        path.write_text(content)
         assert read_record(path, {"a": 1}) is None
 
 
-def test_tables_and_names():
+def test_csv_markdown_and_unique_folder_names():
     assert csv_text(["a", "b"], [(1, None), ("x,y", 0.5)]) == 'a,b\n1,\n"x,y",0.5\n'
     assert markdown_table([["a|b", "n"], ["x", "1"]], 1) == "| a\\|b | n |\n| --- | ---: |\n| x | 1 |"
     paths = [Path(text) for text in ("/x/city", "/y/city", "/z/runs", "/z/city_2")]

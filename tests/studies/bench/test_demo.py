@@ -25,11 +25,11 @@ def test_demo_removes_only_its_own_folder(tmp_path, monkeypatch):
 
     monkeypatch.setattr("pcbench.scenes.synthetic.files.check_renderer", lambda: None)  # nothing is rendered
     (tmp_path / "city").mkdir()
-    mine = tmp_path / "city" / "mine.txt"
-    mine.write_text("mine")
+    foreign_file = tmp_path / "city" / "mine.txt"
+    foreign_file.write_text("mine")
     with check_error():
         demo_job(tmp_path / "city", 0, lambda _: None)
-    assert mine.read_text() == "mine"
+    assert foreign_file.read_text() == "mine"
 
 
 def test_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
@@ -38,10 +38,12 @@ def test_demo_benches_sfm_mvs_and_splat(tmp_path, monkeypatch):
 
     monkeypatch.setattr(demo, "write_scene", lambda folder, settings, step: folder.mkdir())
     job = demo.demo_job(tmp_path / "city", 0, lambda _: None)
-    known = {"sfm": ("upsample",), "mvs": ("spacing",), "splat": ("steps", "cloud")}
-    found, notes = trials([Method(name, name, Description(known[name])) for name in job.methods], job.axes, job.seeds)
+    settings_by_method = {"sfm": ("upsample",), "mvs": ("spacing",), "splat": ("steps", "cloud")}
+    planned_trials, notes = trials(
+        [Method(name, name, Description(settings_by_method[name])) for name in job.methods], job.axes, job.seeds
+    )
     assert not notes
-    assert [trial.title for trial in found] == [
+    assert [trial.title for trial in planned_trials] == [
         "sfm image_scale=0.5 upsample=false",
         "sfm image_scale=0.5 upsample=true",
         "sfm image_scale=1 upsample=false",

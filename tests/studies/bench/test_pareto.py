@@ -30,10 +30,10 @@ def test_front_uses_medians_over_seeds():
     ]
     mark_front(rows)
     assert [r["pareto"] for r in rows] == [True] * 6 + [False, False, None]
-    found = configurations(rows)
-    assert [c.method for c in found] == ["slow", "fast", "worse", "lucky", "dead"]
-    assert [c.method for c in front_configurations(found, "chamfer", higher_is_better=False)] == ["fast", "slow"]
-    assert front_configurations(found[-1:], "fscore", higher_is_better=True) == []
+    results = configurations(rows)
+    assert [c.method for c in results] == ["slow", "fast", "worse", "lucky", "dead"]
+    assert [c.method for c in front_configurations(results, "chamfer", higher_is_better=False)] == ["fast", "slow"]
+    assert front_configurations(results[-1:], "fscore", higher_is_better=True) == []
 
 
 def test_configuration_with_a_failed_seed_is_not_on_the_front():

@@ -58,16 +58,16 @@ def method(label, *settings, problem=None):
 
 
 def test_trials_are_the_product_of_sweeps():
-    a, b, unknown = method("A", "n", "seed"), method("B", "n", "m"), method("C", problem="it cannot be imported")
+    a, b, unusable = method("A", "n", "seed"), method("B", "n", "m"), method("C", problem="it cannot be imported")
     axes = [Axis.sweep("image_scale=0.5,1"), Axis.sweep("n=1,2"), Axis.sweep("B.m=x,y"), Axis.fixed("A.n=7,8")]
-    found, notes = trials([a, b, unknown], axes, 2)
-    titles = [trial.title for trial in found]
+    planned_trials, notes = trials([a, b, unusable], axes, 2)
+    titles = [trial.title for trial in planned_trials]
     assert titles[:4] == [f"A image_scale={s} n=7,8 seed {k}" for s in ("0.5", "1") for k in (0, 1)]
     assert titles[4:12] == [f"B image_scale={s} n={n} m={m}" for s in ("0.5", "1") for n in "12" for m in "xy"]
     assert titles[12:] == ["C image_scale=0.5", "C image_scale=1"]
-    assert found[1].settings == {"n": "7,8", "seed": "1"}
-    assert found[1].image_scale == 0.5
-    assert found[4].settings == {"n": "1", "m": "x"}
+    assert planned_trials[1].settings == {"n": "7,8", "seed": "1"}
+    assert planned_trials[1].image_scale == 0.5
+    assert planned_trials[4].settings == {"n": "1", "m": "x"}
     check_text("\n".join(notes))
     assert labels(["sfm", "a/one.py:M", "two.py:M"]) == ["sfm", "a/one.py:M", "two.py:M"]
     assert labels(["sfm", "a/one.py:M"]) == ["sfm", "M"]

@@ -43,20 +43,20 @@ def test_each_run_is_a_row(bench_folder, run):
         " mean_c2r_floor mean_r2c mean_r2c_floor d1_c2r d1_r2c chamfer hausdorff threshold pixels precision"
         " precision_floor recall recall_floor fscore recall_visible recall_visible_floor fscore_visible pareto message"
     )
-    good, bad = rows[:4], rows[4:]
-    assert [(row["settings"], row["seed"]) for row in good] == [
+    successes, failures = rows[:4], rows[4:]
+    assert [(row["settings"], row["seed"]) for row in successes] == [
         (f"noise=1 image_scale={scale}", seed) for scale in ("0.5", "1") for seed in "01"
     ]
-    assert {(row["status"], row["registration"], row["points"]) for row in good} == {("ok", "none", "3000")}
-    assert len({row["threshold"] for row in good}) == 1
-    for row in good:
+    assert {(row["status"], row["registration"], row["points"]) for row in successes} == {("ok", "none", "3000")}
+    assert len({row["threshold"] for row in successes}) == 1
+    for row in successes:
         assert float(row["wall_s"]) > 0 < float(row["cpu_s"])
         assert 10e6 < int(row["peak_rss_bytes"]) < 10e9
         assert row["gpu_bytes"] == ""
         assert 0 < float(row["recall_visible"]) <= 1
-    assert float(good[0]["fscore"]) > float(good[2]["fscore"])
-    assert good[2]["d1_c2r"] != good[3]["d1_c2r"]  # different seeds
-    assert [(row["method"], row["status"]) for row in bad] == [
+    assert float(successes[0]["fscore"]) > float(successes[2]["fscore"])
+    assert successes[2]["d1_c2r"] != successes[3]["d1_c2r"]  # different seeds
+    assert [(row["method"], row["status"]) for row in failures] == [
         ("Crash", "crashed"),
         ("Garbage", "garbage"),
         ("Cannot", "failed"),
@@ -64,12 +64,12 @@ def test_each_run_is_a_row(bench_folder, run):
         ("Missing", "refused"),
         ("Nobody", "refused"),
     ]
-    for row, words in zip(
-        bad,
+    for row, expected_messages in zip(
+        failures,
         ("SIGABRT", "got str", "too few features", "does not overlap", "library is not", "has Cannot"),
         strict=True,
     ):
-        assert words in row["message"]
+        assert expected_messages in row["message"]
         assert (row["fscore"], row["pareto"]) == ("", "")
         assert row["message"] in out
     assert "1/10 Good noise=1 image_scale=0.5 seed 0:" in out
@@ -79,10 +79,10 @@ def test_each_run_is_a_row(bench_folder, run):
     assert doc["scene"]["sha256"]
     assert doc["reference"]["sha256"]
     assert {"pcbench", "numpy"} <= set(doc["provenance"]["versions"])
-    first = doc["rows"][0]
-    assert first["settings"] == {"noise": "1.0", "seed": "0"}
-    assert first["comparison"]["metrics"]["d1_mse"]["candidate_to_reference"] == first["d1_c2r"]
-    folder = Path("out") / first["folder"]
+    first_row = doc["rows"][0]
+    assert first_row["settings"] == {"noise": "1.0", "seed": "0"}
+    assert first_row["comparison"]["metrics"]["d1_mse"]["candidate_to_reference"] == first_row["d1_c2r"]
+    folder = Path("out") / first_row["folder"]
     assert (folder / "log.txt").read_text() == "a line of mine\n"
     assert (folder / "cloud.ply").is_file()
     assert not (folder / "plugin").exists()
@@ -99,10 +99,10 @@ def test_each_run_is_a_row(bench_folder, run):
         "--json",
         "-",
         "--thresholds",
-        first["threshold"],
+        first_row["threshold"],
     )
     assert code == 0
-    assert json.loads(text)["candidates"][0]["metrics"]["fscore"][-1]["fscore"] == first["fscore"]
+    assert json.loads(text)["candidates"][0]["metrics"]["fscore"][-1]["fscore"] == first_row["fscore"]
 
 
 def test_finished_runs_are_reused(bench_folder, run, in_process):
@@ -110,12 +110,12 @@ def test_finished_runs_are_reused(bench_folder, run, in_process):
     command += ("--method", "methods.py:Good", "--method", "methods.py:Cannot", "--sweep")
     assert run(*command, "noise=0.02,1")[0] == 0
     assert executed_methods() == ["Good", "Good", "Cannot"]
-    before = Path("out/bench.csv").read_text()
+    first_table = Path("out/bench.csv").read_text()
     code, out, _ = run(*command, "noise=0.02,1")
     assert code == 0
     assert out.count("(from an earlier bench)") == 3
     assert len(executed_methods()) == 3
-    assert Path("out/bench.csv").read_text() == before
+    assert Path("out/bench.csv").read_text() == first_table
     # Runs of other settings are not in the tables, and a note says so.
     _, out, _ = run(*command, "noise=1")
     assert len(executed_methods()) == 3
@@ -140,13 +140,13 @@ def test_finished_runs_are_reused(bench_folder, run, in_process):
 @pytest.mark.parametrize("content", [None, "[]", "{}"])
 def test_damaged_run_is_repeated(bench_folder, in_process, name, content):
     bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
-    first = bench(bench_job, Path("out"))["rows"][0]
+    first_row = bench(bench_job, Path("out"))["rows"][0]
     (file,) = Path("out").glob(f"runs/*/{name}")
     file.unlink()
     if content is not None:
         file.write_text(content)
-    again = bench(bench_job, Path("out"))["rows"][0]
-    assert (again["status"], again["fscore"]) == ("ok", first["fscore"])
+    repeated_row = bench(bench_job, Path("out"))["rows"][0]
+    assert (repeated_row["status"], repeated_row["fscore"]) == ("ok", first_row["fscore"])
 
 
 def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
@@ -157,14 +157,14 @@ def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
         "(workspace.parent / 'outcome.json').mkdir(); os._exit(0)",
         "shutil.rmtree(workspace.parent); os._exit(0)",
     )
-    vandals = [f"Vandal{number}" for number in range(len(actions))]
+    names = [f"Vandal{number}" for number in range(len(actions))]
     classes = [
         f"@dataclass(frozen=True)\nclass {name}:\n    def reconstruct(self, scene, workspace):\n        {action}\n"
-        for name, action in zip(vandals, actions, strict=True)
+        for name, action in zip(names, actions, strict=True)
     ]
     Path("methods.py").write_text("\n".join(["import shutil", METHODS, *classes]))
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing them is harmless
-    rows = bench(job(*vandals, "Good"), Path("out"))["rows"]
+    rows = bench(job(*names, "Good"), Path("out"))["rows"]
     assert [row["status"] for row in rows] == ["crashed"] * len(actions) + ["ok"]
 
 
@@ -172,8 +172,8 @@ def test_interrupted_bench_is_resumed(bench_folder, in_process):
     class Stop(Exception):
         pass
 
-    def stop(done):
-        if done.number == 2:
+    def stop(progress):
+        if progress.number == 2:
             raise Stop
 
     bench_job = job("Good", axes=[Axis.sweep("noise=0.02,0.1,1")])
@@ -181,7 +181,7 @@ def test_interrupted_bench_is_resumed(bench_folder, in_process):
         bench(bench_job, Path("out"), on_row=stop)
     assert len(json.loads(Path("out/bench.json").read_text())["rows"]) == 2
     reused = []
-    doc = bench(bench_job, Path("out"), on_row=lambda done: reused.append(done.kept))
+    doc = bench(bench_job, Path("out"), on_row=lambda progress: reused.append(progress.kept))
     assert reused == [True, True, False]
     assert executed_methods() == ["Good"] * 3
     assert len(doc["rows"]) == 3
@@ -196,8 +196,8 @@ def test_interrupted_bench_is_resumed(bench_folder, in_process):
 
 def test_timeout_is_reused_for_shorter_limits(bench_folder, monkeypatch):
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing it may exceed the limit
-    first = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
-    assert (first["status"], first["message"]) == ("timeout", "it exceeded the time limit of 0.2 s")
+    first_row = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
+    assert (first_row["status"], first_row["message"]) == ("timeout", "it exceeded the time limit of 0.2 s")
     assert bench(job("Hang", time_limit_s=0.1), Path("out"))["rows"][0]["time_limit_s"] == 0.2
     assert bench(job("Hang", time_limit_s=0.3), Path("out"))["rows"][0]["time_limit_s"] == 0.3
 
@@ -276,12 +276,12 @@ def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process)
 def test_folder_is_locked_by_one_bench(bench_folder, in_process):
     calls = []
 
-    def again(_):
+    def start_second_bench(_):
         with check_error():
             bench(job("Good"), Path("out"))
         calls.append(True)
 
-    bench(job("Good"), Path("out"), on_row=again)
+    bench(job("Good"), Path("out"), on_row=start_second_bench)
     assert calls
     with check_error():
         bench(job("Good"), Path("photos"))
@@ -304,11 +304,14 @@ def test_method_that_cannot_be_described_is_a_row(bench_folder, body, limit):
 def test_gpu_memory_is_that_of_torch(bench_folder, in_process, monkeypatch):
     """A replacement of torch reports its memory, so that no GPU is needed."""
 
-    def yes():
+    def return_true():
         return True
 
     cuda = SimpleNamespace(
-        is_available=yes, is_initialized=yes, device_count=lambda: 2, max_memory_reserved=lambda device: 1000 + device
+        is_available=return_true,
+        is_initialized=return_true,
+        device_count=lambda: 2,
+        max_memory_reserved=lambda device: 1000 + device,
     )
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(cuda=cuda))
     assert bench(job("Good"), Path("out"))["rows"][0]["gpu_bytes"] == 2001
@@ -338,9 +341,9 @@ class Own:
     )
     bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.fixed("noise=0")])
     bench_job = replace(bench_job, cameras="none")
-    own, good = bench(bench_job, Path("out"))["rows"]
-    assert (own["status"], own["registration"], good["registration"]) == ("ok", "cameras", "none")
-    assert own["d1_c2r"] == pytest.approx(good["d1_c2r"], rel=1e-4)  # the matrix is printed with eight digits
+    own_row, good_row = bench(bench_job, Path("out"))["rows"]
+    assert (own_row["status"], own_row["registration"], good_row["registration"]) == ("ok", "cameras", "none")
+    assert own_row["d1_c2r"] == pytest.approx(good_row["d1_c2r"], rel=1e-4)  # the matrix is printed with eight digits
 
 
 def test_sfm_on_photographs_with_known_truth(tmp_path, run):
@@ -348,28 +351,28 @@ def test_sfm_on_photographs_with_known_truth(tmp_path, run):
     import textured_corner as corner
     from PIL import Image
 
-    lens = corner.standard_intrinsics(320, 240)
-    cameras = corner.cameras(5, lens)
+    intrinsics = corner.standard_intrinsics(320, 240)
+    cameras = corner.cameras(5, intrinsics)
     (tmp_path / "photos/images").mkdir(parents=True)
     for camera in cameras:
         Image.fromarray(corner.photograph(camera)).save(tmp_path / "photos/images" / camera.name)
     write_colmap_model(tmp_path / "photos/sparse", cameras)
     rng = np.random.default_rng(0)
-    planes = rng.uniform(0, corner.SIDE, (30_000, 3))
-    planes[np.arange(30_000), np.arange(30_000) % 3] = 0
-    write_cloud(tmp_path / "truth.ply", Cloud(planes, unit="m"))
+    surface_points = rng.uniform(0, corner.SIDE, (30_000, 3))
+    surface_points[np.arange(30_000), np.arange(30_000) % 3] = 0
+    write_cloud(tmp_path / "truth.ply", Cloud(surface_points, unit="m"))
     command = ("bench", tmp_path / "photos", "--reference", tmp_path / "truth.ply", "--method", "sfm")
     code, _, err = run(
         *command, "--set", "upsample=false", "--sweep", "image_scale=0.5,1", "--threshold", "0.05", "--no-figures",
         "--out", tmp_path / "out",
     )  # fmt: skip
     assert (code, err) == (0, "")
-    half, full = json.loads((tmp_path / "out/bench.json").read_text())["rows"]
-    assert (half["status"], full["status"]) == ("ok", "ok")
-    assert half["wall_s"] > 0
-    assert half["points"] < full["points"]
-    assert half["fscore"] < full["fscore"]
-    assert full["precision"] > 0.9
+    half_scale, full_scale = json.loads((tmp_path / "out/bench.json").read_text())["rows"]
+    assert (half_scale["status"], full_scale["status"]) == ("ok", "ok")
+    assert half_scale["wall_s"] > 0
+    assert half_scale["points"] < full_scale["points"]
+    assert half_scale["fscore"] < full_scale["fscore"]
+    assert full_scale["precision"] > 0.9
 
 
 def test_json_on_standard_output_is_only_the_document(bench_folder, run):

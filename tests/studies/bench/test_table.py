@@ -44,8 +44,8 @@ def test_floors_are_in_brackets_and_each_threshold_has_a_row():
     mark_front(rows)
     reference = {"path": "r", "unit": "m", "visible_share": None, "visibility": ""}
     text = bench_markdown({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
-    first = next(line for line in text.splitlines() if line.startswith("| a"))
-    cells = [cell.strip() for cell in first.split("|")]
+    first_row = next(line for line in text.splitlines() if line.startswith("| a"))
+    cells = [cell.strip() for cell in first_row.split("|")]
     assert {"0.9 (0.93)", "0.4", "0.51 (0.51)", "0.7"} <= set(cells)
     assert "| a |  | 0.1 | 1 | 0.3 | 0.4 | 0.45 | 0.6 |" in text
     assert "| a |  | 0.3 | – | 0.9 | 0.4 | – | 0.6 |" in text
@@ -66,10 +66,10 @@ def test_printed_table_does_not_wrap_numbers_or_words(capsys, monkeypatch, colum
     mark_front(rows)
     reference = {"path": "r", "unit": "m", "visible_share": None, "visibility": ""}
     print_bench({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
-    header, first, second, *_ = capsys.readouterr().out.splitlines()
+    header, first_row, second_row, *_ = capsys.readouterr().out.splitlines()
     assert header.split()[:3] == ["method", "settings", "runs"]
-    assert first.split()[0] == "a.very.long.module:Method"
-    assert second.split()[0] == "b"
-    for line in (first, second):
+    assert first_row.split()[0] == "a.very.long.module:Method"
+    assert second_row.split()[0] == "b"
+    for line in (first_row, second_row):
         assert {"global-similarity", "12,345,678", "(0.93)"} <= set(line.split())
         assert "features=8192" in line and "a_long_name_of_a_setting=value" in line

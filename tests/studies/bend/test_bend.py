@@ -45,7 +45,7 @@ from pcbench.studies.bend.results import (
 from reconstructors.sfm.alignment import transform_camera
 
 INTRINSICS = Intrinsics(400, 300, 350.0, 350.0, 200.0, 150.0, (-0.05, 0.0, 0.0, 0.0))
-PLAIN = replace(INTRINSICS, distortion=(0.0, 0.0, 0.0, 0.0))
+UNDISTORTED_INTRINSICS = replace(INTRINSICS, distortion=(0.0, 0.0, 0.0, 0.0))
 
 
 def sample(count, seed, noise):
@@ -67,8 +67,17 @@ def study():
     """Study of a correct solution, two domes caused by a wrong lens, and a failure."""
     solutions = [
         solution("true lens", "nadir", "true", "true", False),
-        solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, intrinsics=PLAIN),
-        solution("no distortion, control points", "nadir", "true", "zero", True, bend=0.35, seed=3, intrinsics=PLAIN),
+        solution("no distortion", "nadir", "true", "zero", False, bend=0.4, seed=2, intrinsics=UNDISTORTED_INTRINSICS),
+        solution(
+            "no distortion, control points",
+            "nadir",
+            "true",
+            "zero",
+            True,
+            bend=0.35,
+            seed=3,
+            intrinsics=UNDISTORTED_INTRINSICS,
+        ),
         Solution(Variant("every second", "half", "true", "true", False), 6, failure="nothing registers"),
     ]
     rows = measure_solutions(solutions, Cloud(sample(60_000, 0, 0.0), unit="m"), INTRINSICS)
@@ -79,10 +88,10 @@ def study():
 def test_deformations_against_truth_and_first_solution(study):
     straight, dome, control, failed = study.rows
     assert (straight.truth.verdict, straight.mutual) == ("none", None)
-    for row, size in ((dome, 0.4), (control, 0.35)):
+    for row, dome_height in ((dome, 0.4), (control, 0.35)):
         assert row.truth.is_bent
         # Displacements are along the normals, so walls show nothing of a vertical deformation.
-        assert 0.6 * size < row.truth.rms < size
+        assert 0.6 * dome_height < row.truth.rms < dome_height
         assert row.mutual.is_bent
         assert row.mutual.against == "true lens"
     assert failed.truth is None
@@ -92,11 +101,11 @@ def test_deformations_against_truth_and_first_solution(study):
 def test_experiment_json_round_trip(study, tmp_path):
     assert list(document(study)) == ["schema", "scene", "plugin", "rows", "sentences", "provenance"]
     (tmp_path / "experiment.json").write_text(to_json(document(study)))
-    read = read_study(tmp_path)
-    assert to_json(document(read)) == (tmp_path / "experiment.json").read_text()
-    assert [row.truth for row in read.rows] == [row.truth for row in study.rows]
-    assert [row.lens for row in read.rows] == [row.lens for row in study.rows]
-    np.testing.assert_array_equal(read.rows[1].cells, study.rows[1].cells)
+    restored = read_study(tmp_path)
+    assert to_json(document(restored)) == (tmp_path / "experiment.json").read_text()
+    assert [row.truth for row in restored.rows] == [row.truth for row in study.rows]
+    assert [row.lens for row in restored.rows] == [row.lens for row in study.rows]
+    np.testing.assert_array_equal(restored.rows[1].cells, study.rows[1].cells)
     row = json.loads((tmp_path / "experiment.json").read_text())["rows"][1]
     assert {*row} == {
         *("name", "factors", "images_given", "images", "failure", "notes", "points", "reprojection_error"),
@@ -106,8 +115,8 @@ def test_experiment_json_round_trip(study, tmp_path):
     assert {*row["truth"]} == keys
     assert {*row["mutual"]} == {*keys, "against"}
     assert {*row["lens"]} == {"fx", "fy", "distortion", "size"}
-    for damaged in ("{}", "[]", '{"schema": "pcbench.experiment.gao/1"}', '{"schema": "pcbench.experiment.bend/1"}'):
-        (tmp_path / "experiment.json").write_text(damaged)
+    for content in ("{}", "[]", '{"schema": "pcbench.experiment.gao/1"}', '{"schema": "pcbench.experiment.bend/1"}'):
+        (tmp_path / "experiment.json").write_text(content)
         with check_error():
             read_study(tmp_path)
 
@@ -124,25 +133,25 @@ def test_cause_is_the_setting_that_changes_the_deformation(study):
 def test_cause_follows_from_results(study):
     """Other factors for the same rows change the cause."""
     straight, dome, control = study.rows[:3]
-    elsewhere = {**straight.factors, "images": "half"}
-    rows = [straight, replace(dome, factors=elsewhere), replace(control, factors=straight.factors)]
+    changed_factors = {**straight.factors, "images": "half"}
+    rows = [straight, replace(dome, factors=changed_factors), replace(control, factors=straight.factors)]
     check_text(next(explain(rows[:2], "m")))
 
-    def all_with(**changes):
+    def rows_with(**changes):
         return [replace(row, truth=replace(row.truth, **changes)) for row in rows]
 
-    check_text(*explain(all_with(verdict="none"), "m"))
-    undecided = all_with(verdict="none")
+    check_text(*explain(rows_with(verdict="none"), "m"))
+    undecided = rows_with(verdict="none")
     undecided[1] = replace(rows[1], truth=replace(rows[1].truth, verdict="undecided"))
     assert "'no distortion'" in check_text(*explain(undecided, "m"))
     check_text(*explain(study.rows[3:], "m"))
-    wide = all_with(verdict="non-affine", ci=(0.0, 1.0))
-    check_text(next(explain(wide[:2], "m")))
+    uncertain = rows_with(verdict="non-affine", ci=(0.0, 1.0))
+    check_text(next(explain(uncertain[:2], "m")))
 
 
 def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
-    failed = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
-    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed, None))
+    failed_study = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
+    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed_study, None))
     code, out, err = run("experiment", "bend", "--out", tmp_path)
     assert code == 2
     check_text(out)
@@ -158,16 +167,21 @@ def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
 def test_rank_correlation_of_lens_error_and_deformation(errors):
     rows = [
         SolutionResult(
-            str(k), {}, 9, 9, lens_error_px=e, truth=BendVerdict("none", "rigid", k + 1.0, None, None, None, None)
+            str(index),
+            {},
+            9,
+            9,
+            lens_error_px=error,
+            truth=BendVerdict("none", "rigid", index + 1.0, None, None, None, None),
         )
-        for k, e in enumerate(errors)
+        for index, error in enumerate(errors)
     ]
-    words = list(_correlation_sentence(rows))
+    correlation_sentences = list(_correlation_sentence(rows))
     if len(set(errors)) == 1:
-        assert words == []
+        assert correlation_sentences == []
     else:
         rho = import_or_skip("scipy.stats").spearmanr(errors, [1, 2, 3, 4]).statistic
-        assert f" {rho:.2f} over 4 " in check_text(*words)
+        assert f" {rho:.2f} over 4 " in check_text(*correlation_sentences)
 
 
 def test_table_and_csv(study):
@@ -177,25 +191,27 @@ def test_table_and_csv(study):
     assert lines[1][1:3] == ["12/12", "8,000"]
     assert lines[1][5] == "non-affine"
     assert lines[3][5] == "failed: nothing registers"
-    read = list(csv.DictReader(csv_text(study).splitlines()))
-    assert [row["name"] for row in read] == [line[0] for line in lines]
-    assert float(read[1]["truth_rms"]) == pytest.approx(study.rows[1].truth.rms)
-    assert float(read[1]["truth_low"]) < float(read[1]["truth_rms"]) < float(read[1]["truth_high"])
-    assert read[3]["failure"] == "nothing registers"
+    csv_rows = list(csv.DictReader(csv_text(study).splitlines()))
+    assert [row["name"] for row in csv_rows] == [line[0] for line in lines]
+    assert float(csv_rows[1]["truth_rms"]) == pytest.approx(study.rows[1].truth.rms)
+    assert float(csv_rows[1]["truth_low"]) < float(csv_rows[1]["truth_rms"]) < float(csv_rows[1]["truth_high"])
+    assert csv_rows[3]["failure"] == "nothing registers"
 
 
 def test_intrinsics_error_ignores_focal_length():
     assert intrinsics_error(INTRINSICS, INTRINSICS) == pytest.approx(0, abs=1e-9)
     # Half the focal length with matching distortion: the same images of a flat scene from half the height.
-    half = replace(INTRINSICS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
-    assert intrinsics_error(half, INTRINSICS) == pytest.approx(0, abs=1e-9)
+    half_focal_length = replace(INTRINSICS, fx=175.0, fy=175.0, distortion=(-0.05 / 4, 0.0, 0.0, 0.0))
+    assert intrinsics_error(half_focal_length, INTRINSICS) == pytest.approx(0, abs=1e-9)
     # By hand: k1 r^3 f minus its best multiple of r over the image, with r up to 0.71.
     u, v = np.meshgrid(np.linspace(-200, 200, 400) / 350, np.linspace(-150, 150, 300) / 350)
     r = np.hypot(u, v)
-    off = 0.05 * r**3
-    off = off - r * (off * r).sum() / (r * r).sum()
+    displacements = 0.05 * r**3
+    displacements = displacements - r * (displacements * r).sum() / (r * r).sum()
     # The true rays are slightly further out than their pixels.
-    assert intrinsics_error(PLAIN, INTRINSICS) == pytest.approx(350 * np.sqrt(np.mean(off**2)), rel=0.1)
+    assert intrinsics_error(UNDISTORTED_INTRINSICS, INTRINSICS) == pytest.approx(
+        350 * np.sqrt(np.mean(displacements**2)), rel=0.1
+    )
 
 
 def test_clouds_are_registered_by_rays():
@@ -205,14 +221,14 @@ def test_clouds_are_registered_by_rays():
     cameras = {c.name: c for c in rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)}
     points = surface_cloud(town.plan, surface, list(cameras.values()), 3000).points
     frame = similarity_from_angles((20, 30, 40), (5, 6, 7), 0.1)
-    found = {name: transform_camera(camera, frame) for name, camera in cameras.items()}
+    solved_cameras = {name: transform_camera(camera, frame) for name, camera in cameras.items()}
     cloud = Cloud(
         frame.apply(points), attributes={"reprojection_error": np.ones(len(points)), "other": np.ones(len(points))}
     )
-    back = register_by_rays(cloud, found, cameras, surface)
-    error = np.linalg.norm(back.points - points, axis=1)
+    registered = register_by_rays(cloud, solved_cameras, cameras, surface)
+    error = np.linalg.norm(registered.points - points, axis=1)
     assert error.max() < 0.01  # occluded points are outliers among the pairs
-    assert set(back.attributes) == {"reprojection_error"}
+    assert set(registered.attributes) == {"reprojection_error"}
 
 
 def test_picture_is_drawn(study, tmp_path):
@@ -238,7 +254,7 @@ def test_scene_without_truth_is_rejected(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_small_experiment(run, renderer, tmp_path):
+def test_repeated_experiment_reuses_its_runs(run, renderer, tmp_path):
     import_or_skip("pycolmap")
     code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
     assert code == 0, err
@@ -250,10 +266,10 @@ def test_a_small_experiment(run, renderer, tmp_path):
     assert "lens distortion" in study.sentences[0]
     assert rows["true lens"].lens_error_px < 1e-6 < 1 < rows["no distortion"].lens_error_px
     assert len(read_scene(tmp_path / "bend/scene")) == 18
-    before = (tmp_path / "bend/true-lens.ply").read_bytes()
+    first_bytes = (tmp_path / "bend/true-lens.ply").read_bytes()
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "bend/runs").glob("*/stage.json")}
     assert len(stamps) == len(rows)
-    code, again, _ = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
-    assert (code, again) == (0, out)
+    code, second_out, _ = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
+    assert (code, second_out) == (0, out)
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
-    assert (tmp_path / "bend/true-lens.ply").read_bytes() == before
+    assert (tmp_path / "bend/true-lens.ply").read_bytes() == first_bytes

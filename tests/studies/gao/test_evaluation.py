@@ -28,11 +28,11 @@ def evaluate(folder):
 
 def fail_once(monkeypatch, error):
     """Make `compare_files` fail once."""
-    compare, left = evaluation.compare_files, [error]
+    compare, errors = evaluation.compare_files, [error]
 
     def compare_files(*arguments):
-        if left:
-            raise left.pop()
+        if errors:
+            raise errors.pop()
         return compare(*arguments)
 
     monkeypatch.setattr(evaluation, "compare_files", compare_files)
@@ -45,10 +45,10 @@ def test_temporary_failure_is_raised_and_retried(clouds, monkeypatch, error):
     fail_once(monkeypatch, error)
     with pytest.raises(type(error)):
         evaluate(clouds)
-    found = evaluate(clouds).clouds["candidate"]
-    assert (found.failure, found.points) == ("", 3000)
-    assert found.measures.d1_back_mse == found.r2c_mse > 0
-    assert found.measures.chamfer == pytest.approx(found.measures.d1_mse + found.r2c_mse, rel=1e-12)  # one addition
+    result = evaluate(clouds).clouds["candidate"]
+    assert (result.failure, result.points) == ("", 3000)
+    assert result.measures.d1_back_mse == result.r2c_mse > 0
+    assert result.measures.chamfer == pytest.approx(result.measures.d1_mse + result.r2c_mse, rel=1e-12)  # one addition
 
 
 @pytest.mark.parametrize("error", [InputError("too few points"), RegistrationError("no overlap")])
@@ -63,6 +63,6 @@ def test_failure_of_a_cloud_is_saved(clouds, monkeypatch, error):
     first = evaluate(clouds)
     assert first.clouds["candidate"].failure == str(error)
     assert (first.folder, first.counts) == (None, None)
-    made = len(calls)
+    call_count = len(calls)
     assert evaluate(clouds) == first
-    assert len(calls) == made
+    assert len(calls) == call_count

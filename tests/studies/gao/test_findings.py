@@ -19,15 +19,15 @@ from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, measures_table
 
 
-def other_sentences(*scenes, **more):
+def check_changed_sentences(*scenes, **settings):
     """Sentences of a study; those that differ from the default scene's are compared with the golden file."""
-    plain, found = study(scene()).sentences, study(*scenes, **more).sentences
-    check_text("\n".join(sentence for sentence in found if sentence not in plain))
-    return "\n".join(found)
+    default_sentences, study_sentences = study(scene()).sentences, study(*scenes, **settings).sentences
+    check_text("\n".join(sentence for sentence in study_sentences if sentence not in default_sentences))
+    return "\n".join(study_sentences)
 
 
 def test_sentences_report_gains_and_costs():
-    words = check_text("\n".join(study(scene()).sentences))
+    text = check_text("\n".join(study(scene()).sentences))
     for value in (
         "1,000 points out of 1,000",
         "2 m RMS becomes 0.5 m (4 times less)",
@@ -39,27 +39,27 @@ def test_sentences_report_gains_and_costs():
         "30.0 dB: a gap of 5.0 dB",
         "2,000 steps (density=classic)",
     ):
-        assert value in words
+        assert value in text
     # Swapped: means that are more accurate than the sparse points, but less complete.
     sparse, mvs, means, surface = scene().clouds
     swapped = replace(
         scene(), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE))
     )
-    assert "0.5 m RMS becomes 2 m" in other_sentences(swapped)
-    same = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
-    other_sentences(same)
+    assert "0.5 m RMS becomes 2 m" in check_changed_sentences(swapped)
+    unchanged = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
+    check_changed_sentences(unchanged)
 
 
 def test_scenes_are_averaged_and_counted():
     sparse, mvs, means, surface = scene().clouds
-    odd = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
-    words = other_sentences(scene("a"), scene("c", factor=4.0), odd)
+    opposite = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
+    text = check_changed_sentences(scene("a"), scene("c", factor=4.0), opposite)
     # Geometric means: 2, 8 and 0.5 m become 0.5, 2 and 2 m.
-    assert "2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in words
+    assert "2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in text
 
 
 def test_sentences_report_errors_hidden_by_mvs():
-    words = "\n".join(study(scene()).sentences)
+    text = "\n".join(study(scene()).sentences)
     for value in (
         "by 0.141 m RMS (c→r)",
         "by 0.224 m RMS (r→c)",
@@ -67,55 +67,61 @@ def test_sentences_report_errors_hidden_by_mvs():
         "splat-surface before splat-means before sparse",
         "mvs before splat-surface before splat-means before sparse",
     ):
-        assert value in words
-    other_sentences(scene(truth=False))
+        assert value in text
+    check_changed_sentences(scene(truth=False))
 
 
-BENT = deformation("non-affine", 0.2, slope=0.004)
-LARGE = deformation("non-affine", 0.6)
+NON_AFFINE = deformation("non-affine", 0.2, slope=0.004)
+LARGE_NON_AFFINE = deformation("non-affine", 0.6)
 
 
 @pytest.mark.parametrize(
-    "bends",
+    "deformations",
     [
-        pytest.param({(SPARSE, TRUTH): BENT, (MVS, TRUTH): BENT, (MEANS, TRUTH): LARGE}, id="some against the truth"),
-        pytest.param({(MEANS, TRUTH): BENT, (MEANS, MVS): BENT}, id="one against both"),
-        pytest.param({(SURFACE, MVS): BENT, (MEANS, MVS): BENT, (MVS, TRUTH): BENT}, id="the reference"),
         pytest.param(
-            {(SURFACE, MVS): BENT, (MVS, TRUTH): deformation("undecided"), (SURFACE, TRUTH): BENT}, id="undecided"
+            {(SPARSE, TRUTH): NON_AFFINE, (MVS, TRUTH): NON_AFFINE, (MEANS, TRUTH): LARGE_NON_AFFINE},
+            id="some against the truth",
+        ),
+        pytest.param({(MEANS, TRUTH): NON_AFFINE, (MEANS, MVS): NON_AFFINE}, id="one against both"),
+        pytest.param(
+            {(SURFACE, MVS): NON_AFFINE, (MEANS, MVS): NON_AFFINE, (MVS, TRUTH): NON_AFFINE}, id="the reference"
+        ),
+        pytest.param(
+            {(SURFACE, MVS): NON_AFFINE, (MVS, TRUTH): deformation("undecided"), (SURFACE, TRUTH): NON_AFFINE},
+            id="undecided",
         ),
     ],
 )
-def test_causes_of_deformations(bends):
-    words = other_sentences(scene(bends=bends))
+def test_causes_of_deformations(deformations):
+    text = check_changed_sentences(scene(bends=deformations))
     for value in ("0.1 m (median), 0.3 m (largest)", "1.0010 times", "by 0.5 m RMS", "by 0.25 m"):
-        assert value in words
+        assert value in text
 
 
 def test_outlier_cameras_are_reported():
-    words = other_sentences(scene(cameras=replace(scene().cameras, astray=2)))
-    assert "2 of 40 are outliers" in words
+    text = check_changed_sentences(scene(cameras=replace(scene().cameras, astray=2)))
+    assert "2 of 40 are outliers" in text
 
 
 def test_given_cameras_cause_no_deformation():
-    words = other_sentences(scene(bends={(SPARSE, TRUTH): BENT}, cameras=None), poses="given")
-    assert "position errors" not in words
+    text = check_changed_sentences(scene(bends={(SPARSE, TRUTH): NON_AFFINE}, cameras=None), poses="given")
+    assert "position errors" not in text
 
 
-def test_verdicts_in_words():
-    bends = {
+def test_sentences_report_verdicts():
+    deformations = {
         (SPARSE, MVS): deformation("undecided").with_warnings([Notice("few", "too few")]),
-        (MEANS, MVS): BENT,
+        (MEANS, MVS): NON_AFFINE,
         (SURFACE, MVS): deformation("affine"),
     }
-    words = other_sentences(scene(bends=bends, truth=False))
-    assert "0.2 [0.18, 0.22] m RMS" in words
-    assert words.count("4 ‰") == 2
+    text = check_changed_sentences(scene(bends=deformations, truth=False))
+    assert "0.2 [0.18, 0.22] m RMS" in text
+    assert text.count("4 ‰") == 2
 
 
 def test_failure_is_a_row_and_a_sentence():
     sparse, mvs, _, surface = scene().clouds
-    broken = replace(
+    failed_scene = replace(
         scene(),
         clouds=(
             sparse,
@@ -125,52 +131,62 @@ def test_failure_is_a_row_and_a_sentence():
         ),
         views=None,
     )
-    found = study(broken, scene("city_2"))
-    check_text("\n".join(found.sentences[:2]))
-    assert [MEANS in found.sentences[0], SURFACE in found.sentences[1]] == [True, True]
-    assert list(failures(found)) == list(found.sentences[:2])
-    rows = list(measures_table(found))
-    scenes = [k for k, row in enumerate(rows) if row[0] in ("city_1", "city_2")]
-    assert [rows[k][1] for k in scenes] == ["", ""]
-    first = {(row[0], row[1]): row for row in rows[scenes[0] + 1 : scenes[1]]}
-    assert (MEANS, "failed") in first
-    assert first[(SURFACE, MVS)][3] == "failed"
-    assert len(rows) - scenes[1] == 1 + 3 + 4
-    assert "4 times less" in " ".join(found.sentences)  # the other scene still counts
-    lost = [row for row in csv.DictReader(csv_text(found).splitlines()) if row["failure"]]
-    assert [(row["cloud"], row["failure"]) for row in lost] == [(MEANS, "out of memory"), (SURFACE, "too few points")]
+    result = study(failed_scene, scene("city_2"))
+    check_text("\n".join(result.sentences[:2]))
+    assert [MEANS in result.sentences[0], SURFACE in result.sentences[1]] == [True, True]
+    assert list(failures(result)) == list(result.sentences[:2])
+    rows = list(measures_table(result))
+    scene_indices = [index for index, row in enumerate(rows) if row[0] in ("city_1", "city_2")]
+    assert [rows[index][1] for index in scene_indices] == ["", ""]
+    rows_of_first_scene = {(row[0], row[1]): row for row in rows[scene_indices[0] + 1 : scene_indices[1]]}
+    assert (MEANS, "failed") in rows_of_first_scene
+    assert rows_of_first_scene[(SURFACE, MVS)][3] == "failed"
+    assert len(rows) - scene_indices[1] == 1 + 3 + 4
+    assert "4 times less" in " ".join(result.sentences)  # the other scene still counts
+    failed_rows = [row for row in csv.DictReader(csv_text(result).splitlines()) if row["failure"]]
+    assert [(row["cloud"], row["failure"]) for row in failed_rows] == [
+        (MEANS, "out of memory"),
+        (SURFACE, "too few points"),
+    ]
 
 
-def test_tables():
-    found = study(scene())
-    header, *rows = measures_table(found)
+def test_tables_and_csv_of_a_study():
+    result = study(scene())
+    header, *rows = measures_table(result)
     assert all(len(row) == len(header) for row in rows)
     assert [(row[0], row[1]) for row in rows[:3]] == [(SPARSE, MVS), (MEANS, MVS), (SURFACE, MVS)]
     assert [row[0] for row in rows[3:]] == [SPARSE, MVS, MEANS, SURFACE]
-    first = dict(zip(header, rows[0], strict=True))
-    assert (first["points"], first["cropped"]) == ("1,000", "900")
+    first_row = dict(zip(header, rows[0], strict=True))
+    assert (first_row["points"], first_row["cropped"]) == ("1,000", "900")
     # Mean squares of 0.1 m and 2 m.
-    assert (first["D1 c→r"], first["D1 r→c"], first["Chamfer"], first["Hausdorff"]) == ("0.01", "4", "4.01", "3")
-    assert first["bend RMS"] == "0.01 [0.009, 0.011]"
+    assert (first_row["D1 c→r"], first_row["D1 r→c"], first_row["Chamfer"], first_row["Hausdorff"]) == (
+        "0.01",
+        "4",
+        "4.01",
+        "3",
+    )
+    assert first_row["bend RMS"] == "0.01 [0.009, 0.011]"
     assert dict(zip(header, rows[3], strict=True))["D2 mesh"] == "–"  # the truth has no Poisson mesh
     seconds = {
         row[0]: row[2]
         for row in cost_table(study(scene(clouds=(replace(scene().clouds[0], resumed=True), *scene().clouds[1:]))))
     }
     assert seconds == {"": "seconds", SPARSE: "≥ 30", MVS: "100", MEANS: "300", SURFACE: "+ 10"}
-    read = list(csv.DictReader(csv_text(found).splitlines()))
-    assert len(read) == 7
-    assert float(read[0]["d1_back_mse"]) == pytest.approx(4.0)
-    text = markdown(found, None)
+    csv_rows = list(csv.DictReader(csv_text(result).splitlines()))
+    assert len(csv_rows) == 7
+    assert float(csv_rows[0]["d1_back_mse"]) == pytest.approx(4.0)
+    text = markdown(result, None)
     assert text.count("\n| ") == 2 + 8 + 5
     assert "sparse, against mvs" in text
 
 
 def test_study_round_trip(tmp_path):
-    found = study(scene(bends={(MEANS, MVS): BENT}), scene("b", truth=False, views=None, cameras=None, looked_at=None))
-    again = read_study(write_study(tmp_path / "a", found))
-    assert tuple(sentences(again)) == found.sentences
-    assert again == found
+    original = study(
+        scene(bends={(MEANS, MVS): NON_AFFINE}), scene("b", truth=False, views=None, cameras=None, looked_at=None)
+    )
+    restored = read_study(write_study(tmp_path / "a", original))
+    assert tuple(sentences(restored)) == original.sentences
+    assert restored == original
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": "pcbench.experiment.bend/1"}))
     with check_error():
         read_study(tmp_path / "a")
@@ -179,18 +195,18 @@ def test_study_round_trip(tmp_path):
         read_study(tmp_path / "a")
 
 
-def test_pictures(tmp_path, run):
+def test_figures_are_drawn(tmp_path, run):
     import_or_skip("matplotlib")
     image_of = import_or_skip("PIL.Image").open
-    folder = write_study(tmp_path / "a", study(scene(bends={(MEANS, MVS): BENT})))
+    folder = write_study(tmp_path / "a", study(scene(bends={(MEANS, MVS): NON_AFFINE})))
     assert run("plot", folder, "rings")[:2] == (0, f"{folder}/figures/rings.png\n")
-    drawn = pictures(folder, Figures())
-    assert sorted(drawn) == ["directions", "growth", "rings"]
+    figures = pictures(folder, Figures())
+    assert sorted(figures) == ["directions", "growth", "rings"]
     for name in ("directions", "growth"):
-        assert drawn[name].draw(folder / f"figures/{name}.png")
+        assert figures[name].draw(folder / f"figures/{name}.png")
     for name, color in (("directions", (0xD5, 0x5E, 0)), ("growth", (0xD5, 0x5E, 0)), ("rings", (0, 0x72, 0xB2))):
         pixels = np.asarray(image_of(folder / f"figures/{name}.png").convert("RGB")).astype(int)
         assert (np.abs(pixels - color).max(axis=2) < 12).sum() > 200, name
-    lost = tuple(CloudResult(name, failure="no features") for name in (SPARSE, MVS, MEANS, SURFACE))
-    empty = write_study(tmp_path / "b", study(scene(references={}, clouds=lost, views=None)))
+    failed_clouds = tuple(CloudResult(name, failure="no features") for name in (SPARSE, MVS, MEANS, SURFACE))
+    empty = write_study(tmp_path / "b", study(scene(references={}, clouds=failed_clouds, views=None)))
     assert not pictures(empty, Figures())["directions"].draw(tmp_path / "none.png")

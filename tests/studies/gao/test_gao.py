@@ -35,7 +35,7 @@ from reconstructors.sfm.alignment import transform_camera
 K = Intrinsics.from_fov(320, 180, 40.0)
 
 
-def points_of(path):
+def read_points(path):
     return read_cloud(path).points
 
 
@@ -46,76 +46,99 @@ def test_default_region_is_centred_on_the_focus():
     assert (x, y, z) == (0, 0, 16)
     farthest = max(np.linalg.norm(camera.position - [0, 0, 16]) for camera in cameras)
     assert radius == pytest.approx(0.4 * farthest, abs=1e-3)
-    down = [Camera(f"{k}.png", K, look_at([10.0 * k, 0, 50], [10.0 * k, 0, 0], up=[0, 1, 0])) for k in range(4)]
-    assert focus_point(down) is None
-    assert default_region(down) == "quantile:0.5"
-    outward = [Camera(c.name, K, look_at(c.position, 2 * c.position)) for c in orbit([f"{k}.png" for k in range(6)])]
-    assert focus_point(outward) is None
+    nadir_cameras = [
+        Camera(f"{k}.png", K, look_at([10.0 * k, 0, 50], [10.0 * k, 0, 0], up=[0, 1, 0])) for k in range(4)
+    ]
+    assert focus_point(nadir_cameras) is None
+    assert default_region(nadir_cameras) == "quantile:0.5"
+    outward_cameras = [
+        Camera(c.name, K, look_at(c.position, 2 * c.position)) for c in orbit([f"{k}.png" for k in range(6)])
+    ]
+    assert focus_point(outward_cameras) is None
 
 
-def cameras_with(move):
-    true = {camera.name: camera for camera in rig("circles", 28, Site(100.0, 0.0, 20.0), K)}
-    return {name: move(camera) for name, camera in true.items()}, true
+def transformed_cameras(move):
+    true_cameras = {camera.name: camera for camera in rig("circles", 28, Site(100.0, 0.0, 20.0), K)}
+    return {name: move(camera) for name, camera in true_cameras.items()}, true_cameras
 
 
 def test_deformation_by_solved_cameras():
     points = city(0).sample(4000, np.random.default_rng(0))[0]
     surface = Cloud(points[np.linalg.norm(points, axis=1) < 40])
     motion = Similarity(similarity_from_angles((3, 5, 20), (1, 2, 3), 1.0).rotation, np.array([3.0, -2.0, 1.0]), 1.03)
-    solved, true = cameras_with(lambda camera: transform_camera(camera, motion))
-    placed, known = retriangulate(solved, true, surface.points)
-    assert known.mean() > 0.9
-    np.testing.assert_allclose(placed[known], motion.apply(surface.points[known]), atol=1e-8)
-    small = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
-    scaled = camera_deformation(*cameras_with(lambda camera: transform_camera(camera, small)), surface)
-    assert scaled.bent < 1e-9  # a scale is affine, but not rigid
-    assert scaled.moved == pytest.approx(0.01 * np.std(surface.points[known] - surface.points[known].mean(0)), rel=0.05)
+    solved, true_cameras = transformed_cameras(lambda camera: transform_camera(camera, motion))
+    triangulated, is_triangulated = retriangulate(solved, true_cameras, surface.points)
+    assert is_triangulated.mean() > 0.9
+    np.testing.assert_allclose(triangulated[is_triangulated], motion.apply(surface.points[is_triangulated]), atol=1e-8)
+    small_motion = Similarity(np.eye(3), np.array([0.3, 0.2, -0.1]), 1.01)
+    scale_deformation = camera_deformation(
+        *transformed_cameras(lambda camera: transform_camera(camera, small_motion)), surface
+    )
+    assert scale_deformation.bent < 1e-9  # a scale is affine, but not rigid
+    assert scale_deformation.moved == pytest.approx(
+        0.01 * np.std(surface.points[is_triangulated] - surface.points[is_triangulated].mean(0)), rel=0.05
+    )
 
     # A focal length that is too long, checked by two other fits: Kabsch, and one affine map per axis.
-    longer = replace(K, fx=1.02 * K.fx, fy=1.02 * K.fy, distortion=(0.02, 0.0, 0.0, 0.0))
-    wrong, true = cameras_with(lambda camera: replace(camera, intrinsics=longer))
-    found = camera_deformation(wrong, true, surface)
-    placed, known = retriangulate(wrong, true, surface.points)
-    before, after = surface.points[known], placed[known]
-    rigid = fit_similarity(before, after, with_scale=False).apply(before) - after
-    assert found.moved == pytest.approx(np.sqrt(np.mean(rigid**2)), rel=0.01)
-    columns = np.column_stack([before, np.ones(len(before))])
-    rest = after - columns @ np.linalg.lstsq(columns, after, rcond=None)[0]
-    assert found.bent == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-6)
-    assert 0.01 < found.bent < found.moved
-    up = Cloud(surface.points, normals=np.tile([0.0, 0.0, 1.0], (len(surface), 1)))
-    assert camera_deformation(wrong, true, up).bent == pytest.approx(np.sqrt(np.mean(rest[:, 2] ** 2)), rel=1e-6)
+    wrong_intrinsics = replace(K, fx=1.02 * K.fx, fy=1.02 * K.fy, distortion=(0.02, 0.0, 0.0, 0.0))
+    wrong_cameras, true_cameras = transformed_cameras(lambda camera: replace(camera, intrinsics=wrong_intrinsics))
+    deformation = camera_deformation(wrong_cameras, true_cameras, surface)
+    triangulated, is_triangulated = retriangulate(wrong_cameras, true_cameras, surface.points)
+    true_points, moved_points = surface.points[is_triangulated], triangulated[is_triangulated]
+    rigid_residuals = fit_similarity(true_points, moved_points, with_scale=False).apply(true_points) - moved_points
+    assert deformation.moved == pytest.approx(np.sqrt(np.mean(rigid_residuals**2)), rel=0.01)
+    columns = np.column_stack([true_points, np.ones(len(true_points))])
+    affine_residuals = moved_points - columns @ np.linalg.lstsq(columns, moved_points, rcond=None)[0]
+    assert deformation.bent == pytest.approx(np.sqrt(np.mean(affine_residuals**2)), rel=1e-6)
+    assert 0.01 < deformation.bent < deformation.moved
+    upward_surface = Cloud(surface.points, normals=np.tile([0.0, 0.0, 1.0], (len(surface), 1)))
+    assert camera_deformation(wrong_cameras, true_cameras, upward_surface).bent == pytest.approx(
+        np.sqrt(np.mean(affine_residuals[:, 2] ** 2)), rel=1e-6
+    )
 
     # The profile by hand: eight rings with equal numbers of points.
-    far = np.hypot(*(before - before.mean(axis=0))[:, :2].T)
+    far = np.hypot(*(true_points - true_points.mean(axis=0))[:, :2].T)
     order = np.argsort(far)
-    at, mean = np.array(found.with_distance).T
-    np.testing.assert_allclose(at, [far[rows].mean() for rows in np.array_split(order, 8)])
+    radii, mean_heights = np.array(deformation.with_distance).T
+    np.testing.assert_allclose(radii, [far[rows].mean() for rows in np.array_split(order, 8)])
     np.testing.assert_allclose(
-        mean, [-rigid[rows, 2].mean() for rows in np.array_split(order, 8)], atol=0.05 * found.moved
+        mean_heights,
+        [-rigid_residuals[rows, 2].mean() for rows in np.array_split(order, 8)],
+        atol=0.05 * deformation.moved,
     )
-    assert len(found.with_height) == 8
-    errors = camera_errors(wrong, true, surface)
-    assert (errors.solved, errors.given, errors.median, errors.surface) == (28, 28, pytest.approx(0, abs=1e-9), found)
+    assert len(deformation.with_height) == 8
+    errors = camera_errors(wrong_cameras, true_cameras, surface)
+    assert (errors.solved, errors.given, errors.median, errors.surface) == (
+        28,
+        28,
+        pytest.approx(0, abs=1e-9),
+        deformation,
+    )
     assert errors.astray == 0
     # An outlier camera is counted and does not deform the surface.
-    name = next(iter(wrong))
-    lost = {**wrong, name: transform_camera(wrong[name], Similarity(np.eye(3), np.array([200.0, 0, 0])))}
-    jittered = {
-        k: transform_camera(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0])))
-        for n, (k, c) in enumerate(lost.items())
+    name = next(iter(wrong_cameras))
+    with_outlier = {
+        **wrong_cameras,
+        name: transform_camera(wrong_cameras[name], Similarity(np.eye(3), np.array([200.0, 0, 0]))),
     }
-    errors = camera_errors(jittered, true, surface)
+    jittered_cameras = {
+        k: transform_camera(c, Similarity(np.eye(3), np.array([0.001 * (n % 3), 0, 0])))
+        for n, (k, c) in enumerate(with_outlier.items())
+    }
+    errors = camera_errors(jittered_cameras, true_cameras, surface)
     assert (errors.astray, errors.largest) == (1, pytest.approx(200, abs=0.1))
-    assert errors.surface.bent == pytest.approx(found.bent, rel=0.1)
-    assert cameras_in_cloud_frame(lost, true) is true
-    assert cameras_in_cloud_frame({}, true) is true
-    far = {name: transform_camera(camera, Similarity(np.eye(3), np.zeros(3), 0.01)) for name, camera in true.items()}
-    assert cameras_in_cloud_frame(far, true) is far
-    errors = camera_errors(wrong, true, surface)
+    assert errors.surface.bent == pytest.approx(deformation.bent, rel=0.1)
+    assert cameras_in_cloud_frame(with_outlier, true_cameras) is true_cameras
+    assert cameras_in_cloud_frame({}, true_cameras) is true_cameras
+    far = {
+        name: transform_camera(camera, Similarity(np.eye(3), np.zeros(3), 0.01))
+        for name, camera in true_cameras.items()
+    }
+    assert cameras_in_cloud_frame(far, true_cameras) is far
+    errors = camera_errors(wrong_cameras, true_cameras, surface)
     assert errors.focal_ratio == pytest.approx(1.02)
-    assert camera_errors(wrong, true, None).surface is None
-    assert camera_errors(dict(list(wrong.items())[:2]), true, surface) is None
+    assert camera_errors(wrong_cameras, true_cameras, None).surface is None
+    assert camera_errors(dict(list(wrong_cameras.items())[:2]), true_cameras, surface) is None
 
 
 def test_clouds_are_evaluated_once(tmp_path):
@@ -136,42 +159,44 @@ def test_clouds_are_evaluated_once(tmp_path):
         write_cloud(tmp_path / f"{name}.ply", Cloud(points, unit="m"))
     clouds = {name: tmp_path / f"{name}.ply" for name in ("straight", "bent", "nowhere")}
     region = "sphere:0,0,0,150"
-    found = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
-    inside = np.linalg.norm(points_of(tmp_path / "reference.ply"), axis=1) <= 150
-    assert found.counts == (20_000, inside.sum())
-    straight, bent = found.clouds["straight"], found.clouds["bent"]
-    assert (straight.deformation.verdict, bent.deformation.verdict) == ("none", "non-affine")
-    assert straight.measures.d2_poisson_mse is None
-    assert straight.measures.d2_mse < bent.measures.d2_mse
-    assert 0 < straight.r2c_mse < straight.measures.chamfer
-    assert "expected" in found.clouds["nowhere"].failure
-    stamp = (found.folder / "comparison.json").stat().st_mtime_ns
-    again = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
-    assert again == found
-    assert (again.folder / "comparison.json").stat().st_mtime_ns == stamp
+    evaluation = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    in_region = np.linalg.norm(read_points(tmp_path / "reference.ply"), axis=1) <= 150
+    assert evaluation.counts == (20_000, in_region.sum())
+    straight_result, bent_result = evaluation.clouds["straight"], evaluation.clouds["bent"]
+    assert (straight_result.deformation.verdict, bent_result.deformation.verdict) == ("none", "non-affine")
+    assert straight_result.measures.d2_poisson_mse is None
+    assert straight_result.measures.d2_mse < bent_result.measures.d2_mse
+    assert 0 < straight_result.r2c_mse < straight_result.measures.chamfer
+    assert "expected" in evaluation.clouds["nowhere"].failure
+    stamp = (evaluation.folder / "comparison.json").stat().st_mtime_ns
+    repeated_evaluation = evaluate_against(tmp_path / "reference.ply", TRUTH, clouds, region, tmp_path, 0)
+    assert repeated_evaluation == evaluation
+    assert (repeated_evaluation.folder / "comparison.json").stat().st_mtime_ns == stamp
     # Other inputs are evaluated again.
-    nowhere = evaluate_against(tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0)
-    assert (nowhere.folder, nowhere.counts) == (None, None)
-    assert "expected" in nowhere.clouds["nowhere"].failure
-    outside = evaluate_against(
+    failed_evaluation = evaluate_against(
+        tmp_path / "reference.ply", TRUTH, {"nowhere": clouds["nowhere"]}, region, tmp_path, 0
+    )
+    assert (failed_evaluation.folder, failed_evaluation.counts) == (None, None)
+    assert "expected" in failed_evaluation.clouds["nowhere"].failure
+    empty_evaluation = evaluate_against(
         tmp_path / "reference.ply", TRUTH, {"bent": clouds["bent"]}, "sphere:900,0,0,1", tmp_path, 0
     )
-    assert "6,000 points" in check_text(outside.clouds["bent"].failure)
+    assert "6,000 points" in check_text(empty_evaluation.clouds["bent"].failure)
 
 
 def test_truth_is_limited_to_visible_points(tmp_path):
     points = np.arange(30.0).reshape(10, 3)
     write_cloud(tmp_path / "cloud.ply", Cloud(points, attributes={"visible": (np.arange(10) < 4).astype(np.uint8)}))
-    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 4
+    assert len(read_points(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 4
     write_cloud(tmp_path / "cloud.ply", Cloud(points))
-    assert len(points_of(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 10
+    assert len(read_points(visible_truth(tmp_path / "cloud.ply", tmp_path))) == 10
 
 
-def test_settings_of_the_clouds():
-    plan = {method.name: method for method in methods(GaoJob(settings={"steps": "7", "density": "gao2025"}))}
-    assert plan[SPARSE].settings["poses"] == "solve"
-    assert plan[MVS].settings["poses"] == "given"
-    means, surface = plan[MEANS], plan[SURFACE]
+def test_splat_clouds_differ_in_one_setting():
+    methods_by_name = {method.name: method for method in methods(GaoJob(settings={"steps": "7", "density": "gao2025"}))}
+    assert methods_by_name[SPARSE].settings["poses"] == "solve"
+    assert methods_by_name[MVS].settings["poses"] == "given"
+    means, surface = methods_by_name[MEANS], methods_by_name[SURFACE]
     assert means.workspace == surface.workspace
     assert {k for k in means.settings if means.settings[k] != surface.settings[k]} == {"cloud"}
     assert (means.settings["start"], means.settings["steps"], means.settings["density"]) == ("sfm", "7", "gao2025")
@@ -180,17 +205,17 @@ def test_settings_of_the_clouds():
 def test_unusable_input_is_rejected(run, tmp_path):
     import_or_skip("pycolmap")
     import_or_skip("torch")
-    bare = ten_images_folder(tmp_path / "bare")
-    few = ten_images_folder(tmp_path / "few")
+    folder_without_cameras = ten_images_folder(tmp_path / "bare")
+    folder_with_few_images = ten_images_folder(tmp_path / "few")
     for k in range(8, 10):
-        (few / f"images/{k}.png").unlink()
-    write_colmap_model(few / "sparse/0", orbit([f"{k}.png" for k in range(8)]))
+        (folder_with_few_images / f"images/{k}.png").unlink()
+    write_colmap_model(folder_with_few_images / "sparse/0", orbit([f"{k}.png" for k in range(8)]))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").write_text("mine")
     for arguments in (
-        (bare, "--poses", "given"),
-        (few,),
-        (bare, "--images", "20"),
+        (folder_without_cameras, "--poses", "given"),
+        (folder_with_few_images,),
+        (folder_without_cameras, "--images", "20"),
         ("--image-scale", "0.5"),
         ("--set", "cloud=means"),
         ("--set", "hold_out=none"),
@@ -212,9 +237,9 @@ def test_photographs_need_no_cameras_if_poses_are_solved(tmp_path, monkeypatch):
     scene = ten_images_folder(tmp_path / "bare")
     calls = []
     monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
-    monkeypatch.setattr(gao, "_run", lambda job, given, *_: calls.append(given))
+    monkeypatch.setattr(gao, "_run", lambda job, scenes, *_: calls.append(scenes))
     run_gao(GaoJob((scene,)), tmp_path / "out")
-    assert [len(found.cameras) for found in calls[0].values()] == [0]
+    assert [len(read.cameras) for read in calls[0].values()] == [0]
     with check_error():
         run_gao(GaoJob((scene,), poses="given"), tmp_path / "other")
     assert not (tmp_path / "other").exists()
@@ -234,10 +259,10 @@ def test_empty_crop_is_rejected_before_any_work(tmp_path, monkeypatch):
 
 def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
     scene = read_scene(ten_images_folder(tmp_path / "scene"))
-    methods_made = []
+    executed = []
 
-    def make(maker, method, before):
-        methods_made.append(method.name)
+    def make(maker, method, previous):
+        executed.append(method.name)
         folder = tmp_path / method.name
         folder.mkdir()
         write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3)))
@@ -247,36 +272,36 @@ def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
     job = GaoJob((scene.folder,), crop="sphere:900,0,0,1")
     with check_error():
         clouds.make_clouds(job, scene, scene.folder, tmp_path, None, lambda _: None)
-    assert methods_made == [SPARSE]
+    assert executed == [SPARSE]
 
 
-SMALL = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
+SMALL_SCENE_OPTIONS = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
 
 
 @pytest.mark.slow
-def test_a_small_experiment(run, renderer, tmp_path):
+def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     """Killed once, then with a failing training: finished results stay, and failures are reported."""
     import_or_skip("pycolmap")
     import_or_skip("torch")
     import_or_skip("matplotlib")
     out = tmp_path / "gao"
-    refusal = ("experiment", "gao", "--out", out, *SMALL, "--set", "memory=0.001")
-    kill_when(["pcbench.cli", *map(str, refusal)], out / "city_1/runs/sparse/stage.json")
-    first = (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns
+    failing_command = ("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "memory=0.001")
+    kill_when_file_exists(["pcbench.cli", *map(str, failing_command)], out / "city_1/runs/sparse/stage.json")
+    stamp = (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns
     assert not (out / "experiment.json").exists()
 
-    code, out_text, err = run(*refusal)
+    code, out_text, err = run(*failing_command)
     assert code == 0, err
     assert "splat-means" in out_text
     assert "memory=0.001" in out_text
-    found = read_study(out)
-    assert [bool(cloud.failure) for cloud in found.scenes[0].clouds] == [False, False, True, True]
-    assert found.scenes[0].views is None
+    failed_study = read_study(out)
+    assert [bool(cloud.failure) for cloud in failed_study.scenes[0].clouds] == [False, False, True, True]
+    assert failed_study.scenes[0].views is None
     assert "mvs deviates from the truth by 0." in out_text  # the other clouds were measured
 
-    code, out_text, err = run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")
+    code, out_text, err = run("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "steps=1200")
     assert code == 0, err
-    assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == first
+    assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == stamp
     (scene,) = read_study(out).scenes
     assert scene.references[TRUTH][1] > scene.references[MVS][1] / 100 > 0
     assert all(not cloud.failure for cloud in scene.clouds)
@@ -290,18 +315,18 @@ def test_a_small_experiment(run, renderer, tmp_path):
     for name in (SPARSE, MEANS, SURFACE):
         assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
     assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
-    written = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
-    assert run("experiment", "gao", "--out", out, *SMALL, "--set", "steps=1200")[:2] == (0, out_text)
-    assert all(path.read_bytes() == text for path, text in written.items())
+    contents = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
+    assert run("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "steps=1200")[:2] == (0, out_text)
+    assert all(path.read_bytes() == text for path, text in contents.items())
 
 
-def kill_when(module, file, seconds=300.0):
+def kill_when_file_exists(module, file, seconds=300.0):
     """Run `python -m MODULE ...` and kill it as soon as the file exists."""
     process = subprocess.Popen([sys.executable, "-m", *module], stdout=subprocess.DEVNULL)
-    end = time.monotonic() + seconds
+    deadline = time.monotonic() + seconds
     while not file.exists():
         assert process.poll() is None, "it ended before it was killed"
-        assert time.monotonic() < end
+        assert time.monotonic() < deadline
         time.sleep(0.05)
     process.kill()
     process.wait()

@@ -27,8 +27,8 @@ from pcbench.studies.views.table import markdown, sentences, table
 
 Image = import_or_skip("PIL.Image")
 
-PLAIN = Perceptual(None, None)
-NINE = split_every([f"{k}.png" for k in range(9)])
+NO_PERCEPTUAL_METRICS = Perceptual(None, None)
+SPLIT_OF_NINE = split_every([f"{k}.png" for k in range(9)])
 
 # A user's reconstructor that renders all views in one grey.
 PAINTER = textwrap.dedent(
@@ -68,7 +68,7 @@ PAINTER = textwrap.dedent(
 
 
 def test_scores_of_views_and_means(tmp_path):
-    (scene,) = score_views([write_view_folder(tmp_path)], perceptual=PLAIN).scenes
+    (scene,) = score_views([write_view_folder(tmp_path)], perceptual=NO_PERCEPTUAL_METRICS).scenes
     test, train = (0, 8, 16), [k for k in range(18) if k % 8]
     for scored in (*scene.select(test=True), *scene.select(test=False)):
         number = int(scored.view.name.removesuffix(".png"))
@@ -82,25 +82,27 @@ def test_scores_of_views_and_means(tmp_path):
 
 
 def test_standard_error_is_computed_over_blocks(tmp_path):
-    (scene,) = score_views([write_view_folder(tmp_path, count=40, blocks=2)], perceptual=PLAIN).scenes
-    found = {}
+    (scene,) = score_views([write_view_folder(tmp_path, count=40, blocks=2)], perceptual=NO_PERCEPTUAL_METRICS).scenes
+    numbers_by_block = {}
     for scored in scene.select(test=True):
-        found.setdefault(scored.view.block, []).append(int(scored.view.name[:-4]))
-    means = [np.mean([psnr_of(k) for k in block]) for block in found.values()]
-    assert [len(block) for block in found.values()] == [2, 2]
+        numbers_by_block.setdefault(scored.view.block, []).append(int(scored.view.name[:-4]))
+    means = [np.mean([psnr_of(k) for k in block]) for block in numbers_by_block.values()]
+    assert [len(block) for block in numbers_by_block.values()] == [2, 2]
     assert scene.standard_error() == pytest.approx(np.std(means, ddof=1) / math.sqrt(2))
 
 
 def test_scores_round_trip(tmp_path):
-    nothing = np.zeros((48, 64), dtype=bool)
-    folders = [write_view_folder(tmp_path / "a"), write_view_folder(tmp_path / "b", "masked", 9, mask=nothing)]
-    write_views(tmp_path / "c", "same", "splat", NINE, lambda name: ViewImages(name, photograph(1), photograph(1)))
-    study = score_views([*folders, tmp_path / "c"], perceptual=PLAIN)
+    empty_mask = np.zeros((48, 64), dtype=bool)
+    folders = [write_view_folder(tmp_path / "a"), write_view_folder(tmp_path / "b", "masked", 9, mask=empty_mask)]
+    write_views(
+        tmp_path / "c", "same", "splat", SPLIT_OF_NINE, lambda name: ViewImages(name, photograph(1), photograph(1))
+    )
+    study = score_views([*folders, tmp_path / "c"], perceptual=NO_PERCEPTUAL_METRICS)
     write_scores(tmp_path, study)
-    again = read_scores(tmp_path)
-    assert again.notes == study.notes
+    restored = read_scores(tmp_path)
+    assert restored.notes == study.notes
     assert [note.code for note in study.notes] == ["masked-views"]
-    for scene, other in zip(study.scenes, again.scenes, strict=True):
+    for scene, other in zip(study.scenes, restored.scenes, strict=True):
         assert other.views == scene.views
         np.testing.assert_array_equal(np.array(scene.scores, dtype=float), np.array(other.scores, dtype=float))
     rows = list(csv.DictReader((tmp_path / "scores.csv").open()))
@@ -117,41 +119,42 @@ def test_scores_round_trip(tmp_path):
 
 def test_table_has_one_row_per_scene_and_a_mean(tmp_path):
     study = score_views(
-        [write_view_folder(tmp_path / "a", "near", 9), write_view_folder(tmp_path / "b", "far", 18)], perceptual=PLAIN
+        [write_view_folder(tmp_path / "a", "near", 9), write_view_folder(tmp_path / "b", "far", 18)],
+        perceptual=NO_PERCEPTUAL_METRICS,
     )
-    header, near, far, mean = table(study)
+    header, near_row, far_row, mean_row = table(study)
     assert header == ["scene", "held out", "views", "train PSNR", "train SSIM", "test PSNR", "test SSIM"]
-    assert near[:3] == ["near", "one image in 8", "7 + 2"]
+    assert near_row[:3] == ["near", "one image in 8", "7 + 2"]
     error = study.scenes[0].standard_error()
-    assert near[5] == f"{(psnr_of(0) + psnr_of(8)) / 2:.2f} ± {error:.2f}"
-    assert far[3] == f"{np.mean([psnr_of(k) for k in range(18) if k % 8]):.2f}"
-    of = [scene.mean(test=True).psnr for scene in study.scenes]
-    assert mean[0] == "mean of 2"
-    assert mean[5] == f"{np.mean(of):.2f}"
+    assert near_row[5] == f"{(psnr_of(0) + psnr_of(8)) / 2:.2f} ± {error:.2f}"
+    assert far_row[3] == f"{np.mean([psnr_of(k) for k in range(18) if k % 8]):.2f}"
+    test_psnrs = [scene.mean(test=True).psnr for scene in study.scenes]
+    assert mean_row[0] == "mean of 2"
+    assert mean_row[5] == f"{np.mean(test_psnrs):.2f}"
     assert markdown(study).count("\n| ") == 4
     check_text("\n".join(sentences(study)))
-    several = score_views(
-        [tmp_path / "a", write_view_folder(tmp_path / "c", "near", 9, method="mine")], perceptual=PLAIN
+    study_of_two_methods = score_views(
+        [tmp_path / "a", write_view_folder(tmp_path / "c", "near", 9, method="mine")], perceptual=NO_PERCEPTUAL_METRICS
     )
-    assert [row[1] for row in table(several)[:3]] == ["method", "splat", "mine"]
+    assert [row[1] for row in table(study_of_two_methods)[:3]] == ["method", "splat", "mine"]
 
 
 def test_measured_metrics_have_columns(tmp_path):
-    measured = Perceptual(lambda *_: 0.25, None)
-    study = score_views([write_view_folder(tmp_path, count=9)], perceptual=measured)
+    perceptual = Perceptual(lambda *_: 0.25, None)
+    study = score_views([write_view_folder(tmp_path, count=9)], perceptual=perceptual)
     header, row = table(study)
     assert row[header.index("test LPIPS")] == "0.250"
     assert not any("FLIP" in name for name in header)
 
 
 def test_worst_median_and_best_views_are_selected(tmp_path):
-    (scene,) = score_views([write_view_folder(tmp_path / "a", count=40)], perceptual=PLAIN).scenes
+    (scene,) = score_views([write_view_folder(tmp_path / "a", count=40)], perceptual=NO_PERCEPTUAL_METRICS).scenes
     assert {word: s.view.name for word, s in select_views(scene).items()} == {
         "worst": "32.png",
         "median": "16.png",
         "best": "0.png",
     }
-    (scene,) = score_views([write_view_folder(tmp_path / "b", count=9)], perceptual=PLAIN).scenes
+    (scene,) = score_views([write_view_folder(tmp_path / "b", count=9)], perceptual=NO_PERCEPTUAL_METRICS).scenes
     assert {word: s.view.name for word, s in select_views(scene).items()} == {"median": "8.png", "best": "0.png"}
 
 
@@ -163,21 +166,21 @@ def test_picture_shows_photograph_rendering_and_error(tmp_path):
     image[10:14, 20:24] += 100
     mask = np.ones((48, 64), dtype=bool)
     mask[30:, :20] = False
-    split = NINE
+    split = SPLIT_OF_NINE
     write_views(tmp_path / "v", "city", "splat", split, lambda name: ViewImages(name, image, truth, mask))
-    (scene,) = score_views([tmp_path / "v"], perceptual=PLAIN).scenes
+    (scene,) = score_views([tmp_path / "v"], perceptual=NO_PERCEPTUAL_METRICS).scenes
     path = tmp_path / "p.png"
     draw_views({"best": scene.select(test=True)[0]}, "a title", path, Figures(range=50.0))
-    drawn = np.array(Image.open(path).convert("RGB")).astype(int)
+    pixels = np.array(Image.open(path).convert("RGB")).astype(int)
 
-    def share(color):
-        return float((np.abs(drawn - color).max(axis=2) <= 2).mean() * drawn.shape[0] * drawn.shape[1])
+    def count_pixels(color):
+        return float((np.abs(pixels - color).max(axis=2) <= 2).mean() * pixels.shape[0] * pixels.shape[1])
 
-    panel = share((90, 60, 30))  # pixels of the photograph
+    panel = count_pixels((90, 60, 30))  # pixels of the photograph
     assert panel > 1e5
-    assert share((196, 166, 136)) / panel == pytest.approx(16 / (48 * 64), rel=0.1)
-    assert share((253, 231, 37)) / panel == pytest.approx(16 / (48 * 64), rel=0.6)  # and a part of the bar
-    assert share((150, 150, 150)) / panel == pytest.approx(18 * 20 / (48 * 64), rel=0.1)
+    assert count_pixels((196, 166, 136)) / panel == pytest.approx(16 / (48 * 64), rel=0.1)
+    assert count_pixels((253, 231, 37)) / panel == pytest.approx(16 / (48 * 64), rel=0.6)  # and a part of the bar
+    assert count_pixels((150, 150, 150)) / panel == pytest.approx(18 * 20 / (48 * 64), rel=0.1)
 
 
 def test_missing_views_are_rendered(tmp_path):
@@ -195,8 +198,8 @@ def test_missing_views_are_rendered(tmp_path):
     assert [len(scene.select(test=True)) for scene in study.scenes] == [2, 2, 2]
     assert study.notes[0].code == "no-views"
     assert "empty" in study.notes[0].text
-    first = study.scenes[0].select(test=True)[0]
-    assert (first.view.read().rendering == 64).all()
+    first_view = study.scenes[0].select(test=True)[0]
+    assert (first_view.view.read().rendering == 64).all()
     assert (out / "views.md").read_text().count("\n| ") == 5
     with check_error():
         run_views(job, tmp_path / "one")
@@ -223,8 +226,8 @@ def test_views_command(tmp_path, run, monkeypatch):
     code, out, _ = run("plot", "out", "near_splat", "--range", "20")
     assert (code, out) == (0, "out/figures/near_splat.png\n")
     assert Image.open("out/figures/near_splat.png").width > 1000
-    for words in (("nowhere", "--out", "other"), ("a", "--out", "b")):
-        code, _, err = run("views", *words)
+    for arguments in (("nowhere", "--out", "other"), ("a", "--out", "b")):
+        code, _, err = run("views", *arguments)
         assert code == 2
         assert is_one_line(err)
 
