@@ -270,7 +270,7 @@ class _PseudoNormals:
         self._keys, self._key_faces = keys[order], rows[order // 3]
 
     def at(self, faces: IntArray, features: NDArray[np.uint8]) -> FloatArray:
-        """Return the pseudo-normals (N, 3), not of unit length, at features (N,) of faces (N,), given by the kernel's codes."""
+        """Return the pseudo-normals (N, 3), not of unit length, at features (N,) of faces (N,): the kernel's codes."""
         directions = self._faces[faces]
         ends = self._mesh.faces[faces]
         rows = np.flatnonzero(features < _FIRST_EDGE)

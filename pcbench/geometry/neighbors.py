@@ -181,7 +181,7 @@ class Index:
     def query_index(self, queries: "Index") -> Matches:
         """Find the nearest point of each point of another index; about a third faster than `query`.
 
-        The points of an index are already sorted in space.
+        The points of an index are already sorted in space. If `queries` is this index, no point is its own neighbour.
         """
         matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *matches)
@@ -197,6 +197,9 @@ class Index:
         Returns:
             The matches, and a mask (M,): whether the squared distance to another point exceeds the match's by
             less than `slack`.
+
+        Raises:
+            InputError: `slack` is negative or not finite.
         """
         if not 0 <= slack <= MAX_COORDINATE**2:
             raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")

@@ -35,7 +35,11 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """The map x -> linear @ x + translation, with an invertible (3, 3) linear part."""
+    """The map x -> linear @ x + translation, with an invertible (3, 3) linear part.
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite, or the linear part is singular.
+    """
 
     linear: FloatArray
     translation: FloatArray
@@ -85,7 +89,11 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """The map x -> scale * rotation @ x + translation, with scale > 0 and a proper (3, 3) rotation."""
+    """The map x -> scale * rotation @ x + translation, with scale > 0 and a proper (3, 3) rotation.
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite or out of range, or the rotation is not orthonormal.
+    """
 
     rotation: FloatArray
     translation: FloatArray
