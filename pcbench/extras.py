@@ -33,7 +33,7 @@ LIBRARIES = {
 }
 
 _LOADER_ERROR = re.compile(r"(?:^|[\s/])(lib[^\s/:]+\.so(?:\.\d+)*): (?:cannot open shared|file too short|invalid ELF)")
-# Packages whose names do not follow from the file name of the library.
+# Debian packages whose names do not follow from the file name of the library.
 _DEBIAN_PACKAGES = {
     "libGLU.so.1": "libglu1-mesa",
     "libOSMesa.so.6": "libosmesa6",
@@ -63,6 +63,10 @@ def import_problem(*libraries: str, extra: str | None = None) -> str | None:
     """Return one line about the first of these libraries that cannot be imported; None if all can.
 
     The libraries are loaded, because an installed one may lack a system library.
+
+    Args:
+        *libraries: names of the modules in Python.
+        extra: extra of pcbench to name in the line; see `require`.
     """
     for library in libraries:
         try:

@@ -1,4 +1,4 @@
-"""Check for OpenGL, which VTK needs to render, from a display or from a library for off-screen rendering."""
+"""Check that OpenGL, which VTK needs, is available: on a display or in a library for off-screen rendering."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class NoFiguresError(PcbenchError):
 
 
 def check_opengl() -> None:
-    """Refuse to render without OpenGL before VTK is loaded, because VTK would crash.
+    """Refuse to render if there is no OpenGL. Call it before VTK is loaded, which would crash.
 
     Raises:
         NoFiguresError: there is no display, no EGL and no OSMesa.

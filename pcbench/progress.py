@@ -9,8 +9,9 @@ class Step(str):
     """Name of the next step of an operation, with its expected duration.
 
     Attributes:
-        expected: approximate duration in seconds on an ordinary machine; None if unknown. Only the ratios between the
-            steps of one operation matter: the speed of the machine is estimated from the steps that are done.
+        expected: approximate duration in seconds on an ordinary machine; None if unknown. The estimate
+            corrects for the speed of the machine after the first steps, so mainly the ratios between the steps of one
+            operation matter.
         after: expected duration in seconds of all following steps.
     """
 
@@ -41,7 +42,7 @@ class ProgressPlan:
         self._report(Step(text, expected, sum(self._remaining)))
 
     def within(self) -> Callable[[str], None]:
-        """Return a progress callback for the substeps of the next step."""
+        """Return a progress callback for the substeps of the next step, which is counted as started."""
         if self._remaining:
             self._remaining.pop(0)
         after = sum(self._remaining)
@@ -81,7 +82,7 @@ class TimeEstimate:
             return None
         pace = (self._elapsed_done_s + self._PRIOR_S) / (self._expected_done_s + self._PRIOR_S)
         current, elapsed = pace * self._step.expected, now - self._step_start
-        # A step that exceeds its expected duration is assumed to need another quarter of its elapsed time.
+        # A step near or beyond its expected end is assumed to need a quarter of its elapsed time, at most `current`.
         return max(current - elapsed, 0.25 * min(elapsed, 4 * current)) + pace * self._step.after
 
     def share(self, now: float) -> float | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 
-MAX_TEXT_BYTES = 64 << 20  # for matrices, point pairs, positions and settings: a million lines
+MAX_TEXT_BYTES = 64 << 20  # about a million lines of matrices, point pairs, positions or settings
 
 # Opening a pipe with O_NONBLOCK returns at once. Windows has neither the flag nor named pipes in folders.
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
@@ -86,9 +86,10 @@ def is_regular_file(path: str | os.PathLike[str]) -> bool:
 
 
 def has_entry(path: Path) -> bool:
-    """Whether a path exists and is no folder.
+    """Whether a path exists and is not a folder.
 
-    Unlike `Path.is_file` this includes pipes, devices and broken links, so that they are refused, not ignored.
+    Unlike `Path.is_file` this includes pipes, devices and broken links, so that callers refuse them instead of ignoring
+    them.
     """
     return os.path.lexists(path) and not path.is_dir()
 

@@ -1,8 +1,8 @@
 """Temporary files and output locks.
 
 Each temporary file, temporary folder and lock file is locked by its owner (flock). The system releases a lock when its
-process ends, however it ends. So the next run can distinguish leftovers of a killed run from files in use, and removes
-them; and of two runs with the same output the second is refused.
+process ends, even if it is killed. The next run can therefore distinguish files in use from leftovers, and removes the
+leftovers. Of two runs with the same output, the second is refused.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _OWN_PREFIX = f"{_PREFIX}{hashlib.sha256(platform.node().encode()).hexdigest()[:
 _MAX_FOREIGN_AGE_S = 86_400.0
 _MAX_LOCK_ATTEMPTS, _RETRY_INTERVAL_S = 5, 0.05
 _NO_LOCK = -1
-_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of writes to an open file; they name no file
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of writing to an open file; they name no file
 
 
 @contextmanager
@@ -113,7 +113,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextmanager
 def attribute_errors_to(output: Path, scratch: Path) -> Iterator[None]:
-    """Make errors such as a full disk name the output that the user chose instead of the temporary file."""
+    """Replace the temporary file in errors, such as that of a full disk, by the output that the user chose."""
     try:
         yield
     except OSError as error:
@@ -131,7 +131,7 @@ def attribute_errors_to(output: Path, scratch: Path) -> Iterator[None]:
 
 
 def _try_lock_output(path: Path) -> int | None:
-    """Return the descriptor of a locked lock file, `_NO_LOCK` without locks, None if another process has the lock."""
+    """Return the descriptor of the locked file; `_NO_LOCK` if locks fail, None if another process has the lock."""
     for _ in range(_MAX_LOCK_ATTEMPTS):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CREAT | NO_FOLLOW, 0o666)
@@ -141,7 +141,7 @@ def _try_lock_output(path: Path) -> int | None:
             lock(descriptor, wait=False)
             if _is_still_at(path, descriptor):
                 return descriptor
-        except BlockingIOError:  # perhaps only for a moment, by another run's `remove_leftovers`
+        except BlockingIOError:  # another run's `remove_leftovers` may hold it for a moment
             time.sleep(_RETRY_INTERVAL_S)
         except OSError:
             os.close(descriptor)
@@ -164,7 +164,7 @@ def _make_locked_folder(path: Path, mode: int) -> int | None:
         path.mkdir(mode)
         try:
             descriptor = open_folder(path)
-        except FileNotFoundError:  # `remove_leftovers` of another run came before it was opened
+        except FileNotFoundError:  # another run's `remove_leftovers` removed it before it was opened
             continue
         if descriptor is None or _lock_new(path, descriptor):
             return descriptor

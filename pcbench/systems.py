@@ -1,7 +1,7 @@
 """Differences between operating systems: file locks, memory, CPUs, and waiting for and ending processes.
 
 No other module of the package imports `fcntl` or `resource`, or uses names of `os` and `signal` that only some systems
-have. The exception is `children/start.py`, which runs before anything of pcbench can be imported.
+have. The exceptions are `children/start.py` and `io/laz_worker.py`, which child processes run without pcbench.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NO_FOLLOW: int = getattr(os, "O_NOFOLLOW", 0)  # flags of os.open
 NO_WAIT: int = getattr(os, "O_NONBLOCK", 0)
 SIGKILL: int = getattr(signal, "SIGKILL", 9)
 
-# A Windows lock covers bytes that other processes then cannot read: lock one byte beyond all data.
+# A Windows lock covers bytes that other processes then cannot read: lock one byte where few files have data.
 _LOCK_OFFSET = (1 << 31) - 2
 _POLL_INTERVAL_S = 0.01
 
@@ -93,7 +93,7 @@ def close_and_remove(path: Path, descriptor: int) -> None:
 
 
 def rename_open(file: BinaryIO, path: Path, target: Path) -> None:
-    """Rename a written file to `target`, replacing it; before the file is closed if the system allows that."""
+    """Rename a written file to `target`, replacing it. On Windows, the file is closed (and unlocked) first."""
     file.flush()
     if sys.platform == "win32":
         file.close()
@@ -179,8 +179,8 @@ def signal_name(number: int) -> str:
 def wait_until_ended(process: subprocess.Popen[bytes]) -> None:
     """Wait until a child ends.
 
-    If the system allows it, the child stays a zombie until `reap`, so that no other process gets its id, which is also
-    that of its session.
+    If the system allows it, the child stays a zombie until `reap`. Until then no other process gets its id, which is
+    also the id of its session.
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
@@ -189,7 +189,7 @@ def wait_until_ended(process: subprocess.Popen[bytes]) -> None:
 
 
 def end_tree(process: subprocess.Popen[bytes], grace_s: float) -> None:
-    """End a child that `children/start.py` runs in its own session, with all processes that it started.
+    """End a child that `children/start.py` runs in its own session, and all processes that it started.
 
     Args:
         process: the child.

@@ -37,6 +37,9 @@ def limit_threads() -> None:
 
 
 def _first_number(text: str) -> int | None:
-    """Return the first number of a comma-separated list, which applies to the outermost threads; None without one."""
+    """Return the first number of a comma-separated list, which applies to the outermost threads; None without one.
+
+    Numbers of 20 or more digits are returned as 10^19.
+    """
     word = text.split(",")[0].strip()
     return int(word) if word.isdecimal() and len(word) < 20 else 10**19 if word.isdecimal() else None

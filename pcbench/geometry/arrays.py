@@ -12,8 +12,8 @@ IntArray = NDArray[np.int64]
 
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
-MAX_COORDINATE = 1e100  # squared distances overflow beyond it
-_ROUNDING_ULPS = 16  # rounding allowed after a few operations, in units in the last place of the largest coordinate
+MAX_COORDINATE = 1e100  # keeps squared distances, and products of three lengths, far below overflow
+_ROUNDING_ULPS = 16  # rounding error of a few operations, in units in the last place of the largest coordinate
 
 
 def rounding_bound(points: FloatArray, origin: FloatArray) -> float:

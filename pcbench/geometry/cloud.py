@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pcbench.geometry.transform import Affine, Similarity
 
 
-# Attributes of Gaussian splats that are given in the splat's own axes: a change of frame invalidates them.
+# Attributes of Gaussian splats that a change of frame invalidates: rotations, sizes and view-dependent colours.
 _FRAME_DEPENDENT_PREFIXES = ("rot_", "scale_", "f_rest_")
 
 
@@ -28,7 +28,7 @@ class Cloud:
     Args:
         points: (N, 3) finite coordinates, N >= 1, stored as C-contiguous float64.
         normals: (N, 3) directions of any length, or None.
-        colors: (N, 3) RGB or None; integers from 0 to 255 of any type, stored as uint8.
+        colors: (N, 3) RGB or None; whole numbers from 0 to 255 of any numeric type, stored as uint8.
         attributes: named numeric arrays (N,).
         crs: coordinate reference system as given by the file (WKT or authority code), or None.
         unit: unit of the coordinates ("m", "ft", ...), or None if unknown.
@@ -89,7 +89,7 @@ class Cloud:
 
         Args:
             points: (N, 3) coordinates, some possibly NaN or Inf.
-            **fields: other arguments of `Cloud`, with one row for each of the N points.
+            **fields: other arguments of `Cloud`; arrays have one row for each of the N points.
 
         Raises:
             InputError: no point is finite, or a shape is wrong.
@@ -113,7 +113,7 @@ class Cloud:
         are copied if they have one number per point.
 
         Raises:
-            InputError: `cloud` is not an Open3D cloud, or is not a valid `Cloud`.
+            InputError: `cloud` is not an Open3D cloud, or its points are not a valid `Cloud`.
         """
         if hasattr(cloud, "point"):
             columns = {name: cloud.point[name].cpu().numpy() for name in cloud.point}
@@ -168,7 +168,7 @@ class Cloud:
         """Copy a `trimesh.PointCloud`, or the vertices of a `trimesh.Trimesh`, with the colours.
 
         Raises:
-            InputError: `geometry` is neither of them, or is not a valid `Cloud`.
+            InputError: `geometry` is neither of them, or its points are not a valid `Cloud`.
         """
         if not hasattr(geometry, "vertices") or not hasattr(geometry, "visual"):
             kind = type(geometry).__name__
@@ -200,7 +200,11 @@ class Cloud:
         )
 
     def transformed(self, transform: Similarity | Affine) -> Cloud:
-        """Return the cloud in another frame, without rotations, scales and view-dependent colours of Gaussians."""
+        """Return the cloud in another frame.
+
+        The rotations, scales and view-dependent colours of Gaussian splats are dropped, since they are only valid in
+        the old frame.
+        """
         normals = None if self.normals is None else freeze(transform.apply_normals(self.normals))
         kept_attributes = {
             name: a for name, a in self.attributes.items() if not name.startswith(_FRAME_DEPENDENT_PREFIXES)

@@ -16,7 +16,7 @@ _MAX_LABEL_LENGTH = 100
 
 
 def same_crs(first: str, second: str) -> bool:
-    """Whether two texts name the same CRS. Without pyproj, only equal texts do."""
+    """Whether two texts name the same CRS. Without pyproj, this is only true of equal texts."""
     if first == second:
         return True
     a, b = _parse_crs(first), _parse_crs(second)

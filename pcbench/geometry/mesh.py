@@ -117,7 +117,7 @@ class Mesh:
         return Cloud(a + s * (b - a) + t * (c - a), normals=self.normals()[which], crs=self.crs, unit=self.unit)
 
     def transformed(self, transform: Similarity | Affine) -> Mesh:
-        """Return the mesh in another frame. A reflection reverses the faces, so that normals still point outwards."""
+        """Return the mesh in another frame. Mirroring reverses the faces, so that normals still point outwards."""
         mirrored = np.linalg.det(transform.linear) < 0
         faces = self.faces[:, ::-1] if mirrored else self.faces
         return replace(self, vertices=transform.apply(self.vertices), faces=faces)
@@ -253,7 +253,7 @@ class _PseudoNormals:
             )
         volume = np.einsum("ni,ni->", corners[:, 0] - mesh.vertices.mean(axis=0), cross_products)
         normals = np.sign(volume) * cross_products / lengths[:, None]
-        # arctan2 of the sine and the cosine is exact also for angles near 0 or 180 degrees.
+        # Unlike arccos, arctan2 of the sine and the cosine is also accurate for angles near 0 or 180 degrees.
         cosines = -np.einsum("nki,nki->nk", sides, np.roll(sides, 1, axis=1))
         angles = np.arctan2(lengths[:, None], cosines)
         self._mesh = mesh
@@ -270,7 +270,7 @@ class _PseudoNormals:
         self._keys, self._key_faces = keys[order], rows[order // 3]
 
     def at(self, faces: IntArray, features: NDArray[np.uint8]) -> FloatArray:
-        """Return the pseudo-normals (N, 3), not of unit length, at the features (N,) of faces (N,)."""
+        """Return the pseudo-normals (N, 3), not of unit length, at features (N,) of faces (N,): the kernel's codes."""
         directions = self._faces[faces]
         ends = self._mesh.faces[faces]
         rows = np.flatnonzero(features < _FIRST_EDGE)

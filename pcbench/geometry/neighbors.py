@@ -1,4 +1,4 @@
-"""Exact nearest-neighbour search. Only this module calls the compiled search kernels.
+"""Exact nearest-neighbour search. Only this module calls the compiled search over points.
 
 Every result equals a float64 brute-force search that evaluates (dx*dx + dy*dy) + dz*dz in this order and breaks ties by
 the lowest index, on any machine and with any number of threads.
@@ -15,8 +15,8 @@ from pcbench.native import _core
 
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions", "median_spacing"]
 
-_SPACING_SAMPLE = 20_000  # approximate number of points that a median spacing is estimated from
-_MAX_DUPLICATES = 8  # size of the neighbourhood, the point itself included, that is searched for a non-duplicate
+_SPACING_SAMPLE = 20_000  # points that a median spacing is estimated from; at most twice as many are used
+_SPACING_NEIGHBORS = 8  # neighbours, the point itself included, that are searched for one at another position
 
 
 class Matches(NamedTuple):
@@ -57,7 +57,7 @@ class LocalPlanes(NamedTuple):
 
 
 class Index:
-    """A search tree over points, built in parallel, with at most 40 bytes per point in addition to the points.
+    """A search tree over points, built in parallel, with about 40 bytes per point in addition to the points.
 
     A C-contiguous float64 array is not copied and must not change afterwards; other input is converted. Ctrl-C stops
     construction and queries.
@@ -117,7 +117,11 @@ class Index:
         return matches
 
     def query_radius(self, queries: ArrayLike, radius: float) -> Neighborhoods:
-        """Find the points within `radius` of each query (M, 3): squared distance <= radius * radius."""
+        """Find the points within `radius` of each query (M, 3): squared distance <= radius * radius.
+
+        Raises:
+            InputError: the radius is negative or not finite, or a coordinate is not finite.
+        """
         query_points = _as_points(queries, "queries")
         _check_length(radius, "radius")
         try:
@@ -129,6 +133,9 @@ class Index:
         """Find the points inside the cylinder around each origin (M, 3) along its unit axis (M, 3).
 
         A point p with d = p - origin is inside if |d . axis| <= half_length and |d - (d . axis) axis| <= radius.
+
+        Raises:
+            InputError: a length is negative or not finite, a coordinate is not finite, or an axis is not a unit vector.
         """
         centers, directions = _as_points(origins, "origins"), _as_points(axes, "axes")
         _check_length(radius, "radius")
@@ -146,13 +153,21 @@ class Index:
             _raise_bad_coordinates(error, centers, "origins")
 
     def nearest_other(self) -> Matches:
-        """Find the nearest other point of each indexed point. A duplicate is another point, at distance 0."""
+        """Find the nearest other point of each indexed point. A duplicate is another point, at distance 0.
+
+        Raises:
+            InputError: the index contains only one point.
+        """
         if len(self) < 2:
             raise InputError("nearest_other: expected an index of at least two points, got one")
         return self.query_index(self)
 
     def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
-        """Fit a plane to the k nearest points, the point itself included, of each point or of those in `rows` (M,)."""
+        """Fit a plane to the k nearest points, the point itself included, of each point or of those in `rows` (M,).
+
+        Raises:
+            InputError: k is less than 3 or exceeds the number of points, or `rows` are not indices of points.
+        """
         if not 3 <= k <= len(self):
             raise InputError(f"k: expected 3 to {len(self)} (the number of points), got {k}")
         selected = None if rows is None else self._as_indices(rows, "rows")
@@ -166,7 +181,7 @@ class Index:
     def query_index(self, queries: "Index") -> Matches:
         """Find the nearest point of each point of another index; about a third faster than `query`.
 
-        The points of an index are already sorted in space.
+        The points of an index are already sorted in space. If `queries` is this index, no point is its own neighbour.
         """
         matches = Matches(np.empty(len(queries), np.float64), np.empty(len(queries), np.int64))
         self._tree.nearest_of(queries._tree, *matches)
@@ -182,6 +197,9 @@ class Index:
         Returns:
             The matches, and a mask (M,): whether the squared distance to another point exceeds the match's by
             less than `slack`.
+
+        Raises:
+            InputError: `slack` is negative or not finite.
         """
         if not 0 <= slack <= MAX_COORDINATE**2:
             raise InputError(f"slack: expected a finite squared length of at least 0, got {slack}")
@@ -193,7 +211,7 @@ class Index:
     def nearest_of_moved(
         self, queries: "Index", motion: NDArray[np.float64], hint: NDArray[np.int64] | None = None
     ) -> tuple[NDArray[np.float64], Matches]:
-        """Move the points of another index and find the nearest point of each: one iteration of ICP.
+        """Move the points of another index and find the nearest point of each: the correspondence step of ICP.
 
         The spatial order of the other index is reused, since a motion preserves neighbourhoods.
 
@@ -238,7 +256,7 @@ def match_both_directions(reference: Index, candidate: Index) -> tuple[Matches, 
 
 
 def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
-    """Return the median distance from a point to the nearest point at another position; 0 if all points coincide.
+    """Return the median distance from a point to the nearest point at another position; 0 if there is none.
 
     This is the definition of "spacing" everywhere in pcbench. Duplicates are ignored: the spacing of a cloud merged
     with itself is that of either copy. Points that occur more than seven times are left out.
@@ -246,7 +264,7 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     Args:
         index: index of the cloud.
         nearest_other: result of `Index.nearest_other`, if available. With it the median is taken over all points,
-            otherwise over an even sample of about 20,000.
+            otherwise over every n-th point, 20,000 to 40,000 in total.
     """
     if len(index) < 2:
         return 0.0
@@ -261,8 +279,8 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
 
 
 def _nonzero_nearest_distances(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return distances to the nearest non-duplicate, without the points that have none among their nearest."""
-    distances = index.query(index.points[rows], k=min(_MAX_DUPLICATES, len(index))).distances
+    """Return distances to the nearest point at another position, if it is among the neighbours."""
+    distances = index.query(index.points[rows], k=min(_SPACING_NEIGHBORS, len(index))).distances
     other = np.where(distances > 0, distances, np.inf).min(axis=1)
     found: NDArray[np.float64] = other[np.isfinite(other)]
     return found

@@ -149,7 +149,10 @@ def orient_towards(directions: FloatArray, points: FloatArray, sensors: FloatArr
 
 
 def unit(directions: NDArray[np.float64]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Scale vectors (M, 3) to unit length, and return a mask of those with a length; zero vectors stay zero."""
+    """Scale vectors (M, 3) to unit length, and return a mask (M,) of those with a positive, finite length.
+
+    All other vectors become zero.
+    """
     length = np.linalg.norm(directions, axis=1)
     valid = np.isfinite(length) & (length > 0)
     scaled = np.divide(directions, length[:, None], out=np.zeros_like(directions), where=valid[:, None])

@@ -16,7 +16,7 @@ from pcbench.geometry.normals import unit
 from pcbench.geometry.voxels import voxel_downsample_to
 
 _MAX_SPACINGS_FROM_POINTS = 4.0  # distance in point spacings beyond which the surface is extrapolated, not measured
-_MIN_POINTS = 50
+_MIN_POINTS = 50  # with a normal
 _MAX_ORIENTATION_POINTS = 100_000  # points over which the signs of normals are propagated
 
 
@@ -34,7 +34,7 @@ def poisson_mesh(cloud: Cloud, depth: int | None = None) -> Mesh:
             median spacing, with the depth clamped to 5 to 11.
 
     Raises:
-        InputError: there are no normals, fewer than 50 points with a normal, the depth is not 1 to 14, or no surface
+        InputError: there are no normals or fewer than 50 points with one, the depth is not 1 to 14, or no surface
             passes near the points.
         MissingExtra: neither library is installed and loads.
     """
@@ -76,7 +76,8 @@ def orient_normals(cloud: Cloud) -> Cloud:
     about 100,000 points (about 4 s). Every other point takes the sign of the nearest of them.
 
     Raises:
-        MissingExtra: Open3D is not installed or does not load. pymeshlab then needs a cloud with oriented normals.
+        MissingExtra: Open3D is not installed or does not load. Without it, only clouds with oriented normals can be
+            reconstructed (by pymeshlab).
     """
     open3d = require("open3d")
     assert cloud.normals is not None

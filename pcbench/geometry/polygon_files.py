@@ -159,7 +159,7 @@ def _as_list(name: str, value: Any) -> list[Any]:
 
 
 def as_finite_number(name: str, value: Any) -> float:
-    """Return a number of a file as a float; raise InputError if it is not finite or is out of range."""
+    """Return a number in a file as a float; raise InputError if it is not a finite number or is out of range."""
     # bool is an int in Python, and integers in JSON have any length.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_COORDINATE:
         expected = "a finite number"

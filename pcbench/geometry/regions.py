@@ -175,11 +175,12 @@ class Polygon:
     Args:
         rings: vertices (M, 2) of a ring, or a sequence of rings, closed or not. The columns are x, y for axis 2 (z);
             x, z for axis 1 (y); y, z for axis 0 (x).
-        axis: direction of the prism.
+        axis: direction of the prism: 0 (x), 1 (y) or 2 (z).
         lower, upper: ends of the prism along `axis`; -inf and inf for an unbounded prism.
 
     Raises:
-        InputError: no ring, a ring of fewer than three distinct vertices, a number that is not finite, lower > upper.
+        InputError: there is no ring, a ring has fewer than three distinct vertices or one that is not finite, `axis` is
+            not 0, 1 or 2, or lower > upper.
     """
 
     rings: tuple[FloatArray, ...]
@@ -250,7 +251,7 @@ class Union:
     """The points inside any of several regions, such as the possibly overlapping polygons of a file."""
 
     regions: tuple[Region, ...]
-    file: Path | None = field(default=None, init=False)  # as for a polygon
+    file: Path | None = field(default=None, init=False)  # as in `Polygon`
 
     def __post_init__(self) -> None:
         regions = tuple(self.regions)
@@ -349,13 +350,13 @@ def _norms(vectors: FloatArray) -> FloatArray:
 
 def _inside_rings(u: FloatArray, v: FloatArray, rings: tuple[FloatArray, ...]) -> Mask:
     """Return the mask of points (u, v), each (N,), inside the rings (even-odd rule) or on an edge."""
-    # With points sorted by v, each edge concerns one contiguous run: the cost depends on crossings, not on vertices.
+    # With points sorted by v, those level with an edge are one contiguous run, so an edge is only tested against these.
     order = np.argsort(v)
     u, v = u[order], v[order]
     begin, end = np.vstack(rings), np.vstack([np.roll(ring, -1, axis=0) for ring in rings])
     upwards = (begin[:, 1] <= end[:, 1])[:, None]
     low, high = np.where(upwards, begin, end), np.where(upwards, end, begin)
-    # Closed runs are for points on an edge; half-open runs [low, high) count a crossing at a shared vertex once.
+    # Points on an edge are searched in [low, high]. Crossings are counted in [low, high): once at a shared vertex.
     first, last = np.searchsorted(v, low[:, 1], "left"), np.searchsorted(v, high[:, 1], "right")
     half_open = np.searchsorted(v, high[:, 1], "left")
 

@@ -61,7 +61,7 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
 
 
 def is_splat_attribute(name: str) -> bool:
-    """Whether the attribute is one that every splat model has."""
+    """Whether an attribute of this name belongs to the splat, as in the PLY files of Kerbl et al. 2023."""
     return name == "opacity" or name.startswith(("scale_", "rot_", "f_dc_", "f_rest_"))
 
 
@@ -74,7 +74,7 @@ def check_limits(min_opacity: float | None, max_axis: float | None) -> None:
 
 
 def filter_splats(cloud: Cloud, min_opacity: float | None, max_axis: float | None) -> Cloud:
-    """Keep the splats that are opaque and small enough: low-opacity and very large splats lie on no surface.
+    """Keep the splats that are opaque and small enough: transparent and very large splats are rarely on a surface.
 
     Args:
         cloud: a splat model.

@@ -1,4 +1,4 @@
-"""Similarity and affine transforms of 3-D points, their closed-form fits, and their text format."""
+"""Similarity and affine transforms of 3-D points, their fits to pairs of points, and their text format."""
 
 from __future__ import annotations
 
@@ -35,7 +35,11 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """The map x -> linear @ x + translation, with an invertible (3, 3) linear part."""
+    """The map x -> linear @ x + translation, with an invertible (3, 3) linear part.
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite, or the linear part is singular.
+    """
 
     linear: FloatArray
     translation: FloatArray
@@ -50,7 +54,7 @@ class Affine:
         if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
             raise InputError("expected a transform of finite numbers, got NaN or Inf")
         stretch = np.linalg.svd(linear, compute_uv=False)
-        if not stretch[2] > 1e-12 * stretch[0]:  # the same ratio as that of the inverse, which is accepted too
+        if not stretch[2] > 1e-12 * stretch[0]:  # the inverse has the same ratio, so it is accepted too
             raise InputError("expected an invertible transform, got a singular matrix")
         object.__setattr__(self, "linear", linear)
         object.__setattr__(self, "translation", translation)
@@ -85,7 +89,11 @@ class Affine:
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """The map x -> scale * rotation @ x + translation, with scale > 0 and a proper (3, 3) rotation."""
+    """The map x -> scale * rotation @ x + translation, with scale > 0 and a proper (3, 3) rotation.
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite or out of range, or the rotation is not orthonormal.
+    """
 
     rotation: FloatArray
     translation: FloatArray
@@ -166,7 +174,7 @@ class Similarity:
 
     def __matmul__(self, other: Similarity) -> Similarity:
         """`self @ other` applies `other` first."""
-        # Rounding in long products makes rotations lose orthonormality; the polar factor restores it.
+        # Rounding in long products makes rotations lose orthonormality; the orthogonal polar factor restores it.
         u, _, vt = np.linalg.svd(self.rotation @ other.rotation)
         return Similarity(
             u @ vt,
@@ -194,7 +202,7 @@ def _angle_and_axis(rotation: FloatArray) -> tuple[float, FloatArray | None]:
     The unit quaternion is exact for small angles and for half turns (Shepperd 1978, "Quaternion from rotation matrix").
     """
     r, trace = rotation, np.trace(rotation)
-    squares = np.array([1 + trace, *(1 - trace + 2 * np.diag(r))])  # (2w)^2, (2x)^2, ...: the largest is the divisor
+    squares = np.array([1 + trace, *(1 - trace + 2 * np.diag(r))])  # (2w)^2, (2x)^2, ...: the largest selects the row
     largest = int(np.argmax(squares))
     if largest == 0:
         quaternion = np.array([squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
@@ -290,7 +298,7 @@ def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scal
 
 
 def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
-    """Fit the least-squares affine map of candidate (N, 3) onto reference (N, 3) points.
+    """Fit the least-squares affine map from candidate (N, 3) to reference (N, 3) points.
 
     Raises:
         InputError: there are fewer than four pairs, or all candidate points lie in one plane.
@@ -338,7 +346,7 @@ def read_matrix(path: str | Path) -> Similarity:
 def format_matrix(transform: Similarity | Affine) -> str:
     """Format the 4x4 matrix of a transform as text.
 
-    `read_matrix` restores a rigid motion exactly. It separates a scale other than 1, which costs rounding in the last
-    digit.
+    `read_matrix` restores a rigid motion exactly. A scale other than 1 is divided out of the matrix, which rounds the
+    last digit.
     """
     return "".join(" ".join(repr(float(v)) for v in row) + "\n" for row in transform.matrix)

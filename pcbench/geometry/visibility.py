@@ -11,8 +11,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import MeshIndex
 
-MIN_VISIBLE_VIEWS = 3  # minimum number of cameras that see a point: what multi-view stereo needs
-_RAY_OFFSET_SHARE = 1e-7  # ray offset as a share of the scene size: above coordinate rounding, below any occluder
+MIN_VISIBLE_VIEWS = 3  # number of cameras that must see a point for multi-view stereo
+_RAY_OFFSET_SHARE = 1e-7  # ray offset as a share of the scene size: above rounding, below the distance of occluders
 
 
 def views(
@@ -32,7 +32,7 @@ def views(
         cameras: cameras in the mesh's frame.
         points: (N, 3) on the surface.
         normals: (N, 3) towards the visible side.
-        enough: count at which a point is not tested further; None for all cameras.
+        enough: number of cameras after which a point is tested no further; None to test all cameras.
     """
     counts = np.zeros(len(points), dtype=np.int64)
     for camera in cameras:
@@ -70,7 +70,7 @@ def in_frame(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> NDAr
 
 
 def pixel_sizes(camera: Camera, points: FloatArray, *, beyond: float = 0.0) -> FloatArray:
-    """Return the size of a pixel at each of points (N, 3), across the line of sight.
+    """Return the size of a pixel (N,) at points (N, 3), across the line of sight, in the unit of the points.
 
     This is depth over focal length: the ground sample distance of a camera that looks straight down. It is infinite for
     points outside the image (see `in_frame`); occlusion is not tested.

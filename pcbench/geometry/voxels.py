@@ -43,7 +43,7 @@ def voxel_downsample(points: FloatArray, side: float) -> IntArray:
 
 
 def voxel_downsample_to(points: FloatArray, count: int, start: float) -> IntArray:
-    """Downsample to at most about `count` points by enlarging the cells from edge length `start` until they fit."""
+    """Downsample to at most 1.2 * `count` points: cells grow from edge length `start` until few enough are occupied."""
     side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
     which = voxel_downsample(points, side)
     while len(which) > 1.2 * count:

@@ -19,7 +19,15 @@ from pcbench.io.colmap import model_file
 from pcbench.io.files import Warn, as_path, check_output, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, CloudFormat
 
-__all__ = ["FILTERED", "CloudLike", "check_cloud_output", "is_path", "read_cloud", "to_cloud", "write_cloud"]
+__all__ = [
+    "FILTERABLE_EXTENSIONS",
+    "CloudLike",
+    "check_cloud_output",
+    "is_path",
+    "read_cloud",
+    "to_cloud",
+    "write_cloud",
+]
 
 CloudLike = Cloud | ArrayLike | os.PathLike[str]  # accepted by `to_cloud`; `ArrayLike` includes str, so paths too
 FILTERABLE_EXTENSIONS = tuple(

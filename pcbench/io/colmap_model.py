@@ -176,7 +176,7 @@ def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Ca
 
 
 def has_points(folder: Path) -> bool:
-    """Return whether a model contains points. A model made of known poses has an empty points3D file.
+    """Return whether a model contains points. The points3D file of a model made of known poses is empty.
 
     Raises:
         InputError: points3D is not a regular file. The message starts with the path.
@@ -213,7 +213,7 @@ def write_colmap_model(folder: Path, cameras: Sequence[Camera], points: Cloud | 
     Image IDs are 1, 2, ... in the given order. Equal intrinsics share one camera (PINHOLE or OPENCV).
 
     Raises:
-        InputError: the folder contains a binary model, which readers would prefer.
+        InputError: the folder is a file, or contains a binary model, which readers would prefer.
         OSError: a file cannot be written.
     """
     check_model_output(folder)

@@ -1,7 +1,7 @@
 """Read an E57 file with pye57 in a child process: `e57_worker.py FILE FOLDER`.
 
-libE57Format, which pye57 wraps, may crash or hang on damaged files. Then the limits of the process end it, and the
-parent reports the file. The script does not import pcbench. It writes to the folder `scans.json` (points, dropped
+libE57Format, which pye57 wraps, may crash or hang on damaged files. The parent limits the time and memory of this
+process, and reports the file. The script does not import pcbench. It writes to the folder `scans.json` (points, dropped
 points and fields of each scan) and the columns of scan k as raw float64: `k.points` and `k.FIELD`. Points are in the
 file's coordinates: the pose of the scan is applied. Exit status: 0, 3 if pye57 does not load, 4 if the disk is full,
 or 1 with a reason on standard error.

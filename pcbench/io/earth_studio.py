@@ -1,7 +1,7 @@
 """Read Google Earth Studio's JSON camera export (Render -> 3D camera export -> JSON) into local east-north-up.
 
 A frame has `position`, `rotation` (degrees), `coordinate` (latitude, longitude, altitude) and `fovVertical`. The
-meaning of the fields was derived from real exports. The earth is a SPHERE of radius 6,371,010 m. Positions are
+meaning of the fields was derived from real exports. The earth is a sphere of radius 6,371,010 m. Positions are
 earth-centred (x to 0 N 0 E, z to the north pole) or, if a track point is set as the origin, relative to it. The
 camera's axes (x right, y down, z forward) in that frame are the columns of Rx(x) Ry(y) Rz(z).
 """
@@ -94,7 +94,7 @@ def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:
     rotations = np.stack([_rotation(*_finite_triple(f["rotation"])) for f in frames])
     centred = _earth_centred(coordinates)
     if np.linalg.norm(exported, axis=1).max() > _MIN_GLOBAL_RADIUS:
-        centred = exported  # equal to a nanometre, and used by the renderer
+        centred = exported  # equal to `coordinate` to a nanometre, and what the renderer used
     else:
         rotations = _global_from_local(exported, centred) @ rotations
 
@@ -123,7 +123,7 @@ def _origin(document: Mapping[str, Any], coordinates: FloatArray) -> Gps:
 
 
 def _gps_from_sliders(point: Mapping[str, Any]) -> Gps:
-    """Return the position of a track point of a local export from its sliders (0 to 1 of a range).
+    """Return the position of a track point of a local export from its sliders, which are shares of a range (0 to 1).
 
     Its `position` is relative to the origin; the sliders are global.
     """

@@ -1,4 +1,4 @@
-"""Shared by all formats: the fields that readers return, checks of paths, and atomic writing."""
+"""Helpers of all formats: the fields that readers return, checks of paths, and atomic writing."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | N
 def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
     """Build a cloud from the fields of a reader, without points whose coordinates are NaN or Inf.
 
-    Only the reader holds the arrays, so they are frozen and the cloud keeps them without a copy.
+    Nothing else uses the arrays, so they are frozen and the cloud keeps them without a copy.
     """
     arrays = [fields["points"], fields.get("normals"), fields.get("colors"), *fields.get("attributes", {}).values()]
     for array in arrays:
@@ -141,7 +141,7 @@ def check_readable(path: Path) -> None:
 
 
 def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
-    """Read all bytes from the current position to the end into one buffer of the actual size."""
+    """Read all bytes from the current position to the end of the file into one buffer of exactly that size."""
     start = file.tell()
     rest = np.empty(file.seek(0, 2) - start, dtype=np.uint8)
     file.seek(start)

@@ -1,10 +1,10 @@
 """Read the size and GPS position of an image without decoding it.
 
-JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: a thousand images take 0.1 s.
+The formats are JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: 1000 images take 0.1 s.
 
 Why not Pillow: Pillow 13 gives the same sizes and positions for intact images, but takes two to eight times as long
-because it reads the complete header. It raises errors of three kinds and warnings. It also refuses images above its
-pixel limit, or with damage outside the size and position, and would be a dependency even if no image is decoded.
+because it reads the complete header. It raises three kinds of errors, and warnings. It also refuses images above its
+pixel limit or with damage elsewhere, and would be a dependency even if no image is decoded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
-_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three others are tables
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 
 
@@ -38,7 +38,7 @@ def read_image_header(path: Path) -> ImageHeader:
     """Read the size and GPS position of a JPEG or PNG file.
 
     Raises:
-        InputError: the file is missing, empty, truncated, or neither format. The message starts with the path.
+        InputError: the file is missing, empty, truncated, or in neither format. The message starts with the path.
     """
     try:
         with open_regular(path) as file:

@@ -44,8 +44,8 @@ def read_k_matrix(path: Path) -> FloatArray:
 def intrinsics_from_k(k: FloatArray, width: int, height: int) -> tuple[Intrinsics, int]:
     """Return the intrinsics of an image of a given size, and the factor by which it was downscaled from the size of K.
 
-    K does not state an image size. Its principal point is near the centre of the image that it was calibrated for. This
-    shows whether that is this image, or a larger one that was downscaled by an integer.
+    K does not state an image size. Its principal point is near the centre of the image that it was calibrated for. Its
+    position therefore shows whether K belongs to this image, or to a larger one that was downscaled by an integer.
 
     Args:
         k: intrinsics matrix (3, 3).

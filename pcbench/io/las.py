@@ -44,7 +44,7 @@ _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "gps_time": np.dtype("f8"),
     "point_source_id": np.dtype("u2"),
 }
-# Names that readers use for point dimensions: attributes with these names would conflict.
+# Names that LAS readers use for dimensions of points; extra bytes must not have them.
 _RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
     *("scan_angle_rank", "synthetic", "key_point", "withheld", "overlap", "scanner_channel"),
     *("scan_direction_flag", "edge_of_flight_line", "raw_classification", "bit_fields", "classification_flags"),
@@ -62,7 +62,8 @@ def read_las(
     Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id, if the
     point format has them, and the extra bytes. Extra bytes are scaled if the file declares a scale; values marked as no
     data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. 16-bit colours lose their
-    lower byte. Warnings report points outside the bounds or returns that differ from the counts in the header.
+    lower byte. Warnings report points outside the header's bounds, and counts of returns that differ from the
+    header's.
 
     Args:
         path: input file.
@@ -233,17 +234,18 @@ def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
 def write_las(path: Path, cloud: Cloud) -> None:
     """Write LAS 1.4, compressed if the name ends in .laz.
 
-    Coordinates are rounded to a millionth of the extent or finer, but no coarser than 0.0001 units if 32 bits allow;
-    the error is at most half of that step. Attributes with the names of standard dimensions are written there, others
-    and the normals (as float) as extra bytes. The crs becomes a WKT record. LAS cannot store the unit.
+    Coordinates are rounded to multiples of 0.0001 units. The step is finer for an extent below 100 units (a millionth
+    of it or less, down to 1e-9), and 0.0002 units if 32 bits require it. Attributes with the names of standard
+    dimensions are written there, others and the normals (as float) as extra bytes. The crs becomes a WKT record. LAS
+    cannot store the unit.
 
     Args:
         path: output file.
         cloud: cloud to write.
 
     Raises:
-        InputError: the extent is too large for 32 bits (800 km in metres), LAS cannot store a name or type, or pyproj
-            does not know the crs.
+        InputError: the extent is too large for 32 bits (over 858,000 units), LAS cannot store the name, type or values
+            of an attribute, or pyproj does not know the crs.
         MissingExtra: lazrs (for .laz) or pyproj (for a crs) is not installed.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
@@ -311,7 +313,7 @@ def _quantise(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int3
     """Return scale, offsets (3,) and integer coordinates (N, 3)."""
     low, high = cloud.bounds
     extent = float((high - low).max())
-    # Between a millionth and a ten-millionth of the extent. At 1e-9 the integers still reach the rounded offset.
+    # Between a millionth and a ten-millionth of the extent. At 1e-9, 32 bits still reach the offsets, in whole units.
     scale = float(f"1e{max(-9, math.floor(math.log10(extent)) - 6)}") if 0 < extent < 100 else 1e-4
     offsets = np.round(low / 2 + high / 2)
     reach = extent / 2 + 1

@@ -14,14 +14,14 @@ WKT, GEO_KEYS = ("LASF_Projection", 2112), ("LASF_Projection", 34735)
 # GeoTIFF keys, and the EPSG codes of units.
 _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL = 2048, 3072, 3076, 4096
 _UNIT_CODES = {9001: "m", 9002: "ft", 9003: "US-ft"}
-_UNITS_BY_METRES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft"}  # by length in metres, rounded to ten digits
+_UNITS_BY_METRES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft"}  # by length in metres, rounded to ten decimals
 
 
 def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | None, str | None]:
     """Return the coordinate reference system ("EPSG:n" if it can be identified, else WKT) and the unit of x and y.
 
-    A system that cannot be interpreted is a warning, since the coordinates do not depend on it. Without pyproj the text
-    is returned as stored.
+    A system that cannot be interpreted only causes a warning, since the coordinates do not depend on it. Without pyproj
+    the text is returned as stored.
 
     Args:
         records: variable length records by user and record ID.
@@ -47,7 +47,7 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
 
 
 def _unit(crs: Any, warn: Warn) -> str | None:
-    """Return the unit of x, or None with a warning if heights have another unit, since distances would mix them."""
+    """Return the unit of x; None, with a warning, if heights have another unit, since distances then have none."""
     units = [
         "deg"
         if axis.unit_name == "degree"

@@ -189,7 +189,7 @@ def _read_records(
 def read_extras(header: LasHeader, warn: Warn) -> list[ExtraDimension]:
     """Return the described extra dimensions in order, including undescribed gaps (with an empty `name`).
 
-    Descriptions that do not fit the record are left out with a warning, since the coordinates do not depend on them.
+    If the descriptions do not fit the record, all are left out with a warning: the coordinates do not depend on them.
     """
     data = header.records.get(("LASF_Spec", 4), b"")
     extras = []

@@ -28,12 +28,12 @@ _LASZIP_LAYOUT = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3),
 _ITEM_LAYOUT = struct.Struct("<HHH")  # type, bytes, version
 _VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table states the number of points per chunk
 
-# Upper bound of the decompressed size, as a factor and in bytes: real clouds shrink 3 to 20 times, grids some hundreds.
+# Bound of the decompressed size: this factor times the file size, plus bytes. Clouds shrink 3 to 20 times, grids more.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 1000, 256 << 20
-_EXIT_SOME_DIFFER, _EXIT_ALL_DIFFER = 4, 5  # exit statuses of the worker: points whose encoding differs from the file
+_EXIT_SOME_DIFFER, _EXIT_ALL_DIFFER = 4, 5  # exit statuses of the worker: encoding the points again gives other bytes
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
 _MAX_WORKER_MEMORY = 1 << 30  # bytes of address space besides twice the points: code, stacks, one heap per thread
-_MAX_WORKER_SECONDS = 30.0  # plus the time for the points at the minimum speed:
+_MAX_WORKER_SECONDS = 30.0  # plus the time for the points at `_MIN_WORKER_SPEED`
 _MIN_WORKER_SPEED = 1e6  # bytes per second; lazrs does 30 million on one core, in both directions
 
 

@@ -53,7 +53,7 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
 def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
     """Return the point count and compressed size in bytes of each chunk that contains some of the `count` points.
 
-    If all chunks have one size, the last one is rarely full.
+    If all chunks have the same point count, the table states it for the last one too, which is rarely full.
     """
     chunks = []
     for points, size in table:

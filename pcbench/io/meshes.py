@@ -16,8 +16,8 @@ from pcbench.io.ply import has_faces
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
     """Read a triangle mesh from a file; polygons become fans of triangles.
 
-    Formats that repeat a vertex per face (STL) or texture seam (glTF) get exactly equal vertices merged, so that a
-    closed surface stays closed. glTF axes are not changed (y up).
+    STL repeats vertices in each face, and glTF along texture seams. Exactly equal vertices of these formats are merged,
+    so that a closed surface stays closed. glTF axes are not changed (y up).
 
     Args:
         path: .stl, .obj, .ply, .glb, .gltf or .off file (upper or lower case).

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; typical arrays have 118
 _MAX_DIMENSION = 10**18  # more than any file stores; numpy's products of the shape stay within int64
 _BLOCK_BYTES = 1 << 20  # decompressed at a time
-# Bound of the decompressed size, as a factor and in bytes: coordinates shrink 2 to 20 times, constants up to 1000.
+# Bound of the decompressed size: this factor times the file size, plus bytes. Coordinates shrink 2 to 20 times.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
 _TEXT_NAMES = ("crs", "unit")
 

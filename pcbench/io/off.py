@@ -16,7 +16,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
 from pcbench.io.polygons import triangulate_fans
 
-_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # with colours or normals after the coordinates
+_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # C and N: colours and normals after the coordinates
 
 
 def read_off(path: Path, warn: Warn) -> Mesh:

@@ -232,7 +232,7 @@ class _Reader:
 def _camera(
     image: _Image, platforms: list[_Platform], size_of: Callable[[str], tuple[int, int] | None]
 ) -> Camera | None:
-    """Return the camera of an image: the camera on its platform, at the platform's pose."""
+    """Return the camera of an image, from its camera and pose on a platform; None without a pose or size."""
     if image.pose == _NO_POSE:
         return None
     try:

@@ -19,7 +19,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.files import Fields, Warn, atomic_write, read_rest
 
-_MAX_HEADER_BYTES = 1 << 20  # bytes
+_MAX_HEADER_BYTES = 1 << 20
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)}
 _TYPES |= {"F4": "<f4", "F8": "<f8"}

@@ -115,9 +115,9 @@ def _pop_stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike
 def write_ply(path: Path, cloud: Cloud) -> None:
     """Write binary little-endian PLY: x y z double, nx ny nz float, red green blue uchar, attributes in their type.
 
-    Normals are directions, for which the 7 digits of float are enough. An attribute of a type that PLY lacks becomes
-    the first of int, uint and double that holds its values (bool: uchar; integers beyond 2^53 are rounded). `crs` and
-    `unit` are written as comment lines.
+    Normals are directions, for which the 7 digits of float are enough. Attributes of types that PLY lacks are converted
+    to others: bool to uchar, half to float, the rest to the first of int, uint and double that holds the values
+    (integers beyond 2^53 are rounded). `crs` and `unit` are written as comment lines.
 
     Raises:
         InputError: an attribute's name or type cannot be stored in PLY.

@@ -1,6 +1,6 @@
 """Read the body of a PLY file, ascii or binary, in one pass over its elements.
 
-The complete body is read into a buffer of the actual size, and each count is checked against that buffer.
+The complete body is read into one buffer, and each count is checked against the size of that buffer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 class Polygons(NamedTuple):
-    """Vertex indices of rows: `lengths` (rows,) is the number of corners per row, `corners` lists all corners."""
+    """Vertex indices of one polygon per row: `lengths` (rows,) are corner counts, `corners` lists those of all rows."""
 
     lengths: NDArray[np.int64]
     corners: NDArray[np.int64]
@@ -96,7 +96,7 @@ def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Se
     """Read the selected data of an element; also return the start of the next element."""
     if not element.count or not element.properties:
         return Table({}, Polygons(np.empty(0, np.int64), np.empty(0, np.int64)) if selection.polygons else None), start
-    # Most lists have one length throughout (triangles), so try that of the first row first.
+    # Usually the lists of all rows have one length (triangles), so the length in the first row is tried first.
     first = _list_lengths(body, start, element, rows=1)[0]
     uniform = _uniform_rows(body, start, element, first.tolist(), selection)
     if uniform is not None:
@@ -178,7 +178,7 @@ def _uniform_rows(
 def _varying_rows(
     body: NDArray[np.uint8], start: int, element: Element, lengths: NDArray[np.int64], selection: _Selection
 ) -> tuple[Table, int]:
-    """Gather columns row by row; lengths (rows, lists) are known to stay inside the body."""
+    """Gather columns row by row; the list lengths (rows, lists) have been checked against the body."""
     fixed_bytes = sum((prop.length or prop.dtype).itemsize for prop in element.properties)
     row_bytes = fixed_bytes + lengths @ np.array([prop.dtype.itemsize for prop in element.lists], dtype=np.int64)
     ends = start + np.cumsum(row_bytes)

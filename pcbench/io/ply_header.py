@@ -122,7 +122,7 @@ def check_vertices(header: PlyHeader) -> None:
 
 
 def check_faces(header: PlyHeader) -> None:
-    """Raise InputError if no element contains the vertex indices of faces."""
+    """Raise InputError if there is no element `face` with a list of vertex indices."""
     face = header.element("face")
     if face is None or face.polygon is None:
         raise InputError(

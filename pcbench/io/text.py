@@ -48,9 +48,9 @@ def read_text(path: Path, warn: Warn) -> Fields:
     A header (which may be a comment) names the columns: x y z (or easting, northing, elevation), nx ny nz, and red
     green blue (or r g b) if they are integers from 0 to 255. Other columns are attributes. Without a header the first
     three columns are x y z. Of six columns, the last three are colours if they are integers from 0 to 255, or normals
-    if they have unit length. Of seven columns in a .pts file, the last four are intensity and colours. Other columns
-    are attributes "column_4", "column_5" ... Empty lines and text after # or // are skipped; `# crs TEXT` and
-    `# unit TEXT` set the crs and unit.
+    if they have unit length. In a .pts file, a fourth of four columns is intensity, and the last four of seven columns
+    are intensity and colours. Other columns are attributes "column_4", "column_5" ... Empty lines and text after # or
+    // are skipped; `# crs TEXT` and `# unit TEXT` set the crs and unit.
 
     Raises:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.

@@ -1,7 +1,7 @@
 """Read a mesh with trimesh in a child process: `trimesh_child.py FILE VERTICES.npy FACES.npy`.
 
-Parsers of formats as rich as glTF trust the sizes in a file, and may crash, hang or request all memory. Then the limits
-of the process end it, and the parent reports the file. The script does not import pcbench.
+Parsers of formats as rich as glTF trust the sizes in a file, and may crash, hang or request all memory. The parent
+limits the time and memory of this process, and reports the file. The script does not import pcbench.
 """
 
 import sys

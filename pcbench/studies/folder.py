@@ -111,7 +111,7 @@ def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) 
 
 
 def write_pages(out: Path, texts: Mapping[str, str]) -> None:
-    """Write files by name, each of them atomically. File names in their texts need not be Unicode.
+    """Write files by name, each of them atomically. Parts of file names that are not valid Unicode are escaped.
 
     Raises:
         OSError: a file cannot be written.
@@ -122,7 +122,7 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
 
 
 def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict[str, Path]:
-    """Return paths by the names of their folders, numbered if several are equal or a name is reserved."""
+    """Return paths by the names of their folders; a number is appended to names that are repeated or reserved."""
     named: dict[str, Path] = {}
     for path in paths:
         named[unique_name(path.resolve().name or "scene", {*named, *reserved})] = path
@@ -130,7 +130,7 @@ def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict
 
 
 def unique_name(stem: str, reserved: Iterable[str]) -> str:
-    """Return the stem, with the smallest number from 2 appended if the stem is taken."""
+    """Return the stem, or if it is reserved, the stem with the smallest free number from 2 appended."""
     known = set(reserved)
     name, number = stem, 1
     while name in known:

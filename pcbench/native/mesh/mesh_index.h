@@ -178,7 +178,7 @@ private:
     static float to_bound(double t) { return static_cast<float>(std::min(t * kRayMargin, 1e38)); }
 
     static constexpr float kRayMargin = 1 + 0x1p-20f;
-    // Far above the rounding of float64 differences at the size of the mesh, which is about one in box coordinates.
+    // Enlargement of boxes: far above the rounding of float64 at the size of the mesh, about one in box coordinates.
     static constexpr double kBoxMargin = 0x1p-40;
     // A float32 sum of three squares has a relative error of up to 3e-7; a box is pruned only beyond this margin.
     static constexpr double kDistanceMargin = 1 + 1e-6;

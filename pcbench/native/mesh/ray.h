@@ -1,4 +1,4 @@
-// Watertight ray-triangle intersection in float64: a ray through an edge intersects one of its two triangles.
+// Watertight ray-triangle intersection in float64: a ray through an edge intersects at least one of its two triangles.
 #pragma once
 #include <cmath>
 #include <cstddef>

@@ -27,7 +27,7 @@ struct ClosestPoint {
 // Updates `closest` with the closest point of the segment from corner i to corner j.
 inline void closest_point_on_edge(const Vec3& p, const Vec3& first, const Vec3& second, int i, int j, int edge,
                                   ClosestPoint& closest) {
-    // Both triangles at an edge traverse it in the same direction, so that they compute the same bits and ties remain.
+    // The edge has one direction for both of its triangles: they compute the same bits, so that ties stay ties.
     const bool swap = lexicographically_less(second, first);
     const Vec3 &a = swap ? second : first, &b = swap ? first : second;
     const Vec3 ab = b - a, ap = p - a;

@@ -5,7 +5,7 @@
 
 namespace pcbench {
 
-// Larger coordinates would overflow squared distances.
+// Keeps squared distances far below kUnbounded (walk.h) and overflow.
 constexpr double kCoordinateLimit = 1e100;
 
 struct SortedPoints {

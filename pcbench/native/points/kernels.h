@@ -19,8 +19,8 @@ struct Kernels {
                     double* distances, int64_t* indices, Ties, Interrupt&);
     void (*knearest)(const Tree&, const Leaf* queries, size_t leaf_count, size_t k, double* distances, int64_t* indices,
                      Interrupt&);
-    // If `rows` is null, both write the number of points found for query row i to offsets[i + 1]. Otherwise they write
-    // the rows of these points, from rows[offsets[i]] on, in no particular order.
+    // If `rows` is null, both functions write the number of points found for query i to offsets[i + 1]. Otherwise they
+    // write the rows of these points, from rows[offsets[i]] on, in no particular order.
     void (*in_balls)(const Tree&, const Leaf* centres, size_t leaf_count, double radius, int64_t* offsets,
                      int64_t* rows, Interrupt&);
     void (*in_cylinders)(const Tree&, const Leaf* origins, size_t leaf_count, const double* axes, double radius,

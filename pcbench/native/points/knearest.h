@@ -6,7 +6,7 @@
 
 namespace pcbench::PCB_ISA {
 
-// A list sorted by (distance, row), stored in the query's row of the result.
+// The nearest points found so far, sorted by (distance, row) and stored in the query's row of the result.
 class NearestK {
 public:
     NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)

@@ -17,7 +17,7 @@ public:
         if (kTies) store(second_, splat(kUnbounded));
     }
 
-    // A good first bound prunes more. Any leaf is valid; the leaf of the previous group's match is best.
+    // Any leaf is valid. The leaf of the previous group's match usually gives a low first bound, which prunes more.
     void start(uint32_t leaf) {
         start_leaf_ = best_leaf_ = leaf;
         visit_all(leaf);

@@ -1,9 +1,9 @@
 // Layout of the search tree: leaves of eight points, and levels of nodes with the boxes of eight children each.
 //
 // All leaves and all nodes of a level are full, except for the last. Child c of node j is therefore node (or leaf)
-// 8 j + c of the level below. Boxes are tight and in float64, without origin, scale or margin. A bound computed from
-// them in the order of operations of the distance never exceeds the distance of a point inside, because rounding is
-// monotone. The tree takes 40 bytes per point.
+// 8 j + c of the level below. Boxes are tight and in float64, without origin, scale or margin. Bounds are
+// computed from them in the same order of operations as distances. They never exceed the distance of a point inside,
+// because rounding is monotone. The tree takes about 40 bytes per point.
 #pragma once
 #include <cstddef>
 #include <cstdint>
