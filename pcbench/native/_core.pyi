@@ -22,7 +22,7 @@ class PointIndex:
 
     def nearest_of(self, queries: PointIndex, distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], slack: float = 0.0, tied: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu')] | None = None) -> None:
         """
-        Nearest points to the points of another index, or of this one, whose points are then not their own neighbours. tied: whether another point than the match has a squared distance below the match's plus slack.
+        Nearest points to the points of another index, or of this one (no point is then its own neighbour). tied: whether another point than the match has a squared distance below the match's plus slack.
         """
 
     def nearest_of_moved(self, queries: PointIndex, motion: Annotated[NDArray[numpy.float64], dict(shape=(3, 4), order='C', device='cpu', writable=False)], hints: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, moved: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:

@@ -238,8 +238,8 @@ NB_MODULE(_core, m) {
              nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), nb::arg("slack") = 0.0, nb::arg("tied").noconvert().none() = nb::none(),
-             "Nearest points to the points of another index, or of this one, whose points are then not their own"
-             " neighbours. tied: whether another point than the match has a squared distance below the match's plus "
+             "Nearest points to the points of another index, or of this one (no point is then its own neighbour). tied:"
+             " whether another point than the match has a squared distance below the match's plus "
              "slack.")
         .def("nearest_of_moved", &PointIndex::nearest_of_moved, nb::arg("queries"), nb::arg("motion").noconvert(),
              nb::arg("hints").noconvert().none(), nb::arg("moved").noconvert(), nb::arg("distances").noconvert(),
