@@ -22,8 +22,8 @@ def test_crop_register_and_info(files, run):
     code, out, _ = run("register", "ref.ply", "a.ply", "--out", "aligned.ply", "--matrix", "T.txt")
     assert code == 0
     check_text(out.splitlines()[0])
-    moved = read_matrix("T.txt").apply(read_cloud("a.ply").points)
-    np.testing.assert_allclose(read_cloud("aligned.ply").points, moved, atol=1e-12)
+    aligned = read_matrix("T.txt").apply(read_cloud("a.ply").points)
+    np.testing.assert_allclose(read_cloud("aligned.ply").points, aligned, atol=1e-12)
     code, out, _ = run("compare", "ref.ply", "a.ply", "--register", "matrix:T.txt", "--json", "-")
     assert json.loads(out)["candidates"][0]["registration"]["method"] == f"matrix:{files / 'T.txt'}"
     code, out, _ = run("info", "ref.ply", "a.ply")
@@ -39,20 +39,20 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
     points = read_cloud("ref.ply").points + offset
     centroid = points.mean(axis=0)
     angle = np.radians(0.5)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     write_cloud("far.ply", Cloud(points, unit="m"))
-    write_cloud("moved.ply", Cloud((points - centroid) @ turn.T + centroid + [0.03, 0.04, 0], unit="m"))
+    write_cloud("moved.ply", Cloud((points - centroid) @ rotation.T + centroid + [0.03, 0.04, 0], unit="m"))
     code, out, _ = run("register", "far.ply", "moved.ply")
     assert code == 0
-    shift, turned, scale, fit, title, *matrix = out.splitlines()
-    assert float(shift.split()[5]) == pytest.approx(0.05, abs=0.002)
-    assert shift.split()[6] == "m"
-    assert float(turned.split()[2]) == pytest.approx(0.5, abs=0.002)
-    assert float(turned.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
-    assert scale.startswith("# scale: 1 ")
-    assert "100.0%" in fit
-    check_text("\n".join([scale, title]))
-    assert len(matrix) == 4
+    shift_line, rotation_line, scale_line, fit_line, title_line, *matrix_lines = out.splitlines()
+    assert float(shift_line.split()[5]) == pytest.approx(0.05, abs=0.002)
+    assert shift_line.split()[6] == "m"
+    assert float(rotation_line.split()[2]) == pytest.approx(0.5, abs=0.002)
+    assert float(rotation_line.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
+    assert scale_line.startswith("# scale: 1 ")
+    assert "100.0%" in fit_line
+    check_text("\n".join([scale_line, title_line]))
+    assert len(matrix_lines) == 4
     (files / "T.txt").write_text(out)  # the whole output is a valid matrix file
     np.testing.assert_allclose(read_matrix("T.txt").apply(read_cloud("moved.ply").points), points, atol=0.005)
 
@@ -60,16 +60,16 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
 def test_register_of_a_cloud_with_itself_moves_nothing(files, run):
     code, out, _ = run("register", "ref.ply", "ref.ply", "--register", "none")
     assert code == 0
-    shift, turned, *_ = out.splitlines()
-    assert "0 m (+0, +0, +0)" in check_text(shift)
-    assert " 0 " in check_text(turned)
+    shift_line, rotation_line, *_ = out.splitlines()
+    assert "0 m (+0, +0, +0)" in check_text(shift_line)
+    assert " 0 " in check_text(rotation_line)
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["with pyproj", "without"])
-def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
+@pytest.mark.parametrize("has_pyproj", [True, False], ids=["with pyproj", "without"])
+def test_a_coordinate_system_is_one_line(files, run, monkeypatch, has_pyproj):
     from pcbench.geometry import crs
 
-    if known:
+    if has_pyproj:
         import_or_skip("pyproj")
     else:
         monkeypatch.setattr(crs, "_parse_crs", lambda text: None)
@@ -80,7 +80,7 @@ def test_a_coordinate_system_is_one_line(files, run, monkeypatch, known):
         'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]]'
     )
     assert crs.crs_label(wkt) == "Somewhere / in the north"
-    assert crs.crs_label("EPSG:32632") == ("WGS 84 / UTM zone 32N (EPSG:32632)" if known else "EPSG:32632")
+    assert crs.crs_label("EPSG:32632") == ("WGS 84 / UTM zone 32N (EPSG:32632)" if has_pyproj else "EPSG:32632")
     assert len(crs.crs_label("x" * 5000)) == 100
     write_cloud("named.ply", Cloud(read_cloud("a.ply").points, crs="EPSG:32632"))
     code, out, _ = run("info", "named.ply")
@@ -131,13 +131,13 @@ def test_convert(files, run):
     ],
 )
 def test_a_terminal_shows_the_steps(files, monkeypatch, command, steps):
-    told = []
+    messages = []
 
     @contextmanager
-    def recorded(quiet):
-        yield told.append
+    def record_steps(quiet):
+        yield messages.append
 
-    monkeypatch.setattr(clouds, "steps", recorded)
+    monkeypatch.setattr(clouds, "steps", record_steps)
     getattr(clouds, command[0]).main(command[1:], standalone_mode=False)
-    assert told == steps
-    assert all(step.expected > 0 for step in told)
+    assert messages == steps
+    assert all(step.expected > 0 for step in messages)

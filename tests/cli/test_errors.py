@@ -11,7 +11,7 @@ from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 
-BAD = {
+BAD_INPUTS = {
     "missing file": ("compare ref.ply no.ply", "no.ply"),
     "a directory": ("compare ref.ply .", "folder"),
     "empty file": ("compare ref.ply empty.ply", "empty"),
@@ -41,7 +41,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", BAD_INPUTS)
 def test_bad_input_is_one_line(files, run, name):
     header = b"ply\nformat binary_little_endian 1.0\nelement vertex %s\n"
     body = b"property float x\nproperty float y\nproperty float z\nend_header\n"
@@ -57,7 +57,7 @@ def test_bad_input_is_one_line(files, run, name):
     (files / "two.stl").write_text(f"solid a\n{facet}\nendsolid a\n")
     write_cloud("far.ply", Cloud(read_cloud("a.ply").points + 1e5))
     before = sorted(p.name for p in files.iterdir())
-    arguments, expected = BAD[name]
+    arguments, expected = BAD_INPUTS[name]
     out = ("--out", "report") if arguments.startswith("compare") else ()
     code, stdout, err = run(*arguments.split(), *out)
     assert code == 2
@@ -114,33 +114,33 @@ def test_outputs_never_replace_inputs(files, run):
     check_text(err)
 
 
-def test_disk_full_leaves_nothing(files):
+def test_a_full_disk_leaves_no_files(files):
     script = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
         "sys.argv = 'pcbench compare ref.ply a.ply --out report --no-figures'.split()\n"
         "from pcbench.cli import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert is_one_line(done.stderr), done.stderr
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert process.returncode == 2
+    assert is_one_line(process.stderr), process.stderr
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_folder(files, run):
+def test_an_unwritable_folder_is_refused(files, run):
     (files / "locked").mkdir(mode=0o555)
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "locked/report")
     assert code == 2
     assert is_one_line(err)
 
 
-def test_out_below_a_file(files, run):
+def test_an_output_folder_below_a_file_is_refused(files, run):
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "a.ply/report")
     assert code == 2
     assert is_one_line(err)
 
 
-def test_interrupt_leaves_nothing(files, run, monkeypatch):
+def test_an_interrupt_leaves_no_files(files, run, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
@@ -151,22 +151,22 @@ def test_interrupt_leaves_nothing(files, run, monkeypatch):
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
 
 
-def test_a_poor_terminal_and_a_terminated_run(files):
+def test_an_ascii_terminal_and_a_terminated_run(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "--no-figures"]
-    poor = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}
-    done = subprocess.run(command, env=poor, capture_output=True, check=True)
-    assert b"RMS off the surface" in done.stdout
-    stop = (
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "20", "TERM": "dumb"}
+    process = subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert b"RMS off the surface" in process.stdout
+    script = (
         "import os, signal, sys, pcbench.measure.comparison\n"
         "pcbench.measure.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
         "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
         "from pcbench.cli import main; main()"
     )
-    assert subprocess.run([sys.executable, "-c", stop], capture_output=True, check=False).returncode == 143
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, check=False).returncode == 143
     assert {p.name for p in files.iterdir()} == {"ref.ply", "a.ply", "b.ply"}
 
 
-def test_a_name_too_long_for_the_reports_files_is_refused_before_anything_is_read(files, run):
+def test_a_candidate_name_that_is_too_long_is_refused_before_reading(files, run):
     """File names have at most 255 bytes, and the report's file names extend the candidate's name."""
     write_cloud("a" * 220 + ".ply", read_cloud("a.ply"))
     assert run("compare", "ref.ply", "a" * 220 + ".ply", "--no-figures", "--out", "kept", "-q")[0] == 0

@@ -18,11 +18,11 @@ from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.formats import CLOUDS, MESHES
 
 POINTS = np.random.default_rng(0).uniform(0, 9, (20, 3)).round(3)
-CUBE = 8  # vertices
+CUBE_VERTICES = 8
 EXTRAS = {".laz": "lazrs", ".glb": "trimesh", ".gltf": "trimesh", ".e57": "pye57"}
 
 
-def gltf():
+def make_gltf():
     """Return the same cubes as text: the second chunk of the binary file is embedded in the document."""
     import base64
 
@@ -34,29 +34,30 @@ def gltf():
     return json.dumps(document).encode()
 
 
-def colmap_text():
+def make_colmap_text():
     rows = [" ".join(map(str, [k, *point, 1, 2, 3, 0.5])) for k, point in enumerate(POINTS.tolist(), 1)]
     return "\n".join(rows).encode()
 
 
-def colmap_binary():
+def make_colmap_binary():
     rows = [struct.pack("<Q3d3BdQ", k, *point, 1, 2, 3, 0.5, 0) for k, point in enumerate(POINTS.tolist(), 1)]
     return struct.pack("<Q", len(rows)) + b"".join(rows)
 
 
-MADE = {  # formats that pcbench does not write: the bytes of a file, and how many points or vertices it has
+# Formats that pcbench does not write: the bytes of a file and its number of points or vertices.
+UNWRITABLE_FORMATS = {
     ".pts": (b"20\n" + "\n".join(" ".join(map(str, p)) for p in POINTS.tolist()).encode(), 20),
-    ".stl": (mesh_bytes.stl(), CUBE),
-    ".obj": (mesh_bytes.obj(), CUBE),
-    ".off": (mesh_bytes.off(), CUBE),
-    ".glb": (mesh_bytes.glb(), 2 * CUBE),
-    ".gltf": (gltf(), 2 * CUBE),
-    "points3D.bin": (colmap_binary(), 20),
-    "points3D.txt": (colmap_text(), 20),
-    "mesh.ply": (mesh_bytes.ply_mesh(), CUBE),
+    ".stl": (mesh_bytes.stl(), CUBE_VERTICES),
+    ".obj": (mesh_bytes.obj(), CUBE_VERTICES),
+    ".off": (mesh_bytes.off(), CUBE_VERTICES),
+    ".glb": (mesh_bytes.glb(), 2 * CUBE_VERTICES),
+    ".gltf": (make_gltf(), 2 * CUBE_VERTICES),
+    "points3D.bin": (make_colmap_binary(), 20),
+    "points3D.txt": (make_colmap_text(), 20),
+    "mesh.ply": (mesh_bytes.ply_mesh(), CUBE_VERTICES),
     "tile.copc.laz": (None, 12),
 }
-EVERY = sorted({*CLOUDS, *MESHES, *MADE})
+ALL_FORMATS = sorted({*CLOUDS, *MESHES, *UNWRITABLE_FORMATS})
 
 
 @pytest.fixture
@@ -71,43 +72,43 @@ def example(request, tmp_path, monkeypatch):
         file.write_bytes(las(7, 12, compress="variable"))
     elif extension == ".e57":
         e57_bytes.write(file, [dict(zip(e57_bytes.XYZ, POINTS.T, strict=True))])
-    elif extension in MADE:
-        file.write_bytes(MADE[extension][0])
+    elif extension in UNWRITABLE_FORMATS:
+        file.write_bytes(UNWRITABLE_FORMATS[extension][0])
     else:
         write_cloud(file, Cloud(POINTS))
-    return file, MADE.get(extension, (None, len(POINTS)))[1]
+    return file, UNWRITABLE_FORMATS.get(extension, (None, len(POINTS)))[1]
 
 
-@pytest.mark.parametrize("example", EVERY, indirect=True)
+@pytest.mark.parametrize("example", ALL_FORMATS, indirect=True)
 def test_info_and_convert(example, run):
     file, count = example
     code, out, err = run("info", file.name)
     assert (code, err) == (0, "")
-    what = "vertices" if count % CUBE == 0 else "points"
-    assert out.startswith(f"{file.name}: {count} {what}\n")
-    assert (re.search("^  mesh ", out, re.MULTILINE) is not None) == (what == "vertices")
+    noun = "vertices" if count % CUBE_VERTICES == 0 else "points"
+    assert out.startswith(f"{file.name}: {count} {noun}\n")
+    assert (re.search("^  mesh ", out, re.MULTILINE) is not None) == (noun == "vertices")
     code, out, err = run("convert", file.name, "out.xyz")
     assert (code, out, err) == (0, f"out.xyz: {count} points\n", "")
     assert len(read_cloud("out.xyz")) == count
 
 
-def test_a_model_by_its_folder(tmp_path, run):
+def test_a_colmap_model_is_read_by_its_folder(tmp_path, run):
     (tmp_path / "sparse/0").mkdir(parents=True)
-    (tmp_path / "sparse/0/points3D.bin").write_bytes(colmap_binary())
+    (tmp_path / "sparse/0/points3D.bin").write_bytes(make_colmap_binary())
     assert run("info", str(tmp_path))[1].startswith(f"{tmp_path}: 20 points\n")
     code, out, _ = run("convert", str(tmp_path), str(tmp_path / "out.ply"))
     assert (code, out) == (0, f"{tmp_path}/out.ply: 20 points\n")
 
 
-def test_points_are_drawn_on_a_mesh(tmp_path, run, monkeypatch):
+def test_points_are_sampled_on_a_mesh(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cube.stl").write_bytes(mesh_bytes.stl())
     code, out, _ = run("convert", "cube.stl", "drawn.ply", "--sample", "500")
     assert (code, out) == (0, "drawn.ply: 500 points\n")
-    drawn = read_cloud("drawn.ply")
-    on_a_face = np.isclose(np.abs(drawn.points), np.abs(drawn.points).max(), atol=1e-9).any(axis=1)
+    samples = read_cloud("drawn.ply")
+    on_a_face = np.isclose(np.abs(samples.points), np.abs(samples.points).max(), atol=1e-9).any(axis=1)
     assert on_a_face.all()
-    np.testing.assert_allclose(np.linalg.norm(drawn.normals, axis=1), 1, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(samples.normals, axis=1), 1, atol=1e-6)
     assert "12 faces of area 24" in check_text(run("info", "cube.stl")[1])
     write_cloud("cloud.ply", POINTS)
     for arguments in (("cloud.ply", "b.ply", "--sample", "9"), ("cube.stl", "b.ply", "--classes", "2")):

@@ -16,31 +16,31 @@ from pcbench.report.figures import ink, recorded_figures
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "options",
     [{"background": "mauve"}, {"background": "#12345"}, {"background": 3}, {"range": 0.0}, {"range": -1}]
     + [{"range": float("nan")}, {"range": "1"}, {"format": "gif"}, {"format": None}],
 )
-def test_invalid_looks_are_refused(wrong):
+def test_invalid_options_of_figures_are_refused(options):
     with check_error():
-        Figures(**wrong)
+        Figures(**options)
 
 
-def test_words_are_readable_on_every_background():
+def test_text_is_readable_on_every_background():
     assert ink("#ffffff") == ink("#f0e442") != ink("#000000") == ink("#1a1c20")
     assert Figures().ground("dark") == "#1a1c20"
     assert Figures(background="white").ground("dark") == "#ffffff"
     assert Figures(background="#123456").ground("white") == "#123456"
 
 
-def test_a_report_keeps_them_and_a_rerun_has_them_again(files, run):
+def test_picture_options_are_recorded_and_repeated(files, run):
     options = ("--background", "white", "--range", "0.25", "--format", "svg")
     assert run("compare", "ref.ply", "a.ply", *options, "--out", "one", "-q")[0] == 0
-    chosen = Figures("white", 0.25, "svg")
-    assert recorded_figures(Path("one/settings.json")) == chosen
+    figures = Figures("white", 0.25, "svg")
+    assert recorded_figures(Path("one/settings.json")) == figures
     assert run("compare", "--settings", "one/settings.json", "--out", "two", "-q")[0] == 0
-    assert recorded_figures(Path("two/settings.json")) == chosen
-    again = ("--settings", "one/settings.json", "--range", "0.5")  # outputs may be chosen anew
-    assert run("compare", *again, "--out", "three", "-q")[0] == 0
+    assert recorded_figures(Path("two/settings.json")) == figures
+    rerun = ("--settings", "one/settings.json", "--range", "0.5")  # outputs may be chosen anew
+    assert run("compare", *rerun, "--out", "three", "-q")[0] == 0
     assert recorded_figures(Path("three/settings.json")) == Figures("white", 0.5, "svg")
     # The clouds of a report are coloured as its pictures are.
     for kind in ("deviation", "completeness"):
@@ -49,7 +49,7 @@ def test_a_report_keeps_them_and_a_rerun_has_them_again(files, run):
         assert np.abs(expected - np.asarray(cloud.colors)).max() <= 1
 
 
-def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
+def test_plot_uses_the_recorded_options_unless_overridden(files, run):
     import_or_skip("matplotlib")
     assert run("compare", "ref.ply", "a.ply", "--format", "svg", "--out", "one", "-q")[0] == 0
     assert run("plot", "one", "distribution")[1] == "one/figures/distribution.svg\n"
@@ -65,7 +65,7 @@ def test_plot_draws_as_the_report_was_made_but_for_what_is_given(files, run):
     ("option", "value"),
     [("--background", "mauve"), ("--background", ""), ("--range", "0"), ("--range", "nan"), ("--format", "gif")],
 )
-def test_wrong_options_are_refused_before_anything_is_measured(files, run, option, value):
+def test_invalid_options_are_refused_before_measuring(files, run, option, value):
     code, out, err = run("compare", "ref.ply", "a.ply", option, value, "--out", "one")
     assert code == 2
     assert not out
@@ -73,14 +73,14 @@ def test_wrong_options_are_refused_before_anything_is_measured(files, run, optio
     assert not Path("one").exists()
 
 
-def test_deform_draws_as_asked_and_plot_as_deform_did(files, run):
+def test_deform_records_its_picture_options_for_plot(files, run):
     import_or_skip("matplotlib")
     options = ("--background", "#fafafa", "--format", "svg")
     assert run("deform", "ref.ply", "a.ply", *options, "--out", "bend", "-q")[0] == 0
     assert recorded_figures(Path("bend/settings.json")) == Figures("#fafafa", None, "svg")
-    (drawn,) = Path("bend/figures").glob("deformation.*")
-    assert drawn.suffix == ".svg"
-    assert "#fafafa" in drawn.read_text()
+    (figure,) = Path("bend/figures").glob("deformation.*")
+    assert figure.suffix == ".svg"
+    assert "#fafafa" in figure.read_text()
     assert run("plot", "bend", "deformation")[1] == "bend/figures/deformation.svg\n"
     code, _, err = run("deform", "ref.ply", "a.ply", "--format", "gif", "--out", "other")
     assert code == 2

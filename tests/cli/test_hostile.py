@@ -22,8 +22,8 @@ from pcbench.report.names import names_of
 from pcbench.report.plot import REPORT, worker
 from pcbench.studies.bench.charts import CHARTS
 
-DEEP = "[" * 100_000 + "]" * 100_000
-MINE = """
+DEEP_JSON = "[" * 100_000 + "]" * 100_000
+PLUGIN_SOURCE = """
 import time
 from dataclasses import dataclass
 from pcbench.plugins import Reconstruction
@@ -47,11 +47,11 @@ def scene(tmp_path, monkeypatch):
     (folder / "truth").mkdir()
     write_cloud(folder / "truth" / "cloud.ply", points)
     Path("control.txt").write_text("a 0 0 0 0.png 1 1\n")
-    Path("mine.py").write_text(MINE)
+    Path("mine.py").write_text(PLUGIN_SOURCE)
     return folder
 
 
-def everything():
+def read_all_files():
     return {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
 
 
@@ -80,15 +80,15 @@ def test_inputs_are_never_overwritten(scene, run, command):
     Path("model").mkdir()
     Path("photos/transforms.json").write_text("{}")
     assert run("scene", "photos", "--write-cameras", "other.json", "-q")[0] == 0
-    before = everything()
+    before = read_all_files()
     code, _, err = run(*command.split())
     assert code == 2
     assert is_one_line(err), err
     check_text(err)
-    assert everything() == before
+    assert read_all_files() == before
 
 
-def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_made(scene, run):
+def test_a_cloud_in_the_scene_is_replaced_only_if_pcbench_wrote_it(scene, run):
     command = ("reconstruct", "mine.py:Mine", "photos", "-q", "-o", "photos/new.ply")
     for _ in range(2):
         assert run(*command)[0] == 0
@@ -100,47 +100,47 @@ def test_a_cloud_in_the_scene_may_be_made_again_while_it_is_the_one_that_was_mad
 
 def test_json_goes_beside_a_report_not_into_it(files, run):
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
-    before = everything()
+    before = read_all_files()
     code, _, err = run("compare", "ref.ply", "b.ply", "--out", "report", "--json", "report/a_T.txt")
     assert (code, is_one_line(err)) == (2, True)
     check_text(err)
-    assert everything() == before
+    assert read_all_files() == before
 
 
 def test_one_run_per_output(scene, run):
     """The next run removes what a killed one left."""
     command = [sys.executable, "-m", "pcbench.cli", "reconstruct", "mine.py:Mine", "photos", "-o", "cloud.ply"]
-    other = subprocess.Popen([*command, "--set", "seconds=600"])
+    process = subprocess.Popen([*command, "--set", "seconds=600"])
     try:
         log = Path("cloud.work/log.txt")
-        while other.poll() is None and not (log.exists() and log.read_text()):
+        while process.poll() is None and not (log.exists() and log.read_text()):
             time.sleep(0.05)
-        mine = ("reconstruct", "mine.py:Mine", "photos", "-q")
+        reconstruct = ("reconstruct", "mine.py:Mine", "photos", "-q")
         for arguments in (("-o", "cloud.ply", "--workspace", "w"), ("-o", "c.ply", "--workspace", "cloud.work")):
-            code, _, err = run(*mine, *arguments)
+            code, _, err = run(*reconstruct, *arguments)
             assert (code, is_one_line(err)) == (2, True)
             check_text(err)
         assert list(Path().glob(".pcbench-*"))
-        other.send_signal(signal.SIGKILL)
-        other.wait()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
     finally:
-        other.kill()
-    assert run(*mine, "-o", "cloud.ply")[0] == 0
+        process.kill()
+    assert run(*reconstruct, "-o", "cloud.ply")[0] == 0
     assert len(read_cloud("cloud.ply")) == 30
     assert not list(Path().glob(".pcbench-*"))
 
 
-def test_two_comparisons_into_one_report(files, run, monkeypatch):
-    inside = []
+def test_two_simultaneous_comparisons_into_one_report_are_refused(files, run, monkeypatch):
+    results = []
 
-    def again(*_, **__):
-        inside.append(run("compare", "ref.ply", "b.ply", "--out", "report"))
+    def run_again(*_, **__):
+        results.append(run("compare", "ref.ply", "b.ply", "--out", "report"))
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patched:
-        patched.setattr("pcbench.measure.comparison.register", again)
+    with monkeypatch.context() as patch:
+        patch.setattr("pcbench.measure.comparison.register", run_again)
         run("compare", "ref.ply", "a.ply", "--out", "report")
-    ((code, _, err),) = inside
+    ((code, _, err),) = results
     assert (code, is_one_line(err)) == (2, True)
     check_text(err)
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
@@ -148,15 +148,15 @@ def test_two_comparisons_into_one_report(files, run, monkeypatch):
 
 @pytest.mark.parametrize("size", [1024, 20_000])
 @pytest.mark.parametrize(
-    ("command", "named"),
+    ("command", "output"),
     [
         ("convert a.ply x.ply", "x.ply"),
         ("compare ref.ply a.ply --out report --no-figures", "report"),
         ("register ref.ply a.ply --out x.xyz", "x.xyz"),
     ],
 )
-def test_a_limit_of_file_sizes_names_the_file(files, run, command, named, size):
-    before = everything()
+def test_a_limit_of_file_sizes_names_the_file(files, run, command, output, size):
+    before = read_all_files()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -165,22 +165,28 @@ def test_a_limit_of_file_sizes_names_the_file(files, run, command, named, size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert code == 2
     assert is_one_line(err), err
-    assert err.startswith(f"error: {named}")
+    assert err.startswith(f"error: {output}")
     assert "File too large" in err
-    assert everything() == before
+    assert read_all_files() == before
 
 
-def test_full_standard_output(files):
+def test_a_full_standard_output_is_one_line(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply"]
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert (done.returncode, done.stderr) == (2, "error: standard output: No space left on device\n")
+    with Path("/dev/full").open("w") as device:
+        process = subprocess.run(command, stdout=device, stderr=subprocess.PIPE, text=True, check=False)
+    assert (process.returncode, process.stderr) == (2, "error: standard output: No space left on device\n")
 
 
 @pytest.mark.parametrize(
-    "text", [DEEP, '{"a":' * 100_000 + "1" + "}" * 100_000, f'{{"frames": {DEEP}}}', f'{{"cameraFrames": {DEEP}}}']
+    "text",
+    [
+        DEEP_JSON,
+        '{"a":' * 100_000 + "1" + "}" * 100_000,
+        f'{{"frames": {DEEP_JSON}}}',
+        f'{{"cameraFrames": {DEEP_JSON}}}',
+    ],
 )
-def test_too_deeply_nested_json(scene, run, text):
+def test_too_deeply_nested_json_is_refused(scene, run, text):
     Path("deep.json").write_text(text)
     Path("photos/images/export.json").write_text(text)
     commands = [("scene", "photos", "--cameras", "deep.json")]
@@ -193,60 +199,62 @@ def test_too_deeply_nested_json(scene, run, text):
         check_text(err)
 
 
-def test_threads_that_no_machine_has(files):
+def test_too_many_threads_are_refused(files):
     command = [sys.executable, "-m", "pcbench.cli", "compare", "ref.ply", "a.ply", "-q"]
-    many = {**os.environ, "OMP_NUM_THREADS": "100000"}
-    done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert is_one_line(done.stderr), done.stderr
-    assert "OMP_NUM_THREADS=100000" in done.stderr
-    done = subprocess.run([sys.executable, "-c", "import pcbench; pcbench.Index"], env=many, capture_output=True)
-    assert b"InputError: OMP_NUM_THREADS=100000" in done.stderr
+    environment = {**os.environ, "OMP_NUM_THREADS": "100000"}
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert process.returncode == 2
+    assert is_one_line(process.stderr), process.stderr
+    assert "OMP_NUM_THREADS=100000" in process.stderr
+    process = subprocess.run(
+        [sys.executable, "-c", "import pcbench; pcbench.Index"], env=environment, capture_output=True
+    )
+    assert b"InputError: OMP_NUM_THREADS=100000" in process.stderr
 
 
-def test_an_address_space_of_a_gibibyte(files):
+def test_compare_runs_in_one_gibibyte_of_address_space(files):
     """More threads are requested than fit into the address space; too little memory gives one line."""
-    limited = "import resource, sys\nresource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)\n"
-    limited += "sys.argv = 'pcbench compare ref.ply a.ply -q'.split()\nfrom pcbench.cli import main\nmain()\n"
-    many = {**os.environ, "OMP_NUM_THREADS": "64", "OPENBLAS_NUM_THREADS": "64"}
+    script = "import resource, sys\nresource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)\n"
+    script += "sys.argv = 'pcbench compare ref.ply a.ply -q'.split()\nfrom pcbench.cli import main\nmain()\n"
+    environment = {**os.environ, "OMP_NUM_THREADS": "64", "OPENBLAS_NUM_THREADS": "64"}
     for mebibytes, code in ((1024, 0), (180, 2)):
-        command = [sys.executable, "-c", limited, str(mebibytes)]
-        done = subprocess.run(command, env=many, capture_output=True, text=True, check=False)
-        assert done.returncode == code, done.stderr
-        assert code == 0 or is_one_line(done.stderr), done.stderr
+        command = [sys.executable, "-c", script, str(mebibytes)]
+        process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert process.returncode == code, process.stderr
+        assert code == 0 or is_one_line(process.stderr), process.stderr
 
 
 def test_a_damaged_report_is_one_line(files, run, monkeypatch, capsys):
     import_or_skip("matplotlib")
     assert run("compare", "ref.ply", "a.ply", "--out", "report", "-q")[0] == 0
-    whole = Path("report/comparison.json").read_text()
-    damaged = [
-        whole[:100],
+    document = Path("report/comparison.json").read_text()
+    damaged_documents = [
+        document[:100],
         "[]",
-        DEEP,
-        whole.replace('"percentiles"', '"x"'),
-        whole.replace('"name": "a"', '"name": 3'),
+        DEEP_JSON,
+        document.replace('"percentiles"', '"x"'),
+        document.replace('"name": "a"', '"name": 3'),
     ]
-    texts = {
-        "report/comparison.json": damaged,
-        "bench/bench.json": ["[", "[]", '{"schema": 3}', '{"rows": [{}]}', DEEP],
+    damaged_files = {
+        "report/comparison.json": damaged_documents,
+        "bench/bench.json": ["[", "[]", '{"schema": 3}', '{"rows": [{}]}', DEEP_JSON],
     }
     Path("bench").mkdir()
-    for (path, damages), drawer in zip(texts.items(), (REPORT, CHARTS), strict=True):
-        for text in damages:
+    for (path, documents), drawer in zip(damaged_files.items(), (REPORT, CHARTS), strict=True):
+        for text in documents:
             Path(path).write_text(text)
             # Call the drawing process's function here, without starting a process.
             monkeypatch.setattr(sys, "argv", ["worker", str(Path(path).parent), drawer.function, "{}"])
             assert worker.main() == 2
-            drawn = capsys.readouterr().out
-            assert drawn.count("\n") == 1
-            assert str(Path(path).parent) in drawn
+            output = capsys.readouterr().out
+            assert output.count("\n") == 1
+            assert str(Path(path).parent) in output
     code, _, err = run("plot", "bench")
     assert (code, is_one_line(err)) == (2, True)
     check_text(err)
 
 
-def test_a_line_break_in_a_name(files, run):
+def test_line_breaks_in_names_are_replaced(files, run):
     for name in ("ref", "a"):
         Path(f"{name}.ply").rename(f"{name}\nb|c.ply")
     assert names_of([Path("a\nb.ply"), Path("a_b.ply")]) == ["a_b", "a_b_2"]
@@ -261,7 +269,7 @@ def test_a_line_break_in_a_name(files, run):
     assert json.loads(Path("report/comparison.json").read_text())["candidates"][0]["name"] == "a_b|c"
 
 
-def test_a_plugin_whose_import_never_ends(tmp_path, run):
+def test_an_endless_import_of_a_plugin_is_stopped(tmp_path, run):
     (tmp_path / "loop.py").write_text("while True:\n    pass\n")
     code, _, err = run("plugins", f"{tmp_path}/loop.py:X", "--time-limit", "1")
     assert code == 2

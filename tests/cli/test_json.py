@@ -19,24 +19,24 @@ def test_register_writes_the_pose_that_it_prints(files, run):
     assert (doc["reference"]["path"], doc["candidate"]["path"]) == ("ref.ply", "a.ply")
     assert len(doc["candidate"]["sha256"]) == 64
     assert doc["unit"] == "m"
-    found = doc["registration"]
-    np.testing.assert_array_equal(found["T_reference_candidate"], np.loadtxt("T.txt"))
-    assert found["method"] == "icp"
-    assert found["converged"] is True
-    assert found["doubtful"] is False
-    assert 0.9 < found["overlap"] <= 1
+    registration = doc["registration"]
+    np.testing.assert_array_equal(registration["T_reference_candidate"], np.loadtxt("T.txt"))
+    assert registration["method"] == "icp"
+    assert registration["converged"] is True
+    assert registration["doubtful"] is False
+    assert 0.9 < registration["overlap"] <= 1
     # The candidate was moved by (0.05, 0.02, 0); its noise of 0.02 leaves some millimetres.
     np.testing.assert_allclose(doc["motion"]["shift"], [-0.05, -0.02, 0], atol=0.02)
     np.testing.assert_allclose(doc["motion"]["at"], read_cloud("a.ply").points.mean(axis=0))
     assert doc["motion"]["scale"] == 1
 
 
-def test_register_is_the_registration_of_a_comparison(files, run):
+def test_register_gives_the_registration_of_a_comparison(files, run):
     run("register", "ref.ply", "a.ply", "--json", "register.json", "-q")
     run("compare", "ref.ply", "a.ply", "--json", "compare.json", "-q")
     (candidate,) = json.loads(Path("compare.json").read_text())["candidates"]
-    found = json.loads(Path("register.json").read_text())["registration"]
-    assert {key: found[key] for key in candidate["registration"]} == candidate["registration"]
+    registration = json.loads(Path("register.json").read_text())["registration"]
+    assert {key: registration[key] for key in candidate["registration"]} == candidate["registration"]
 
 
 def test_warnings_are_in_the_document_and_on_standard_error(files, run):
@@ -50,7 +50,7 @@ def test_warnings_are_in_the_document_and_on_standard_error(files, run):
     assert err.count("warning: ") == len(doc["registration"]["warnings"])
 
 
-def test_deform_writes_what_its_folder_holds(files, run):
+def test_deform_writes_the_same_document_to_json_and_its_folder(files, run):
     code, out, _ = run("deform", "ref.ply", "a.ply", "--out", "bend", "--json", "-", "--no-figures")
     assert code == 0
     assert out == Path("bend/deformation.json").read_text()

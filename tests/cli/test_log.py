@@ -21,13 +21,13 @@ def records(path):
     """Return (level, text) of each record; lines of tracebacks belong to the record above."""
     first, *lines = Path(path).read_text().splitlines()
     assert first == "# pcbench log"
-    found = []
+    entries = []
     for line in lines:
         if match := RECORD.fullmatch(line):
-            found.append([match[1], match[2]])
+            entries.append([match[1], match[2]])
         else:
-            found[-1][1] += f"\n{line}"
-    return [tuple(record) for record in found]
+            entries[-1][1] += f"\n{line}"
+    return [tuple(record) for record in entries]
 
 
 def test_steps_settings_and_versions_are_logged(files, run):
@@ -45,7 +45,7 @@ def test_steps_settings_and_versions_are_logged(files, run):
     assert not [h for h in logging.getLogger("pcbench").handlers if isinstance(h, logging.FileHandler)]
 
 
-def test_errors_are_logged_with_where_they_came_from(files, run):
+def test_errors_are_logged_with_their_tracebacks(files, run):
     code, _, err = run("--log", "run.log", "register", "ref.ply", "none.ply")
     assert (code, is_one_line(err)) == (2, True)
     level, text = records("run.log")[-1]
@@ -65,20 +65,20 @@ def test_warnings_of_quiet_runs_are_logged(files, run):
 
 
 def test_errors_that_end_in_a_result_are_logged(files, run, monkeypatch):
-    def read(*_, **__):
+    def fail(*_, **__):
         try:
             raise InputError("swallowed")
         except InputError as error:
             raise InputError(record_error(error)) from None
 
-    monkeypatch.setattr("pcbench.io.read_cloud", read)
+    monkeypatch.setattr("pcbench.io.read_cloud", fail)
     run("--log", "run.log", "info", "a.ply")
-    swallowed = [text for level, text in records("run.log") if level == "DEBUG"]
-    assert len(swallowed) == 1
-    assert "InputError: swallowed" in swallowed[0]
+    debug_texts = [text for level, text in records("run.log") if level == "DEBUG"]
+    assert len(debug_texts) == 1
+    assert "InputError: swallowed" in debug_texts[0]
 
 
-def test_a_log_is_continued(files, run):
+def test_a_second_run_appends_to_the_log(files, run):
     for _ in range(2):
         assert run("--log", "run.log", "info", "a.ply")[0] == 0
     assert sum(text.startswith("command: ") for _, text in records("run.log")) == 2
@@ -89,7 +89,7 @@ def test_a_log_is_continued(files, run):
     ["--log a.ply info a.ply", "--log new.ply crop a.ply new.ply --crop none", "--log . info a.ply",
      "--log none/run.log info a.ply", "--log pipe info a.ply"],
 )  # fmt: skip
-def test_a_log_replaces_nothing(files, run, command):
+def test_a_log_replaces_no_other_file(files, run, command):
     os.mkfifo("pipe")
     before = (files / "a.ply").read_bytes()
     code, _, err = run(*command.split())
@@ -97,26 +97,26 @@ def test_a_log_replaces_nothing(files, run, command):
     assert (files / "a.ply").read_bytes() == before
 
 
-def test_a_log_that_a_full_disk_does_not_take_ends_with_one_line(files):
+def test_a_log_on_a_full_disk_gives_one_warning(files):
     """Files are limited to 300 bytes, fewer than settings and versions need."""
     script = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))\n"
         "sys.argv = 'pcbench --log run.log info a.ply'.split()\n"
         "from pcbench.cli import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0
-    assert "1,500 " in done.stdout
-    told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
-    assert len(told) == 1
-    assert "run.log" in check_text(told[0])
-    assert "Traceback" not in done.stderr
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert process.returncode == 0
+    assert "1,500 " in process.stdout
+    warning_lines = [line for line in process.stderr.splitlines() if line.startswith("warning: ")]
+    assert len(warning_lines) == 1
+    assert "run.log" in check_text(warning_lines[0])
+    assert "Traceback" not in process.stderr
 
 
-def test_what_a_comparison_warns_of_is_logged(files, run):
+def test_warnings_of_a_comparison_are_logged(files, run):
     write_cloud("far.ply", Cloud(1.02 * read_cloud("a.ply").points))
     code, out, _ = run("--log", "run.log", "compare", "ref.ply", "far.ply", "--register", "none", "--no-figures")
     assert code == 0
-    printed = [line.removeprefix("warning: ") for line in out.splitlines() if line.startswith("warning: ")]
-    assert printed
-    assert [text for level, text in records("run.log") if level == "WARNING"] == printed
+    printed_warnings = [line.removeprefix("warning: ") for line in out.splitlines() if line.startswith("warning: ")]
+    assert printed_warnings
+    assert [text for level, text in records("run.log") if level == "WARNING"] == printed_warnings

@@ -52,18 +52,18 @@ def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     assert len(read_cloud("cloud.ply")) == 3
     assert json.loads(Path("cameras.json").read_text())["frames"][0]["file_path"] == "photos/0.png"
     Path("cloud.ply").unlink()
-    for wrong in (("--set", "points=x"), ("--set", "points"), ("--cameras", "none"), ("--set", "other=1")):
-        code, out, err = run(*arguments, *wrong)
+    for options in (("--set", "points=x"), ("--set", "points"), ("--cameras", "none"), ("--set", "other=1")):
+        code, out, err = run(*arguments, *options)
         assert (code, out) == (2, "")
         assert is_one_line(err)
     # Unwritable outputs are reported before anything is computed.
-    for wrong in (
+    for options in (
         ("-o", "cloud.pts"),
         ("-o", "no/cloud.ply"),
         ("--write-cameras", "no/c.json"),
         ("--write-cameras", "mine.py"),
     ):
-        code, out, err = run(*arguments, "--workspace", "untouched", *wrong)
+        code, out, err = run(*arguments, "--workspace", "untouched", *options)
         assert (code, out) == (2, "")
         assert is_one_line(err)
     assert not Path("untouched").exists()

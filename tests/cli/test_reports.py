@@ -30,9 +30,11 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     assert "NaN" not in (files / "report/comparison.json").read_text()
     deviation = read_cloud("report/a_deviation.ply")
     assert len(deviation) == 1500
-    m = values["candidates"][0]["metrics"]
+    metrics = values["candidates"][0]["metrics"]
     # The scalar is float32 in the file.
-    assert deviation.attributes["distance"].max() == pytest.approx(m["hausdorff"]["candidate_to_reference"], rel=1e-6)
+    assert deviation.attributes["distance"].max() == pytest.approx(
+        metrics["hausdorff"]["candidate_to_reference"], rel=1e-6
+    )
     matrix = read_matrix("report/a_T.txt").matrix
     np.testing.assert_array_equal(matrix, values["candidates"][0]["registration"]["T_reference_candidate"])
     rows = list(csv.DictReader((files / "report/metrics.csv").open()))
@@ -40,7 +42,7 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     assert list(rows[0]) == [*identity, "definition", "value", "unit", "ci_low", "ci_high"]
     assert len({tuple(r[key] for key in identity) for r in rows}) == len(rows)
     row = next(r for r in rows if r["metric"] == "d1_mse" and r["direction"] == "candidate_to_reference")
-    assert float(row["value"]) == m["d1_mse"]["candidate_to_reference"]
+    assert float(row["value"]) == metrics["d1_mse"]["candidate_to_reference"]
     assert row["unit"] == "m^2"
     (row,) = [
         r for r in rows if (r["candidate"], r["metric"]) == ("b", "plane_distance_nmad") and r["direction"][0] == "r"
@@ -65,7 +67,7 @@ def test_settings_reproduce_the_numbers_bit_for_bit(files, run):
     check_text(err.partition(" (see ")[0])  # the rest is the command line of pytest
 
 
-def test_settings_notice_a_changed_file(files, run):
+def test_a_file_changed_since_the_settings_gives_a_warning(files, run):
     run("compare", "ref.ply", "a.ply", "--out", "one", "-q")
     write_cloud("a.ply", read_cloud("b.ply"))
     code, out, _ = run("compare", "--settings", "one/settings.json")
@@ -80,7 +82,7 @@ def test_json_on_standard_output(files, run):
     assert run("compare", "ref.ply", "a.ply", "--quiet")[1] == ""
 
 
-def test_equal_stems_get_numbers(files, run):
+def test_equal_file_stems_are_numbered(files, run):
     (files / "sub").mkdir()
     write_cloud("sub/a.ply", read_cloud("b.ply"))
     write_cloud("reference.ply", read_cloud("b.ply"))
@@ -89,7 +91,7 @@ def test_equal_stems_get_numbers(files, run):
     assert [c["name"] for c in read_comparison("report")["candidates"]] == ["a", "a_2", "reference_2"]
 
 
-def test_one_bad_candidate_leaves_nothing(files, run):
+def test_one_damaged_candidate_leaves_no_report(files, run):
     (files / "bad.ply").write_bytes((files / "a.ply").read_bytes()[:-5])
     code, _, err = run("compare", "ref.ply", "a.ply", "bad.ply", "--out", "new/report")
     assert code == 2
@@ -105,9 +107,9 @@ def test_an_existing_report_survives_a_failed_run_and_is_replaced_by_a_good_one(
     assert run("compare", "ref.ply", "a.ply", "--crop", "sphere:900,0,0,1", "--out", "report")[0] == 2
     assert {p.name: p.read_bytes() for p in (files / "report").iterdir() if p.is_file()} == before
     assert run("compare", "ref.ply", "a.ply", "--out", "report")[0] == 0
-    left = {p.name for p in (files / "report").iterdir()} - {"figures"}
+    names = {p.name for p in (files / "report").iterdir()} - {"figures"}
     fields = {"a_deformation.csv", "a_deformation.ply"}
-    assert left == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "notes.txt"}
+    assert names == REPORT | fields | {"a_deviation.ply", "a_completeness.ply", "a_T.txt", "notes.txt"}
     assert not [p for p in files.iterdir() if p.name.startswith(".")]
 
 
@@ -174,7 +176,7 @@ def test_damaged_settings_are_one_line(files, run, key, value):
     assert not (files / "two").exists()
 
 
-def test_a_report_with_evil_names_deletes_nothing_elsewhere(files, run):
+def test_a_report_with_malicious_names_deletes_nothing_elsewhere(files, run):
     (files / "evil/figures").mkdir(parents=True)
     (files / "p_T.txt").write_text("mine")
     name = "figures/../../p"
@@ -204,14 +206,14 @@ def test_files_that_settings_name_are_absolute_and_hashed(files, run, monkeypatc
     assert "T.txt" in check_text(next(line for line in out.splitlines() if line.startswith("warning: ")))
 
 
-def test_las_in_las_out(files, run):
+def test_a_las_candidate_gives_a_las_deviation(files, run):
     import_or_skip("lazrs")
     run("convert", "a.ply", "a.laz", "-q")
     assert run("compare", "ref.ply", "a.laz", "--out", "report")[0] == 0
     cloud = read_cloud("report/a_deviation.laz")
     assert cloud.colors is not None
-    found = read_comparison("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
-    assert cloud.attributes["distance"].max() == pytest.approx(found, rel=1e-6)
+    hausdorff = read_comparison("report")["candidates"][0]["metrics"]["hausdorff"]["candidate_to_reference"]
+    assert cloud.attributes["distance"].max() == pytest.approx(hausdorff, rel=1e-6)
 
 
 def test_figures_come_with_the_report(files, run):

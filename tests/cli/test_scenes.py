@@ -90,8 +90,8 @@ def test_earth_studio_gives_metres_of_wgs84(tmp_path, monkeypatch, run):
     code, out, err = run(*arguments)
     assert (code, err) == (0, "")
     np.testing.assert_allclose(read_cloud("cloud.ply").points, wgs84, atol=1e-3)
-    made = np.array([frame["transform_matrix"] for frame in json.loads(Path("made.json").read_text())["frames"]])
-    np.testing.assert_allclose(made[:, :3, 3], wgs84, atol=1e-6)
+    matrices = np.array([frame["transform_matrix"] for frame in json.loads(Path("made.json").read_text())["frames"]])
+    np.testing.assert_allclose(matrices[:, :3, 3], wgs84, atol=1e-6)
     code, out, err = run(*arguments, "--set", "gauge=arbitrary")
     assert code == 0
     check_text(err)

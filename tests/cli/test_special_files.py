@@ -36,7 +36,7 @@ for line in sys.stdin.read().splitlines():
     print(json.dumps([line, code, errors.getvalue()]), flush=True)
 """
 
-NAMED = {
+COMMANDS = {
     "a cloud": "info FILE.ply",
     "a reference": "compare FILE.ply a.ply --no-figures",
     "a polygon": "crop a.ply out.ply --crop polygon:FILE",
@@ -52,7 +52,7 @@ NAMED = {
     "a plugin": "reconstruct FILE.py:Mine photos -o out.ply",
 }
 # Entries of a scene's folder that may be special files, and the file that each replaces.
-IN_A_SCENE = {
+SCENE_FILES = {
     "COLMAP's cameras": "sparse/0/cameras.txt",
     "COLMAP's images": "sparse/0/images.txt",
     "COLMAP's points": "sparse/0/points3D.txt",
@@ -65,16 +65,16 @@ IN_A_SCENE = {
 }
 
 
-def _pipe(path):
+def _make_pipe(path):
     os.mkfifo(path)
 
 
-def _device(path):
+def _link_device(path):
     path.symlink_to("/dev/zero")
 
 
-@pytest.fixture(scope="module", params=[_pipe, _device], ids=["pipe", "device"])
-def ended(request, tmp_path_factory):
+@pytest.fixture(scope="module", params=[_make_pipe, _link_device], ids=["pipe", "device"])
+def outcomes(request, tmp_path_factory):
     """Return exit code and standard error of each command."""
     folder = tmp_path_factory.mktemp(request.param.__name__)
     for name in ("FILE", "FILE.ply", "FILE.py"):
@@ -82,8 +82,8 @@ def ended(request, tmp_path_factory):
     (folder / "mesh.gltf").write_text('{"asset": {"version": "2.0"}, "buffers": [{"uri": "FILE", "byteLength": 36}]}')
     write_cloud(folder / "a.ply", Cloud(np.random.default_rng(0).normal(size=(500, 3))))
     scene_folders.ten_images_folder(folder / "photos")
-    commands = dict(NAMED)
-    for number, (what, name) in enumerate(IN_A_SCENE.items()):
+    commands = dict(COMMANDS)
+    for number, (what, name) in enumerate(SCENE_FILES.items()):
         scene = scene_folders.ten_images_folder(folder / f"scene{number}")
         if "sparse" in name:
             write_colmap_model(scene / "sparse/0", scene_folders.orbit(scene_folders.NAMES))
@@ -107,14 +107,14 @@ def ended(request, tmp_path_factory):
             ).stdout
         except subprocess.TimeoutExpired as expired:
             lines = (expired.stdout or b"").decode()
-    found = {line: (code, err) for line, code, err in map(json.loads, lines.splitlines())}
-    nothing = (None, "it did not end")
-    return {what: found.get(command, nothing) for what, command in commands.items()}
+    outcome_of_command = {line: (code, err) for line, code, err in map(json.loads, lines.splitlines())}
+    timed_out = (None, "it did not end")
+    return {what: outcome_of_command.get(command, timed_out) for what, command in commands.items()}
 
 
-@pytest.mark.parametrize("what", [*NAMED, *IN_A_SCENE])
-def test_a_pipe_or_a_device_is_refused_in_one_line(ended, what):
-    code, err = ended[what]
+@pytest.mark.parametrize("what", [*COMMANDS, *SCENE_FILES])
+def test_a_pipe_or_a_device_is_refused_in_one_line(outcomes, what):
+    code, err = outcomes[what]
     assert (code, is_one_line(err)) == (2, True), err
     check_text(err)
 

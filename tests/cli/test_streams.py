@@ -15,8 +15,8 @@ PCBENCH = f"{sys.executable} -m pcbench.cli"
 
 def shell(command):
     """Run a shell command; return its exit code and its standard error, unless redirected."""
-    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=120)
-    return done.returncode, done.stdout, done.stderr
+    process = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=120)
+    return process.returncode, process.stdout, process.stderr
 
 
 def test_a_closed_output_is_an_error_if_something_was_printed(files):
@@ -39,11 +39,11 @@ def test_exit_codes_are_the_same_without_standard_error(files):
     assert shell(f"{PCBENCH} info a.ply 2>&-")[0] == 0
 
 
-@pytest.mark.parametrize("what", ["info a.ply", "compare ref.ply a.ply --full --no-figures", "--help"])
-def test_a_closed_pipe_ends_the_run_quietly(files, what):
+@pytest.mark.parametrize("arguments", ["info a.ply", "compare ref.ply a.ply --full --no-figures", "--help"])
+def test_a_closed_pipe_ends_the_run_quietly(files, arguments):
     """`true` reads nothing; the pipe is full or closed at the first line."""
     for pipe in ("| head -1", "| true", "2>&1 | true", "|& head -1"):
-        code, _, err = shell(f"{PCBENCH} {what} {pipe}")
+        code, _, err = shell(f"{PCBENCH} {arguments} {pipe}")
         assert code in (0, 2)
         assert err == ""
 

@@ -9,18 +9,18 @@ def test_demo_at_a_small_size(tmp_path, run):
     assert code == 0
     assert {p.name for p in (tmp_path / "demo/report").iterdir()} >= REPORT
     # The command that it prints works.
-    again = (
+    arguments = (
         out.strip().splitlines()[-1].partition("repeat with: pcbench ")[2].replace("REPORT", str(tmp_path / "again"))
     )
-    assert run(*again.split())[0] == 0
+    assert run(*arguments.split())[0] == 0
 
 
 def test_the_demo_writes_into_no_folder_of_others(tmp_path, run):
     (tmp_path / "clouds").mkdir()
-    mine = tmp_path / "clouds" / "reference.ply"
-    mine.write_text("mine")
+    user_file = tmp_path / "clouds" / "reference.ply"
+    user_file.write_text("mine")
     code, _, err = run("demo", "--points", 20_000, "--out", tmp_path)
     assert code == 2
     check_text(err)
-    assert mine.read_text() == "mine"
+    assert user_file.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [tmp_path / "clouds"]

@@ -16,11 +16,11 @@ from pcbench.report.notes import details, warnings
 from pcbench.report.table import html, markdown
 from pcbench.report.words import columns, joined, length, padded, shortened
 
-GIVEN = Settings(register="none")
+NO_REGISTRATION = Settings(register="none")
 
 
 @pytest.fixture(scope="module")
-def measured():
+def comparison():
     """Compare four candidates: a is near, b is noisy, c is near with outliers, d covers half."""
     reference = Cloud(shapes.terrain(3000, seed=1)[0], unit="m")
     a = shapes.terrain(2000, seed=2)[0]
@@ -29,168 +29,175 @@ def measured():
     c[:60, 2] += rng.uniform(3, 6, 60)
     d = shapes.terrain(2000, seed=6)[0]
     clouds = {"a": a, "b": a + rng.normal(0, 0.3, a.shape), "c": c, "d": d[d[:, 0] < np.median(d[:, 0])]}
-    return compare(reference, clouds, GIVEN)
+    return compare(reference, clouds, NO_REGISTRATION)
 
 
-def some(comparison, *names):
-    kept = tuple(comparison[name] for name in names)
-    pairs = tuple(d for d in comparison.differences if {d.a, d.b} <= set(names))
-    return replace(comparison, candidates=kept, differences=pairs)
+def select_candidates(comparison, *names):
+    candidates = tuple(comparison[name] for name in names)
+    differences = tuple(d for d in comparison.differences if {d.a, d.b} <= set(names))
+    return replace(comparison, candidates=candidates, differences=differences)
 
 
-def with_registration(comparison, name, *codes, **changed):
+def with_registration(comparison, name, *codes, **fields):
     candidates = []
     for c in comparison:
         if c.name == name:
             notices = tuple(Notice(code, f"{code} said") for code in codes)
-            c = replace(c, registration=replace(c.registration, warnings=notices, **changed))
+            c = replace(c, registration=replace(c.registration, warnings=notices, **fields))
         candidates.append(c)
     return replace(comparison, candidates=tuple(candidates))
 
 
-def test_answer_on_one_candidate(measured):
-    far, complete, bend, pose = answer(some(measured, "b"))
-    b = measured["b"]
-    off = b.metrics.d2_rms.accuracy.value
-    ends = b.metrics.d2_mse.accuracy.interval
-    assert f"b lies {off:.3g} m [{ends.low**0.5:.3g}, {ends.high**0.5:.3g}] RMS" in check_text(far)
-    assert f"{b.metrics.d2_mse.accuracy.floor**0.5:.3g} m" in far
-    assert f"{b.metrics.mean_distance.completeness.value:.3g} m" in check_text(complete)
-    assert check_text(bend) == f"{b.deformation.sentence('b', 'm')}."
+def test_answer_on_one_candidate(comparison):
+    accuracy, completeness, deformation, pose = answer(select_candidates(comparison, "b"))
+    b = comparison["b"]
+    rms = b.metrics.d2_rms.accuracy.value
+    interval = b.metrics.d2_mse.accuracy.interval
+    assert f"b lies {rms:.3g} m [{interval.low**0.5:.3g}, {interval.high**0.5:.3g}] RMS" in check_text(accuracy)
+    assert f"{b.metrics.d2_mse.accuracy.floor**0.5:.3g} m" in accuracy
+    assert f"{b.metrics.mean_distance.completeness.value:.3g} m" in check_text(completeness)
+    assert check_text(deformation) == f"{b.deformation.sentence('b', 'm')}."
     assert f"{b.registration.overlap:.1%}" in check_text(pose)
 
 
-def test_missing_surface_is_reported_with_its_place(measured):
-    complete = answer(some(measured, "d"))[1]
-    worst = measured["d"].metrics.hausdorff.completeness
-    assert f"({worst.worst_point[0]:.1f}, " in check_text(complete)
-    check_text(answer(some(measured, "a"))[1])
+def test_missing_surface_is_reported_with_its_place(comparison):
+    completeness = answer(select_candidates(comparison, "d"))[1]
+    hausdorff = comparison["d"].metrics.hausdorff.completeness
+    assert f"({hausdorff.worst_point[0]:.1f}, " in check_text(completeness)
+    check_text(answer(select_candidates(comparison, "a"))[1])
 
 
-def test_outliers_are_distinguished_from_an_inaccurate_surface(measured):
-    assert "NMAD" in check_text(answer(some(measured, "c"))[0])
-    assert "NMAD" not in answer(some(measured, "b"))[0]
+def test_outliers_are_distinguished_from_an_inaccurate_surface(comparison):
+    assert "NMAD" in check_text(answer(select_candidates(comparison, "c"))[0])
+    assert "NMAD" not in answer(select_candidates(comparison, "b"))[0]
     # c's outliers make its RMS the largest; all its other points are better than b's.
-    assert "NMAD" in check_text(answer(some(measured, "b", "c"))[0])
+    assert "NMAD" in check_text(answer(select_candidates(comparison, "b", "c"))[0])
 
 
-def test_candidates_are_distinguished_by_paired_differences(measured):
-    two = some(measured, "a", "b")
-    check_text(answer(two)[0])
+def test_candidates_are_distinguished_by_paired_differences(comparison):
+    two_candidates = select_candidates(comparison, "a", "b")
+    check_text(answer(two_candidates)[0])
     # The intervals of both are unchanged; only the interval of the difference now contains 0.
-    alike = [d._replace(interval=Interval(-1.0, 1.0)) for d in two.differences]
-    check_text(answer(replace(two, differences=tuple(alike)))[0])
-    four = replace(measured, differences=tuple(d._replace(interval=Interval(-1.0, 1.0)) for d in measured.differences))
-    check_text(answer(four)[0])
+    differences = [d._replace(interval=Interval(-1.0, 1.0)) for d in two_candidates.differences]
+    check_text(answer(replace(two_candidates, differences=tuple(differences)))[0])
+    undecided = replace(
+        comparison, differences=tuple(d._replace(interval=Interval(-1.0, 1.0)) for d in comparison.differences)
+    )
+    check_text(answer(undecided)[0])
 
 
-def test_answer_on_many_candidates_names_the_best_and_the_last(measured):
-    sentences = answer(measured)
+def test_answer_on_many_candidates_names_the_best_and_the_last(comparison):
+    sentences = answer(comparison)
     assert 2 <= len(sentences) <= 4
     check_text("\n".join(sentences))
-    pairs = [*details(measured)]
-    assert len(pairs) >= 6 * 4  # four metrics of each pair of four candidates
-    assert not {*pairs} & {*sentences}
-    check_text("\n".join(pairs))
+    detail_sentences = [*details(comparison)]
+    assert len(detail_sentences) >= 6 * 4  # four metrics of each pair of four candidates
+    assert not {*detail_sentences} & {*sentences}
+    check_text("\n".join(detail_sentences))
 
 
-def test_the_last_are_named_with_indistinguishable_ones(measured):
+def test_candidates_indistinguishable_from_the_last_are_named_with_it(comparison):
     """As for the first: no candidate is named last if chance could explain its rank."""
 
-    def first(*alike):
-        pairs = [
-            d._replace(interval=Interval(-1.0, 1.0) if {d.a, d.b} in alike else Interval(1.0, 2.0))
-            for d in measured.differences
+    def describe_accuracy(*indistinguishable_pairs):
+        differences = [
+            d._replace(interval=Interval(-1.0, 1.0) if {d.a, d.b} in indistinguishable_pairs else Interval(1.0, 2.0))
+            for d in comparison.differences
         ]
-        return answer(replace(some(measured, "a", "b", "c"), differences=tuple(pairs)))[0]
+        return answer(replace(select_candidates(comparison, "a", "b", "c"), differences=tuple(differences)))[0]
 
-    check_text(first())
-    check_text(first({"b", "c"}))
-    by_chance = check_text(first({"a", "c"}))
-    far = measured["c"].metrics.d2_rms.accuracy.value
-    assert f" {far:.3g} m RMS" in by_chance
+    check_text(describe_accuracy())
+    check_text(describe_accuracy({"b", "c"}))
+    sentence = check_text(describe_accuracy({"a", "c"}))
+    rms = comparison["c"].metrics.d2_rms.accuracy.value
+    assert f" {rms:.3g} m RMS" in sentence
 
 
 def test_outliers_are_not_mentioned_if_they_change_no_rank():
     """A cloud that lies entirely on the reference is best by any metric."""
     reference = shapes.terrain(1500, seed=1)[0]
     noisy = reference + np.random.default_rng(0).normal(0, 0.2, reference.shape)
-    assert "NMAD" not in answer(compare(reference, {"same": reference, "noisy": noisy}, GIVEN))[0]
+    assert "NMAD" not in answer(compare(reference, {"same": reference, "noisy": noisy}, NO_REGISTRATION))[0]
 
 
-def test_no_verdict_on_a_doubtful_registration(measured):
-    one = with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE)
-    first, then = answer(one)
-    check_text(first)
-    assert "--register global" in check_text(then)
-    assert "points:FILE" in then
-    given = answer(with_registration(some(measured, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt"))[1]
-    assert "global" in given and "matrix" not in given  # it was used already
-    assert "deformed" not in first + then
-    assert "a: doubtful-pose said" in warnings(one)
-    pairs = " ".join(details(with_registration(measured, "a", result.FAR_OFF)))
-    assert "b is lower than c" in pairs
-    assert "a is lower" not in pairs
-    assert "lower than a" not in pairs
-    three = with_registration(some(measured, "a", "b", "c"), "a", result.DOUBTFUL_POSE)
-    first, accuracy, complete, bend = answer(three)
-    check_text("\n".join((first, accuracy, complete, bend)))
-    for sentence in (accuracy, complete, bend):
+def test_no_verdict_on_a_doubtful_registration(comparison):
+    one_candidate = with_registration(select_candidates(comparison, "a"), "a", result.DOUBTFUL_POSE)
+    statement, advice = answer(one_candidate)
+    check_text(statement)
+    assert "--register global" in check_text(advice)
+    assert "points:FILE" in advice
+    advice_after_matrix = answer(
+        with_registration(select_candidates(comparison, "a"), "a", result.DOUBTFUL_POSE, method="matrix:T.txt")
+    )[1]
+    assert "global" in advice_after_matrix and "matrix" not in advice_after_matrix  # it was used already
+    assert "deformed" not in statement + advice
+    assert "a: doubtful-pose said" in warnings(one_candidate)
+    detail_text = " ".join(details(with_registration(comparison, "a", result.FAR_OFF)))
+    assert "b is lower than c" in detail_text
+    assert "a is lower" not in detail_text
+    assert "lower than a" not in detail_text
+    three_candidates = with_registration(select_candidates(comparison, "a", "b", "c"), "a", result.DOUBTFUL_POSE)
+    statement, accuracy, completeness, deformation = answer(three_candidates)
+    check_text("\n".join((statement, accuracy, completeness, deformation)))
+    for sentence in (accuracy, completeness, deformation):
         assert "a " not in sentence.split("(")[0].split()
 
 
-def test_no_bend_is_claimed_if_the_pose_is_undetermined(measured):
-    bent = replace(measured["a"].deformation, verdict="non-affine", model="quadratic", p_value=0.001)
-    comparison = replace(measured, candidates=(replace(measured["a"], deformation=bent), measured["b"]))
-    check_text("\n".join(answer(comparison)))
-    left_open = with_registration(comparison, "a", result.UNOBSERVABLE)
-    first, *_, bends = answer(left_open)
+def test_no_deformation_is_claimed_if_the_pose_is_undetermined(comparison):
+    deformation = replace(comparison["a"].deformation, verdict="non-affine", model="quadratic", p_value=0.001)
+    bent_comparison = replace(
+        comparison, candidates=(replace(comparison["a"], deformation=deformation), comparison["b"])
+    )
+    check_text("\n".join(answer(bent_comparison)))
+    undetermined = with_registration(bent_comparison, "a", result.UNOBSERVABLE)
+    first, *_, deformation_sentence = answer(undetermined)
     check_text(first)
-    check_text(bends)
-    alone = answer(some(left_open, "a"))
-    assert len(alone) == 4
-    check_text("\n".join(alone))
-    for text in (*alone, *details(left_open), markdown(left_open)):
+    check_text(deformation_sentence)
+    sentences = answer(select_candidates(undetermined, "a"))
+    assert len(sentences) == 4
+    check_text("\n".join(sentences))
+    for text in (*sentences, *details(undetermined), markdown(undetermined)):
         assert "is bent" not in text
 
 
-def test_a_small_overlap_is_reported_with_the_crop_option(measured):
-    little = with_registration(some(measured, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
-    check_text("\n".join(warnings(little)))
-    assert "--crop reference" in " ".join(warnings(little))
-    assert "low-overlap said" not in warnings(little)  # not repeated
-    check_text("\n".join(answer(little)))
-    assert " ".join([*answer(little), *warnings(little)]).count("42") == 1  # the share too
-    by_icp = with_registration(little, "a", overlap=0.42, method="icp", weakest_sigma=0.1)
-    check_text(answer(by_icp)[-1])
-    cropped = replace(little, settings=replace(GIVEN, crop="reference"))  # the recommended crop was applied
+def test_a_small_overlap_is_reported_with_the_crop_option(comparison):
+    small_overlap = with_registration(select_candidates(comparison, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
+    check_text("\n".join(warnings(small_overlap)))
+    assert "--crop reference" in " ".join(warnings(small_overlap))
+    assert "low-overlap said" not in warnings(small_overlap)  # not repeated
+    check_text("\n".join(answer(small_overlap)))
+    assert " ".join([*answer(small_overlap), *warnings(small_overlap)]).count("42") == 1  # the share too
+    with_icp = with_registration(small_overlap, "a", overlap=0.42, method="icp", weakest_sigma=0.1)
+    check_text(answer(with_icp)[-1])
+    # The recommended crop was applied.
+    cropped = replace(small_overlap, settings=replace(NO_REGISTRATION, crop="reference"))
     assert "a: low-overlap said" in warnings(cropped)
     assert "--crop reference" not in " ".join(warnings(cropped))
 
 
-def test_a_cloud_against_itself_coincides():
+def test_a_cloud_coincides_with_itself():
     points = shapes.terrain(2000, seed=1)[0]
-    sentences = answer(compare(points, {"same": points + 1e-13}, GIVEN))
+    sentences = answer(compare(points, {"same": points + 1e-13}, NO_REGISTRATION))
     assert len(sentences) == 2
     assert "e-1" not in check_text("\n".join(sentences))
 
 
 def test_too_few_points_for_a_surface():
-    comparison = compare([[0, 0, 0], [1, 0, 0]], [[[0, 0, 1], [1, 0, 1]]], GIVEN)
+    comparison = compare([[0, 0, 0], [1, 0, 0]], [[[0, 0, 1], [1, 0, 1]]], NO_REGISTRATION)
     check_text(answer(comparison)[0])
     (name,) = (c.name for c in comparison)
-    far = answer(with_registration(comparison, name))[0]
-    assert "1 [1, 1]" in check_text(far)
+    accuracy = answer(with_registration(comparison, name))[0]
+    assert "1 [1, 1]" in check_text(accuracy)
 
 
-def test_repeated_warnings_are_merged(measured):
-    two = with_registration(some(measured, "a", "b"), "a", result.WEAKLY_OBSERVABLE)
-    two = with_registration(two, "b", result.WEAKLY_OBSERVABLE)
-    assert "a and b: weakly-observable said" in warnings(two)
+def test_repeated_warnings_are_merged(comparison):
+    two_candidates = with_registration(select_candidates(comparison, "a", "b"), "a", result.WEAKLY_OBSERVABLE)
+    two_candidates = with_registration(two_candidates, "b", result.WEAKLY_OBSERVABLE)
+    assert "a and b: weakly-observable said" in warnings(two_candidates)
 
 
-def test_files_and_notebooks_start_with_the_answer_and_have_all_details(measured):
-    text, page = markdown(measured), html(measured)
+def test_files_and_notebooks_start_with_the_answer_and_have_all_details(comparison):
+    text, page = markdown(comparison), html(comparison)
     for table in (text, page):
         assert table.index("d and a are closest") < table.index("D1 MSE")
         assert table.index("is lower than") > table.index("D1 MSE")
@@ -200,7 +207,7 @@ def test_files_and_notebooks_start_with_the_answer_and_have_all_details(measured
     assert line.count("[") == 8  # one interval per number
 
 
-def test_words():
+def test_lists_lengths_and_names_are_formatted():
     assert joined(["a"]) == "a"
     assert joined(["a", "b", "c"]) == "a, b and c"
     assert joined([*"abcdefghij"]) == "a, b, c, d, e, f, g and 3 others"

@@ -24,26 +24,26 @@ def files(tmp_path, monkeypatch):
 
 
 def test_paths_are_accepted_as_clouds(files, tmp_path):
-    found = pcbench.compare("ref.ply", ["a.xyz", tmp_path / "b.npy"], register="none")
-    assert [candidate.name for candidate in found] == ["a", "b"]
-    assert found.inputs.reference.path == "ref.ply"
-    assert found.inputs.candidates["b"].path == str(tmp_path / "b.npy")
-    assert len(found.inputs.candidates["a"].sha256) == 64
-    read = [pcbench.read_cloud(name) for name in ("ref.ply", "a.xyz", "b.npy")]
-    same = pcbench.compare(read[0], read[1:], register="none")
-    assert same.inputs is None
-    for one, other in zip(found, same, strict=True):
-        assert one.metrics.d1_mse == other.metrics.d1_mse
-    one, other = pcbench.register("ref.ply", "a.xyz"), pcbench.register(read[0], read[1])
-    np.testing.assert_array_equal(one.T_reference_candidate.matrix, other.T_reference_candidate.matrix)
+    comparison = pcbench.compare("ref.ply", ["a.xyz", tmp_path / "b.npy"], register="none")
+    assert [candidate.name for candidate in comparison] == ["a", "b"]
+    assert comparison.inputs.reference.path == "ref.ply"
+    assert comparison.inputs.candidates["b"].path == str(tmp_path / "b.npy")
+    assert len(comparison.inputs.candidates["a"].sha256) == 64
+    clouds = [pcbench.read_cloud(name) for name in ("ref.ply", "a.xyz", "b.npy")]
+    cloud_comparison = pcbench.compare(clouds[0], clouds[1:], register="none")
+    assert cloud_comparison.inputs is None
+    for from_path, from_cloud in zip(comparison, cloud_comparison, strict=True):
+        assert from_path.metrics.d1_mse == from_cloud.metrics.d1_mse
+    from_path, from_cloud = pcbench.register("ref.ply", "a.xyz"), pcbench.register(clouds[0], clouds[1])
+    np.testing.assert_array_equal(from_path.T_reference_candidate.matrix, from_cloud.T_reference_candidate.matrix)
     assert len(pcbench.crop("ref.ply", "box:-1,-1,-1,0,1,1")) == int((files["ref.ply"][:, 0] <= 0).sum())
-    by_path, by_cloud = pcbench.deform("ref.ply", "a.xyz")[1], pcbench.deform(read[0], read[1])[1]
-    assert by_path.sentence("a", "") == by_cloud.sentence("a", "")
+    path_deformation, cloud_deformation = pcbench.deform("ref.ply", "a.xyz")[1], pcbench.deform(clouds[0], clouds[1])[1]
+    assert path_deformation.sentence("a", "") == cloud_deformation.sentence("a", "")
 
 
 def test_candidates_of_all_kinds_have_names(files):
-    mixed = pcbench.compare("ref.ply", ["a.xyz", files["b.npy"]], register="none")
-    assert [candidate.name for candidate in mixed] == ["a", "candidate_2"]
+    comparison = pcbench.compare("ref.ply", ["a.xyz", files["b.npy"]], register="none")
+    assert [candidate.name for candidate in comparison] == ["a", "candidate_2"]
     assert [c.name for c in pcbench.compare("ref.ply", "a.xyz", register="none")] == ["a"]
     assert [c.name for c in pcbench.compare("ref.ply", {"mine": "a.xyz"}, register="none")] == ["mine"]
     pcbench.write_cloud("candidate_2.ply", "a.xyz")
@@ -60,26 +60,27 @@ def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
 def test_points_dropped_by_readers_give_a_warning(files):
     with Path("a.xyz").open("a") as file:
         file.write("nan nan nan\n")
-    with pytest.warns(UserWarning) as warned:
-        found = pcbench.compare("ref.ply", "a.xyz", register="none")
-    (text,) = found.inputs.candidates["a"].warnings
+    with pytest.warns(UserWarning) as records:
+        comparison = pcbench.compare("ref.ply", "a.xyz", register="none")
+    (text,) = comparison.inputs.candidates["a"].warnings
     check_text(text, masked=False)
-    check_text("\n".join(str(warning.message) for warning in warned))
+    check_text("\n".join(str(warning.message) for warning in records))
 
 
 def test_a_report_of_paths_can_be_repeated(files, tmp_path):
-    found = pcbench.compare("ref.ply", "a.xyz", register="none")
-    found.save("report", figures=False)
+    comparison = pcbench.compare("ref.ply", "a.xyz", register="none")
+    comparison.save("report", figures=False)
     assert (tmp_path / "report" / "settings.json").is_file()
     with check_error(PcbenchError):
         pcbench.compare("no-such.ply", "a.xyz")
 
 
 def test_settings_by_name(files):
-    found = pcbench.compare("ref.ply", "a.xyz", register="none", seed=5, thresholds=[0.1])
-    assert (found.settings.register, found.settings.seed, found.settings.thresholds) == ("none", 5, (0.1,))
-    both = pcbench.compare("ref.ply", "a.xyz", Settings(register="none", seed=5), seed=6)
-    assert (both.settings.register, both.settings.seed) == ("none", 6)
+    comparison = pcbench.compare("ref.ply", "a.xyz", register="none", seed=5, thresholds=[0.1])
+    settings = comparison.settings
+    assert (settings.register, settings.seed, settings.thresholds) == ("none", 5, (0.1,))
+    overridden = pcbench.compare("ref.ply", "a.xyz", Settings(register="none", seed=5), seed=6)
+    assert (overridden.settings.register, overridden.settings.seed) == ("none", 6)
     with check_error():
         pcbench.compare("ref.ply", "a.xyz", registr="none")
 
@@ -95,7 +96,7 @@ def test_arrays_and_paths_are_written_like_clouds(files, tmp_path):
 
 
 def test_a_comparison_has_a_short_repr(files):
-    found = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
-    _, *rest = check_text(repr(found)).splitlines()
+    comparison = pcbench.compare(Cloud(files["ref.ply"], unit="m"), [files["a.xyz"], files["b.npy"]], register="none")
+    _, *rest = check_text(repr(comparison)).splitlines()
     assert [line.split(":")[0].strip() for line in rest] == ["candidate_1", "candidate_2"]
-    assert max(map(len, repr(found).splitlines())) < 120
+    assert max(map(len, repr(comparison).splitlines())) < 120

@@ -25,35 +25,35 @@ def leaves(value, path=()):
     return {key: leaf for name, item in items for key, leaf in leaves(item, (*path, name)).items()}
 
 
-def test_the_contrast_that_decides_a_doubtful_pose_is_there(clouds):
-    found = compare(*clouds, register="none")
-    (candidate,) = document(found)["candidates"]
-    assert candidate["registration"]["contrast"] == found["candidate_1"].registration.contrast
+def test_the_contrast_of_a_registration_is_in_the_document(clouds):
+    comparison = compare(*clouds, register="none")
+    (candidate,) = document(comparison)["candidates"]
+    assert candidate["registration"]["contrast"] == comparison["candidate_1"].registration.contrast
     assert candidate["registration"]["contrast"] > 0
     corners = np.eye(3)
     assert document(compare(corners, corners, register="none"))["candidates"][0]["registration"]["contrast"] is None
 
 
-def test_the_extent_is_that_of_the_points_whatever_the_cells(clouds, monkeypatch):
+def test_the_extent_does_not_depend_on_the_cell_size(clouds, monkeypatch):
     reference = clouds[0]
-    found = compare(reference, clouds[1], register="none")
-    assert document(found)["reference"]["extent"] == found.reference.extent
+    comparison = compare(reference, clouds[1], register="none")
+    assert document(comparison)["reference"]["extent"] == comparison.reference.extent
     # The bounds are computed from coordinates relative to an origin.
-    assert found.reference.extent == pytest.approx(robust_extent(reference), rel=1e-12)
+    assert comparison.reference.extent == pytest.approx(robust_extent(reference), rel=1e-12)
     monkeypatch.setattr(intervals, "_CELLS_ALONG_DIAGONAL", 14)
-    coarse = compare(reference, clouds[1], register="none")
-    assert coarse.reference.block_side == pytest.approx(2 * found.reference.block_side)
-    assert rounding(coarse) == rounding(found) == 1e-9 * found.reference.extent
+    coarse_comparison = compare(reference, clouds[1], register="none")
+    assert coarse_comparison.reference.block_side == pytest.approx(2 * comparison.reference.block_side)
+    assert rounding(coarse_comparison) == rounding(comparison) == 1e-9 * comparison.reference.extent
 
 
-def test_the_seed_drives_a_floor_and_the_folds_and_nothing_else():
+def test_the_seed_changes_only_sampling_floors_and_cross_validation():
     """As the help of --seed says; a mesh as the reference is sampled by it too."""
-    dense, sparse = (shapes.city(count, noise=0.02, seed=count)[0] for count in (6000, 700))
-    documents = [leaves(document(compare(dense, sparse, seed=seed))["candidates"][0]) for seed in (0, 1)]
-    one, other = ({p: v for p, v in d.items() if p[0] not in ("timings_s", "peak_rss_bytes")} for d in documents)
-    changed = {path for path in one if one[path] != other[path]}
-    floors = {path for path in changed if "floor" in path}
+    reference, candidate = (shapes.city(count, noise=0.02, seed=count)[0] for count in (6000, 700))
+    documents = [leaves(document(compare(reference, candidate, seed=seed))["candidates"][0]) for seed in (0, 1)]
+    first, second = ({p: v for p, v in d.items() if p[0] not in ("timings_s", "peak_rss_bytes")} for d in documents)
+    changed_paths = {path for path in first if first[path] != second[path]}
+    floors = {path for path in changed_paths if "floor" in path}
     assert floors
     assert all(path[-1] == "reference_to_candidate" and path[1][:3] == "d2_" for path in floors)
-    assert changed - floors
-    assert all(path[:2] == ("deformation", "rungs") and path[-1][:3] == "cv_" for path in changed - floors)
+    assert changed_paths - floors
+    assert all(path[:2] == ("deformation", "rungs") and path[-1][:3] == "cv_" for path in changed_paths - floors)

@@ -20,7 +20,7 @@ from pcbench.report import document, markdown, rows, to_json
 from pcbench.report.summary import main_columns, main_lines
 from pcbench.report.table import lines
 
-EVERYTHING = {"presets": ("open3d", "pdal", "tnt"), "thresholds": (0.1, 0.3), "maps": ("m3c2",)}
+ALL_OPTIONS = {"presets": ("open3d", "pdal", "tnt"), "thresholds": (0.1, 0.3), "maps": ("m3c2",)}
 SQUARE = Mesh(np.array([[0.0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
@@ -29,76 +29,76 @@ def terrain(count, noise):
     return points + rng.normal(0, noise, points.shape)
 
 
-def compared(kind):
+def make_comparison(kind):
     """Compare with presets, two thresholds and M3C2; the same with a mesh and its map; and clouds of two points."""
     if kind == "mesh":
-        return compare(SQUARE, {"a": terrain(300, 0.05)}, Settings(register="none", **EVERYTHING))
+        return compare(SQUARE, {"a": terrain(300, 0.05)}, Settings(register="none", **ALL_OPTIONS))
     if kind == "points":
         return compare(np.zeros((1, 3)), np.ones((1, 3)), Settings(register="none", presets=("open3d", "tnt")))
     clouds = {"a": terrain(500, 0.05), "b": terrain(400, 0.1)}
-    return compare(Cloud(terrain(900, 0), unit="m"), clouds, Settings(register="none", **EVERYTHING))
+    return compare(Cloud(terrain(900, 0), unit="m"), clouds, Settings(register="none", **ALL_OPTIONS))
 
 
 @pytest.fixture(scope="module", params=["clouds", "mesh", "points"])
 def comparison(request):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reference, "_MESH_SAMPLES", 3000)
-        return compared(request.param)
+        return make_comparison(request.param)
 
 
 @pytest.fixture(scope="module")
 def clouds():
-    return compared("clouds")
+    return make_comparison("clouds")
 
 
-def at(values, path):
+def value_at(values, path):
     for key in path:
         values = values[key]
     return values
 
 
 def test_metrics_csv_is_tidy(comparison):
-    found = list(rows(comparison))
-    assert len({(r.candidate, r.metric, r.variant, r.threshold, r.direction) for r in found}) == len(found)
+    table_rows = list(rows(comparison))
+    assert len({(r.candidate, r.metric, r.variant, r.threshold, r.direction) for r in table_rows}) == len(table_rows)
     thresholds = {score.threshold for score in comparison.candidates[0].metrics.fscores}
     for metric in ("fscore", "precision", "recall"):
-        assert {r.threshold for r in found if (r.metric, r.variant) == (metric, "")} == thresholds
+        assert {r.threshold for r in table_rows if (r.metric, r.variant) == (metric, "")} == thresholds
     presets = {name for name in comparison.settings.presets if thresholds or name != "tnt"}
-    assert {r.variant for r in found} >= {"", "sum_squared", *presets}
+    assert {r.variant for r in table_rows} >= {"", "sum_squared", *presets}
 
 
 def test_every_quantity_is_in_the_json_at_its_path(comparison):
     values = json.loads(to_json(document(comparison)))
-    for candidate, written in zip(comparison, values["candidates"], strict=True):
-        found = [q for q in quantities.quantities(candidate) if q.path]
-        assert len({q.path for q in found}) == len(found) > 50
-        for quantity in found:
-            *place, last = quantity.path
-            assert at(written, quantity.path) == quantity.value
+    for candidate, json_candidate in zip(comparison, values["candidates"], strict=True):
+        expected = [q for q in quantities.quantities(candidate) if q.path]
+        assert len({q.path for q in expected}) == len(expected) > 50
+        for quantity in expected:
+            *parents, key = quantity.path
+            assert value_at(json_candidate, quantity.path) == quantity.value
             if quantity.has_interval:
                 interval = quantity.interval and list(quantity.interval)
-                assert at(written, [*place, "ci", last]) == interval
+                assert value_at(json_candidate, [*parents, "ci", key]) == interval
             if quantity.threshold is not None:
-                assert at(written, [*place, "threshold"]) == quantity.threshold
+                assert value_at(json_candidate, [*parents, "threshold"]) == quantity.threshold
 
 
-def test_every_difference_is_one_of_a_quantity(clouds):
+def test_every_difference_belongs_to_a_quantity(clouds):
     names = {q.difference for q in quantities.quantities(clouds["a"])} - {""}
     assert {difference.metric for difference in clouds.differences} == names
 
 
-def largest(candidate):
+def maximum_quantities(candidate):
     """Return a maximum in both directions."""
-    for way, values in (
+    for direction, values in (
         (CANDIDATE_TO_REFERENCE, candidate.deviation),
         (REFERENCE_TO_CANDIDATE, candidate.completeness),
     ):
         value = float(values.scalars["distance"].max())
         headline = Headline("farthest", column="far", rank=0)
-        yield Quantity("farthest", way, "largest", value, LENGTH, label="Farthest", headline=headline)
+        yield Quantity("farthest", direction, "largest", value, LENGTH, label="Farthest", headline=headline)
 
 
-def angle(candidate):
+def angle_quantities(candidate):
     """Return a quantity of normals, with an interval, in degrees."""
     value = 1.0 + len(candidate.name)
     interval = Interval(value - 0.5, value + 0.5)
@@ -115,28 +115,28 @@ def angle(candidate):
     )
 
 
-def color(candidate):
+def color_quantities(candidate):
     """Return a quantity of colours, without a direction and in two variants."""
     for variant, value in (("rgb", 31.5), ("luma", 34.25)):
         headline = Headline(f"colours, {variant}", column=variant, rank=0)
         yield Quantity("color_psnr", "both", "PSNR", value, "dB", variant, label=f"PSNR {variant}", headline=headline)
 
 
-@pytest.mark.parametrize("added", [largest, angle, color])
-def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, added):
+@pytest.mark.parametrize("make_quantities", [maximum_quantities, angle_quantities, color_quantities])
+def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, make_quantities):
     def part(candidate):
-        for quantity in added(candidate):
+        for quantity in make_quantities(candidate):
             path = ("metrics", quantity.metric, quantity.variant or quantity.direction)
             yield replace(quantity, path=path, label=quantity.label or quantity.metric)
 
     monkeypatch.setattr(quantities, "_PARTS", (*quantities._PARTS, part))
-    written = json.loads(to_json(document(clouds)))["candidates"]
+    json_candidates = json.loads(to_json(document(clouds)))["candidates"]
     table, summary = list(filter(None, lines(clouds))), main_lines(clouds)
     columns = main_columns(clouds, 300)
     for k, candidate in enumerate(clouds):
         for quantity in part(candidate):
-            shown = f"{quantity.value:.4g}"
-            assert at(written[k], quantity.path) == quantity.value
+            text = f"{quantity.value:.4g}"
+            assert value_at(json_candidates[k], quantity.path) == quantity.value
             (row,) = [
                 r
                 for r in rows(clouds)
@@ -146,9 +146,9 @@ def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, added):
             assert (row.value, row.unit) == (quantity.value, "m" if quantity.unit == LENGTH else quantity.unit)
             assert (row.ci_low, row.ci_high) == (quantity.interval or (None, None))
             (line,) = [line for line in table if line.label == quantity.label]
-            assert line.cells[k][quantity.column] == shown
+            assert line.cells[k][quantity.column] == text
             (line,) = [line for line in summary if line.label == quantity.headline.label]
-            assert line.cells[k][quantity.column] == shown
+            assert line.cells[k][quantity.column] == text
             assert any(
                 c.head[0] == quantity.headline.column and float(c.cells[k]) == pytest.approx(quantity.value, rel=5e-3)
                 for c in columns  # which have three digits
@@ -163,10 +163,10 @@ def test_a_new_mean_is_in_every_output(monkeypatch):
     )
     for module in (directions, scores, quantities):
         monkeypatch.setattr(module, "MEAN_METRICS", (*MEAN_METRICS, capped))
-    found = compared("clouds")
-    values = document(found)["candidates"][0]["metrics"]["capped"]
+    comparison = make_comparison("clouds")
+    values = document(comparison)["candidates"][0]["metrics"]["capped"]
     assert values[CANDIDATE_TO_REFERENCE] == pytest.approx(
-        np.minimum(found["a"].deviation.scalars["distance"], 0.5).mean()
+        np.minimum(comparison["a"].deviation.scalars["distance"], 0.5).mean()
     )
     assert (
         values["ci"][CANDIDATE_TO_REFERENCE][0]
@@ -174,12 +174,12 @@ def test_a_new_mean_is_in_every_output(monkeypatch):
         < values["ci"][CANDIDATE_TO_REFERENCE][1]
     )
     assert values["floor"][REFERENCE_TO_CANDIDATE] > 0
-    assert {(r.metric, r.direction) for r in rows(found) if r.metric == "capped"} == {
-        ("capped", w) for w in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
+    assert {(r.metric, r.direction) for r in rows(comparison) if r.metric == "capped"} == {
+        ("capped", direction) for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
     }
-    assert "Capped" in [line.label for line in lines(found) if line]
-    assert "capped mean" in [line.label for line in main_lines(found)]
-    assert {d.metric for d in found.differences} >= {
+    assert "Capped" in [line.label for line in lines(comparison) if line]
+    assert "capped mean" in [line.label for line in main_lines(comparison)]
+    assert {d.metric for d in comparison.differences} >= {
         f"capped/{CANDIDATE_TO_REFERENCE}",
         f"capped/{REFERENCE_TO_CANDIDATE}",
     }

@@ -46,7 +46,7 @@ def figures(report):
     return {path.stem: path for path in draw(report)}
 
 
-def test_every_picture_is_there_and_shows_something(figures):
+def test_every_picture_exists_and_is_not_empty(figures):
     from matplotlib.image import imread
 
     names = {"reference", "distribution"} | {
@@ -58,11 +58,11 @@ def test_every_picture_is_there_and_shows_something(figures):
         assert image.shape[0] >= 350
         assert 1000 < image.shape[1] < 2200
         background = np.median(image.reshape(-1, 3), axis=0)
-        drawn = (np.abs(image - background) > 0.05).any(axis=2)
+        foreground = (np.abs(image - background) > 0.05).any(axis=2)
         # No picture is empty, and each view shows something.
-        assert 0.02 < drawn.mean() < 0.9, name
+        assert 0.02 < foreground.mean() < 0.9, name
         if name != "distribution" and not name.endswith("_deformation"):
-            for panel in np.array_split(drawn[:, : int(0.9 * drawn.shape[1])], 3, axis=1):
+            for panel in np.array_split(foreground[:, : int(0.9 * foreground.shape[1])], 3, axis=1):
                 assert panel.mean() > 0.02, name
 
 
@@ -92,7 +92,7 @@ def test_a_display_is_not_needed(monkeypatch, report):
     assert draw(report, ("a_distance",)) == [report / "figures/a_distance.png"]
 
 
-def test_without_matplotlib_it_names_the_extra(monkeypatch, report, tmp_path):
+def test_missing_matplotlib_names_the_extra(monkeypatch, report, tmp_path):
     break_library(monkeypatch, tmp_path, "matplotlib", None)
     with check_error(MissingExtra):
         draw(report)
@@ -104,55 +104,55 @@ def test_a_crash_while_drawing_is_one_line(monkeypatch, report):
         draw(report)
 
 
-def test_not_a_report():
+def test_a_folder_without_a_report_is_refused():
     with check_error():
         draw(Path("/"))
 
 
-def drawn_here(folder, *names, **look):
+def draw_in_process(folder, *names, **options):
     """Draw in this process, because a child process takes seconds to start."""
     import_or_skip("matplotlib")
-    return [folder / path for path in worker.draw(folder, plot.REPORT.function, Figures(**look), names)]
+    return [folder / path for path in worker.draw(folder, plot.REPORT.function, Figures(**options), names)]
 
 
-def words(svg):
+def text_labels(svg):
     """Return the texts of a drawing that are not numbers, sorted, each once."""
     texts = {"".join(text.itertext()).strip() for text in svg.iter("{http://www.w3.org/2000/svg}text")}
     return "\n".join(sorted(text for text in texts if re.search("[a-z]{2}", text)))
 
 
 def test_formats_by_name_and_by_setting(report):
-    svg, pdf = drawn_here(report, "distribution.svg", "a_completeness.pdf")
+    svg, pdf = draw_in_process(report, "distribution.svg", "a_completeness.pdf")
     assert (svg.name, pdf.name) == ("distribution.svg", "a_completeness.pdf")
     root = ElementTree.parse(svg).getroot()
     assert root.tag.endswith("svg")
-    check_text(words(root))
+    check_text(text_labels(root))
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF-")
     assert content.rstrip().endswith(b"%%EOF")
     assert b"/Image" in content  # the cloud stays an image
-    before = svg.read_bytes()
-    (again,) = drawn_here(report, "distribution", format="svg")
-    assert again.read_bytes() == before  # independent of time and random numbers
+    first_bytes = svg.read_bytes()
+    (redrawn,) = draw_in_process(report, "distribution", format="svg")
+    assert redrawn.read_bytes() == first_bytes  # independent of time and random numbers
     with check_error(PcbenchError):
-        drawn_here(report, "distribution.gif")
+        draw_in_process(report, "distribution.gif")
 
 
-def test_a_chosen_background_is_that_of_maps_and_charts(report):
+def test_maps_and_charts_have_the_chosen_background(report):
     from matplotlib.image import imread
 
-    for path in drawn_here(report, "a_distance", "distribution", "a_deformation", background="#203040"):
+    for path in draw_in_process(report, "a_distance", "distribution", "a_deformation", background="#203040"):
         corner = np.rint(255 * imread(path)[2, 2, :3])
         assert corner.tolist() == [0x20, 0x30, 0x40], path
 
 
 def test_a_map_states_its_unit_scale_and_colour_range(report):
-    (path,) = drawn_here(report, "b_completeness", format="svg")
+    (path,) = draw_in_process(report, "b_completeness", format="svg")
     root = ElementTree.parse(path).getroot()
     assert sum(word.strip() in ("10 m", "20 m", "50 m") for word in root.itertext()) == 3  # one scale bar per view
-    assert "20,000 points" in check_text(words(root))
-    (path,) = drawn_here(report, "b_completeness", format="svg", range=0.123)
-    check_text(words(ElementTree.parse(path).getroot()))
+    assert "20,000 points" in check_text(text_labels(root))
+    (path,) = draw_in_process(report, "b_completeness", format="svg", range=0.123)
+    check_text(text_labels(ElementTree.parse(path).getroot()))
 
 
 def test_the_completeness_map_holds_the_reference_and_its_distances(report):
@@ -160,16 +160,16 @@ def test_the_completeness_map_holds_the_reference_and_its_distances(report):
     from scipy.spatial import KDTree
 
     reference = read_cloud(report.parent / "ref.ply")
-    missing = read_cloud(report / "a_completeness.ply")
-    aligned = read_cloud(report / "a_deviation.ply")
-    np.testing.assert_array_equal(missing.points, reference.points)
-    expected = KDTree(aligned.points).query(reference.points)[0]
-    np.testing.assert_allclose(missing.attributes["distance"], expected, rtol=1e-5, atol=1e-6)
-    assert missing.unit == "m"
+    completeness_map = read_cloud(report / "a_completeness.ply")
+    aligned_cloud = read_cloud(report / "a_deviation.ply")
+    np.testing.assert_array_equal(completeness_map.points, reference.points)
+    expected = KDTree(aligned_cloud.points).query(reference.points)[0]
+    np.testing.assert_allclose(completeness_map.attributes["distance"], expected, rtol=1e-5, atol=1e-6)
+    assert completeness_map.unit == "m"
     # Larger distances have lighter colours.
-    luma = np.asarray(missing.colors) @ [0.2126, 0.7152, 0.0722]
-    far = expected > np.percentile(expected, 90)
-    assert luma[far].min() > luma[expected < np.percentile(expected, 10)].max()
+    luma = np.asarray(completeness_map.colors) @ [0.2126, 0.7152, 0.0722]
+    is_far = expected > np.percentile(expected, 90)
+    assert luma[is_far].min() > luma[expected < np.percentile(expected, 10)].max()
 
 
 def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
@@ -177,9 +177,9 @@ def test_a_report_without_the_completeness_map_is_drawn_too(report, tmp_path):
     shutil.copytree(report, copy)
     for path in copy.glob("*_completeness.ply"):
         path.unlink()
-    assert drawn_here(copy, "a_distance") == [copy / "figures/a_distance.png"]
+    assert draw_in_process(copy, "a_distance") == [copy / "figures/a_distance.png"]
     with check_error(PcbenchError):
-        drawn_here(copy, "a_completeness")
+        draw_in_process(copy, "a_completeness")
 
 
 def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
@@ -190,11 +190,11 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
 
     points = shapes.city(2000, seed=3)[0]
     compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
-    drawn = {path.stem: path for path in drawn_here(tmp_path / "report")}
-    assert "distribution" not in drawn  # all distances are zero
+    paths = {path.stem: path for path in draw_in_process(tmp_path / "report")}
+    assert "distribution" not in paths  # all distances are zero
     with check_error(PcbenchError):
-        drawn_here(tmp_path / "report", "distribution")
-    image = imread(drawn["same_distance"])[..., :3]
+        draw_in_process(tmp_path / "report", "distribution")
+    image = imread(paths["same_distance"])[..., :3]
     assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05
 
 
@@ -203,19 +203,19 @@ def test_evidence_has_panels_for_available_data_only(report, tmp_path):
     import_or_skip("matplotlib")
     from matplotlib.image import imread
 
-    def shape(document):
+    def drawn_size(document):
         field = Cloud(np.zeros((3, 3)), attributes={name: np.full(3, 100.0) for name in ("pairs", "local", "changed")})
         path = tmp_path / "deformation.png"
-        drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures())
-        return imread(path).shape[:2] if drawn else None
+        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures())
+        return imread(path).shape[:2] if is_drawn else None
 
     document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
-    four = shape(document)
-    two = shape({**document, "growth": None})
-    one = shape({**document, "growth": None, "rungs": []})
-    assert two[1] == pytest.approx(four[1], rel=0.01)
-    assert two[0] < 0.6 * four[0]
-    assert one[1] == pytest.approx(0.5 * two[1], rel=0.01)
+    size_of_four = drawn_size(document)
+    size_of_two = drawn_size({**document, "growth": None})
+    size_of_one = drawn_size({**document, "growth": None, "rungs": []})
+    assert size_of_two[1] == pytest.approx(size_of_four[1], rel=0.01)
+    assert size_of_two[0] < 0.6 * size_of_four[0]
+    assert size_of_one[1] == pytest.approx(0.5 * size_of_two[1], rel=0.01)
 
 
 @pytest.mark.parametrize("background", [None, "black", "#888888"])
@@ -227,19 +227,23 @@ def test_changed_tiles_are_visible_on_any_background(report, tmp_path, backgroun
     document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
     document = {**document, "growth": None, "rungs": []}
 
-    def image(left):
-        attributes = {"pairs": np.full(3, 2), "local": np.array(left), "changed": np.zeros(3)}
+    def draw_tiles(residuals):
+        attributes = {"pairs": np.full(3, 2), "local": np.array(residuals), "changed": np.zeros(3)}
         field = Cloud(np.array([[0.0, 0, 0], [10, 10, 0], [5, 5, 0]]), attributes=attributes)
         path = tmp_path / "deformation.png"
-        drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures(background))
-        return imread(path)[..., :3] if drawn else None
+        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures(background))
+        return imread(path)[..., :3] if is_drawn else None
 
-    middle, none = image([0.5, 1.0, 0.6]), image([0.5, 1.0, np.nan])
-    apart = np.abs(middle - middle[2, 2]).max(axis=2)
-    assert ((np.abs(middle - none).max(axis=2) > 0.2) & (apart > 0.2)).sum() > 50  # the tile that was not tested
-    faint = image([0.0, 1.0, np.nan])
-    assert ((np.abs(faint - none).max(axis=2) > 0.1) & (np.abs(faint - faint[2, 2]).max(axis=2) > 0.03)).sum() > 50
-    assert image([np.nan] * 3) is None
+    partial_image, untested_image = draw_tiles([0.5, 1.0, 0.6]), draw_tiles([0.5, 1.0, np.nan])
+    contrast = np.abs(partial_image - partial_image[2, 2]).max(axis=2)
+    # The third tile is tested in one image only.
+    assert ((np.abs(partial_image - untested_image).max(axis=2) > 0.2) & (contrast > 0.2)).sum() > 50
+    faint_image = draw_tiles([0.0, 1.0, np.nan])
+    assert (
+        (np.abs(faint_image - untested_image).max(axis=2) > 0.1)
+        & (np.abs(faint_image - faint_image[2, 2]).max(axis=2) > 0.03)
+    ).sum() > 50
+    assert draw_tiles([np.nan] * 3) is None
 
 
 def test_displacements_are_visible_from_all_sides(tmp_path):
@@ -248,17 +252,18 @@ def test_displacements_are_visible_from_all_sides(tmp_path):
     from matplotlib.image import imread
 
     rng = np.random.default_rng(0)
-    places = rng.uniform(-10, 10, (200, 3)) * [1, 1, 0.1]
-    up = np.where(places[:, 0] > 0, 0.1, -0.1)
-    columns = {"displacement_x": 0 * up, "displacement_y": 0 * up, "displacement_z": up}
-    cloud, field = Cloud(rng.uniform(-10, 10, (5000, 3)) * [1, 1, 0.1]), Cloud(places, attributes=columns)
+    positions = rng.uniform(-10, 10, (200, 3)) * [1, 1, 0.1]
+    rise = np.where(positions[:, 0] > 0, 0.1, -0.1)
+    columns = {"displacement_x": 0 * rise, "displacement_y": 0 * rise, "displacement_z": rise}
+    cloud, field = Cloud(rng.uniform(-10, 10, (5000, 3)) * [1, 1, 0.1]), Cloud(positions, attributes=columns)
     path = tmp_path / "displacement.png"
     assert bends.arrows(cloud, field, "title", "m", frame(None, {"a": cloud}), path, Figures())
     image = imread(path)[..., :3]
     red, blue = image[..., 0] - image[..., 2] > 0.3, image[..., 2] - image[..., 0] > 0.3
-    above = slice(0, image.shape[1] // 4)
-    assert red[:, above].sum() > 500
-    assert blue[:, above].sum() > 500
-    assert np.nonzero(red[:, above])[1].mean() > np.nonzero(blue[:, above])[1].mean()  # red where the surface rises
-    still = Cloud(places, attributes=dict.fromkeys(columns, 0 * up))
-    assert not bends.arrows(cloud, still, "title", "m", frame(None, {"a": cloud}), path, Figures())
+    top_view = slice(0, image.shape[1] // 4)
+    assert red[:, top_view].sum() > 500
+    assert blue[:, top_view].sum() > 500
+    # Red is where the surface rises.
+    assert np.nonzero(red[:, top_view])[1].mean() > np.nonzero(blue[:, top_view])[1].mean()
+    zero_field = Cloud(positions, attributes=dict.fromkeys(columns, 0 * rise))
+    assert not bends.arrows(cloud, zero_field, "title", "m", frame(None, {"a": cloud}), path, Figures())

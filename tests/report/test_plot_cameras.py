@@ -46,13 +46,13 @@ def test_gps_positions_are_drawn_where_there_are_no_cameras(tmp_path):
     assert (np.abs(image[..., :3] - [0, 0x72 / 255, 0xB2 / 255]).max(axis=2) < 0.1).sum() > 100
     check_text(_gps_positions(scene).title, masked=False)
     gps = {name: Gps(48 + 1e-4 * n, 11.0, 500.0) for n, name in enumerate(NAMES)}
-    drawn = _gps_positions(replace(scene, positions={}, gps=gps))
-    assert drawn.axes == ("east", "north", "up")
-    np.testing.assert_allclose(drawn.positions[9] - drawn.positions[0], [0, 100.1, 0], atol=0.1)
+    gps_plot = _gps_positions(replace(scene, positions={}, gps=gps))
+    assert gps_plot.axes == ("east", "north", "up")
+    np.testing.assert_allclose(gps_plot.positions[9] - gps_plot.positions[0], [0, 100.1, 0], atol=0.1)
 
 
-def flight(turns, tilt_deg=3.0, size=(6, 5)):
-    """Return cameras of a survey in strips, turned by `turns` after each, in an arbitrary gauge, and up in it."""
+def flight(turn_deg, tilt_deg=3.0, size=(6, 5)):
+    """Return cameras of a survey in strips, turned by `turn_deg` after each, in an arbitrary gauge, and up in it."""
     rng = np.random.default_rng(5)
     gauge, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     gauge *= np.sign(np.linalg.det(gauge))
@@ -60,24 +60,24 @@ def flight(turns, tilt_deg=3.0, size=(6, 5)):
         gauge = np.diag([1, -1, -1]) @ gauge
     cameras = []
     for n in range(size[0] * size[1]):
-        strip, place = divmod(n, size[0])
-        yaw, tilt = np.radians(turns * strip), np.tan(np.radians(rng.normal(0, tilt_deg, 2)))
-        eye = np.array([20.0 * place, 25.0 * strip, 100 + rng.normal()])
+        strip, column = divmod(n, size[0])
+        yaw, tilt = np.radians(turn_deg * strip), np.tan(np.radians(rng.normal(0, tilt_deg, 2)))
+        eye = np.array([20.0 * column, 25.0 * strip, 100 + rng.normal()])
         pose = look_at(eye, eye + [*tilt, -1], up=[np.sin(yaw), np.cos(yaw), 0])
         rotation = pose.rotation @ gauge.T
         cameras.append(Camera(f"{n}.png", K, Similarity(rotation, -rotation @ (gauge @ eye))))
     return cameras, gauge @ [0, 0, 1]
 
 
-@pytest.mark.parametrize("turns", [0, 180, 90])
-def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turns):
+@pytest.mark.parametrize("turn_deg", [0, 180, 90])
+def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turn_deg):
     from pcbench.report.plot.cameras import _upright_rotation
 
-    cameras, up = flight(turns)
-    turn, turned = _upright_rotation(cameras)
-    assert turned
-    assert (turn @ up)[2] > 0.99
-    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    cameras, up = flight(turn_deg)
+    rotation, is_rotated = _upright_rotation(cameras)
+    assert is_rotated
+    assert (rotation @ up)[2] > 0.99
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
 
 
 def test_a_walk_along_a_wall_stays_upright():
@@ -90,12 +90,12 @@ def test_a_walk_along_a_wall_stays_upright():
         pose = look_at([n, 0.2 * np.sin(n), 1.6 + 0.1 * (n % 3)], [n, 10, 1.6])
         rotation = pose.rotation @ gauge.T
         cameras.append(Camera(f"{n}.png", K, Similarity(rotation, pose.translation)))
-    turn, turned = _upright_rotation(cameras)
-    assert turned
-    assert (turn @ gauge @ [0, 0, 1])[2] > 0.99
+    upright_rotation, is_rotated = _upright_rotation(cameras)
+    assert is_rotated
+    assert (upright_rotation @ gauge @ [0, 0, 1])[2] > 0.99
 
 
-def test_rings_are_told_apart_and_closed():
+def test_rings_are_separated_and_closed():
     from pcbench.report.plot.cameras import _rings
 
     angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)

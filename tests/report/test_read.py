@@ -12,30 +12,30 @@ from pcbench.report.read import read_deformation, read_report
 
 
 @pytest.fixture
-def saved(tmp_path):
+def saved_report(tmp_path):
     reference, candidate = shapes.terrain(900, seed=1)[0], shapes.terrain(500, seed=2)[0]
     comparison = compare(reference, {"a": candidate, "b": candidate + 0.1}, Settings(register="none", maps=("m3c2",)))
     comparison.save(tmp_path / "report", figures=False)
     return comparison, tmp_path / "report"
 
 
-def test_a_saved_report_is_read(saved):
-    comparison, folder = saved
+def test_a_saved_report_is_read(saved_report):
+    comparison, folder = saved_report
     report = read_report(folder)
     assert [candidate.name for candidate in report.candidates] == ["a", "b"]
     assert report.spacing_median == comparison.reference.spacing_median
     assert report.unit == "units of the file"
     assert report.reference() is None  # the clouds were arrays
-    for found, measured in zip(report.candidates, comparison, strict=True):
-        np.testing.assert_array_equal(found.deviation.points, measured.deviation.points)
-        assert found.percentiles_completeness == measured.metrics.percentiles_completeness
-        assert found.deformation.verdict == measured.deformation.verdict
-        np.testing.assert_allclose(found.m3c2.points, measured.deviation.m3c2.cores)
+    for read_candidate, candidate in zip(report.candidates, comparison, strict=True):
+        np.testing.assert_array_equal(read_candidate.deviation.points, candidate.deviation.points)
+        assert read_candidate.percentiles_completeness == candidate.metrics.percentiles_completeness
+        assert read_candidate.deformation.verdict == candidate.deformation.verdict
+        np.testing.assert_allclose(read_candidate.m3c2.points, candidate.deviation.m3c2.cores)
 
 
 @pytest.mark.parametrize("key", ["reference", "candidates"])
-def test_a_damaged_report_is_one_line(saved, key):
-    _, folder = saved
+def test_a_damaged_report_is_one_line(saved_report, key):
+    _, folder = saved_report
     document = json.loads((folder / "comparison.json").read_text())
     for value in (None, 7, [7]):
         (folder / "comparison.json").write_text(json.dumps({**document, key: value}))
@@ -46,8 +46,8 @@ def test_a_damaged_report_is_one_line(saved, key):
         read_report(folder)
 
 
-def test_pictures_need_no_settings(saved):
-    _, folder = saved
+def test_a_report_is_read_without_valid_settings(saved_report):
+    _, folder = saved_report
     for text in ("{", "[]", "7"):
         (folder / "settings.json").write_text(text)
         assert read_report(folder).reference() is None

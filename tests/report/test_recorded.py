@@ -17,12 +17,12 @@ from pcbench.report.document import document, to_json
 from pcbench.report.folder import read_settings
 from pcbench.report.recorded import record, restore
 
-TURN = np.array([[np.cos(0.001), -np.sin(0.001), 0], [np.sin(0.001), np.cos(0.001), 0], [0, 0, 1]])
+ROTATION = np.array([[np.cos(0.001), -np.sin(0.001), 0], [np.sin(0.001), np.cos(0.001), 0], [0, 0, 1]])
 # The scale has no short decimal form: a 4x4 matrix would lose its last bits.
-POSE = Similarity(TURN, np.array([0.1, 1 / 3, -0.02]), 1.0 + 1 / 3e3)
-RIGID = Similarity(TURN, np.array([0.1, 1 / 3, -0.02]))
-PLACES = np.random.default_rng(7).uniform(0, 5, (6, 3))
-PAIRS = {"candidate": PLACES, "reference": RIGID.apply(PLACES)}
+POSE = Similarity(ROTATION, np.array([0.1, 1 / 3, -0.02]), 1.0 + 1 / 3e3)
+RIGID = Similarity(ROTATION, np.array([0.1, 1 / 3, -0.02]))
+POSITIONS = np.random.default_rng(7).uniform(0, 5, (6, 3))
+PAIRS = {"candidate": POSITIONS, "reference": RIGID.apply(POSITIONS)}
 RING = np.array([[-20.0, -20.0], [20.1, -20.0], [20.0, 20 + 1 / 3], [-20.0, 20.0]])
 
 
@@ -36,7 +36,7 @@ def files(tmp_path):
     return tmp_path
 
 
-def written(comparison):
+def candidate_documents(comparison):
     """Return the candidates as in comparison.json, without run times."""
     candidates = json.loads(to_json(document(comparison)))["candidates"]
     for candidate in candidates:
@@ -60,28 +60,28 @@ def written(comparison):
         {"register": "none", "crop": Polygon((RING,), lower=-1 / 3)},
         {"register": "none", "crop": Polygon((RING, RING / 7), axis=2)},
         {"register": "none", "crop": Union((Polygon((RING / 3,)), Box(np.array([3.0, 3, -1]), np.array([9.0, 9, 9]))))},
-        {"register": "none", "m3c2": M3C2Settings(radius=2 / 3, cores=PLACES)},
+        {"register": "none", "m3c2": M3C2Settings(radius=2 / 3, cores=POSITIONS)},
     ],
 )
 def test_a_comparison_is_repeated(files, settings):
     first = pcbench.compare(files / "ref.ply", {"a": files / "a.ply"}, thresholds=(0.1, 1 / 3), **settings)
     first.save(files / "report", figures=False)
-    restored, inputs = read_settings(files / "report/settings.json")
-    again = pcbench.compare(inputs.reference.path, {"a": inputs.candidates["a"].path}, restored)
-    assert written(again) == written(first)
-    again.save(files / "again", figures=False)
+    restored_settings, inputs = read_settings(files / "report/settings.json")
+    repeated_comparison = pcbench.compare(inputs.reference.path, {"a": inputs.candidates["a"].path}, restored_settings)
+    assert candidate_documents(repeated_comparison) == candidate_documents(first)
+    repeated_comparison.save(files / "again", figures=False)
     assert (files / "again/settings.json").read_bytes() == (files / "report/settings.json").read_bytes()
 
 
-def test_the_command_line_repeats_objects_too(files, run):
+def test_the_command_line_repeats_settings_given_as_objects(files, run):
     pose = GivenPose(POSE)
     first = pcbench.compare(files / "ref.ply", {"a": files / "a.ply"}, register=pose)
     first.save(files / "report", figures=False)
     options = ("--out", files / "two", "--no-figures", "-q")
     assert run("compare", "--settings", files / "report/settings.json", *options)[0] == 0
-    matrix = json.loads((files / "two/comparison.json").read_text())["candidates"][0]["registration"]
-    assert matrix["T_reference_candidate"] == POSE.matrix.tolist()
-    assert matrix["scale"] == POSE.scale
+    registration = json.loads((files / "two/comparison.json").read_text())["candidates"][0]["registration"]
+    assert registration["T_reference_candidate"] == POSE.matrix.tolist()
+    assert registration["scale"] == POSE.scale
 
 
 @pytest.mark.parametrize(
@@ -93,20 +93,20 @@ def test_the_command_line_repeats_objects_too(files, run):
         (FeatureSettings(with_scale=True), "global-similarity"),
     ],
 )
-def test_a_method_that_a_text_names_is_that_text(method, text):
+def test_a_method_with_a_name_is_recorded_by_its_name(method, text):
     values = json.loads(to_json(record(Settings(register=method))))
     assert values["register"] == text
     assert restore({**values, "register": text}).register == text
 
 
-def test_a_file_is_named_from_the_root(files, monkeypatch):
+def test_files_are_recorded_by_their_absolute_paths(files, monkeypatch):
     monkeypatch.chdir(files)
     np.savetxt("T.txt", RIGID.matrix, fmt="%.17g")
-    as_text = record(Settings(register="matrix:T.txt"))["register"]
-    assert as_text == f"matrix:{files}/T.txt"
-    as_object = json.loads(to_json(record(Settings(register=GivenPose.read("T.txt")))))["register"]
-    assert as_object["text"] == as_text
-    np.testing.assert_array_equal(as_object["T_reference_candidate"]["rotation"], RIGID.rotation)
+    recorded_text = record(Settings(register="matrix:T.txt"))["register"]
+    assert recorded_text == f"matrix:{files}/T.txt"
+    recorded_object = json.loads(to_json(record(Settings(register=GivenPose.read("T.txt")))))["register"]
+    assert recorded_object["text"] == recorded_text
+    np.testing.assert_array_equal(recorded_object["T_reference_candidate"]["rotation"], RIGID.rotation)
 
 
 @pytest.mark.parametrize("value", [{"type": "Settings"}, {"type": "Box"}, {"type": 3}, {"type": "IcpSettings", "x": 1}])

@@ -15,9 +15,26 @@ from pcbench.report.manifest import complete_replacement, is_report
 from pcbench.report.plot import draw
 from pcbench.report.read import read_report
 
-OLD = {"comparison.json": "old", "a_T.txt": "old", "table.md": "old", "figures/a.png": "old", "figures/b.png": "old"}
-NEW = {"comparison.json": "new", "c_T.txt": "new", "table.md": "new", "figures/b.png": "new", "figures/c.svg": "new"}
-MINE = {"notes.txt": "mine", "figures/for_my_paper.png": "mine", "figures/plan.svg": "mine", "more/deep/x.bin": "mine"}
+OLD_FILES = {
+    "comparison.json": "old",
+    "a_T.txt": "old",
+    "table.md": "old",
+    "figures/a.png": "old",
+    "figures/b.png": "old",
+}
+NEW_FILES = {
+    "comparison.json": "new",
+    "c_T.txt": "new",
+    "table.md": "new",
+    "figures/b.png": "new",
+    "figures/c.svg": "new",
+}
+USER_FILES = {
+    "notes.txt": "mine",
+    "figures/for_my_paper.png": "mine",
+    "figures/plan.svg": "mine",
+    "more/deep/x.bin": "mine",
+}
 
 
 def write(folder, files):
@@ -26,7 +43,7 @@ def write(folder, files):
         (folder / name).write_text(text)
 
 
-def held(folder):
+def read_files(folder):
     return {
         path.relative_to(folder).as_posix(): path.read_text()
         for path in folder.rglob("*")
@@ -39,23 +56,23 @@ def save(out, files):
         write(folder, files)
 
 
-def save_and_die(out, files, at):
-    """Write a report in another process, killed before the `at`-th renaming; return False if there were fewer."""
+def save_until_killed(out, files, step):
+    """Write a report in another process, killed before the `step`-th renaming; return False if there were fewer."""
     child = os.fork()
     if child == 0:
-        left = [at]
+        steps_left = [step]
 
-        def dying(change):
-            def changed(*arguments, **options):
-                left[0] -= 1
-                if left[0] == 0:
+        def exit_at_step(change):
+            def counted_change(*arguments, **options):
+                steps_left[0] -= 1
+                if steps_left[0] == 0:
                     os._exit(9)
                 return change(*arguments, **options)
 
-            return changed
+            return counted_change
 
         for name in ("rename", "replace", "unlink", "rmdir", "mkdir"):
-            setattr(os, name, dying(getattr(os, name)))
+            setattr(os, name, exit_at_step(getattr(os, name)))
         code = 1
         try:
             save(out, files)
@@ -67,86 +84,89 @@ def save_and_die(out, files, at):
     return code == 9
 
 
-def reader(out):
+def complete_as_reader(out):
     complete_replacement(out)
 
 
-def next_run(out):
+def fail_as_next_run(out):
     """Run a comparison that fails before it writes anything."""
     with pytest.raises(ZeroDivisionError), report_folder(out):
         raise ZeroDivisionError
 
 
-@pytest.mark.parametrize("comes_next", [reader, next_run])
-@pytest.mark.parametrize("before", ["a report", "an old report", "an empty folder", "nothing"])
-def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, before, comes_next):
-    seen = []
-    for at in range(1, 100):
-        out = tmp_path / str(at) / "report"
+@pytest.mark.parametrize("next_step", [complete_as_reader, fail_as_next_run])
+@pytest.mark.parametrize("existing", ["a report", "an old report", "an empty folder", "nothing"])
+def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, existing, next_step):
+    is_new = []
+    for step in range(1, 100):
+        out = tmp_path / str(step) / "report"
         out.parent.mkdir()
-        old, mine = {}, {}
-        if before == "a report":
-            old, mine = OLD, MINE
-            save(out, old)
-        elif before == "an old report":  # without a manifest
+        old_files, user_files = {}, {}
+        if existing == "a report":
+            old_files, user_files = OLD_FILES, USER_FILES
+            save(out, old_files)
+        elif existing == "an old report":  # without a manifest
             document = {"schema": "pcbench.comparison/1", "candidates": [{"name": "a"}, {"name": "../../x"}]}
-            old, mine = {"comparison.json": json.dumps(document), "a_T.txt": "", "figures/distribution.png": ""}, MINE
-            write(out, old)
-        elif before == "an empty folder":
+            old_files, user_files = (
+                {"comparison.json": json.dumps(document), "a_T.txt": "", "figures/distribution.png": ""},
+                USER_FILES,
+            )
+            write(out, old_files)
+        elif existing == "an empty folder":
             out.mkdir()
-        write(out, mine)
-        killed = save_and_die(out, NEW, at)
-        if out.exists() or comes_next is next_run:
-            comes_next(out)
-        found = held(out) if out.exists() else {}
-        assert found in ({**old, **mine}, {**NEW, **mine}), at
-        seen.append({**NEW, **mine} == found)
-        assert not [path for path in out.parent.glob(".*") if comes_next is next_run], at
+        write(out, user_files)
+        killed = save_until_killed(out, NEW_FILES, step)
+        if out.exists() or next_step is fail_as_next_run:
+            next_step(out)
+        files = read_files(out) if out.exists() else {}
+        assert files in ({**old_files, **user_files}, {**NEW_FILES, **user_files}), step
+        is_new.append({**NEW_FILES, **user_files} == files)
+        assert not [path for path in out.parent.glob(".*") if next_step is fail_as_next_run], step
         if not killed:
             break
-        save(out, NEW)  # the next run succeeds
-        assert held(out) == {**NEW, **mine}
-    assert seen == sorted(seen)
-    assert not seen[0]
-    assert seen[-1]
+        save(out, NEW_FILES)  # the next run succeeds
+        assert read_files(out) == {**NEW_FILES, **user_files}
+    assert is_new == sorted(is_new)
+    assert not is_new[0]
+    assert is_new[-1]
     # The first report appears by one rename. Later ones are killed both before and after their point of no return.
-    assert before == "nothing" or seen.count(True) > 2
+    assert existing == "nothing" or is_new.count(True) > 2
 
 
 def test_only_files_that_the_report_wrote_are_replaced(tmp_path):
-    save(tmp_path / "report", OLD)
-    write(tmp_path / "report", MINE)
-    save(tmp_path / "report", NEW)
-    assert held(tmp_path / "report") == {**NEW, **MINE}
-    assert sorted(json.loads((tmp_path / "report/manifest.json").read_text())["files"]) == sorted(NEW)
+    save(tmp_path / "report", OLD_FILES)
+    write(tmp_path / "report", USER_FILES)
+    save(tmp_path / "report", NEW_FILES)
+    assert read_files(tmp_path / "report") == {**NEW_FILES, **USER_FILES}
+    assert sorted(json.loads((tmp_path / "report/manifest.json").read_text())["files"]) == sorted(NEW_FILES)
 
 
 def test_a_file_of_the_user_in_the_way_is_refused(tmp_path):
-    save(tmp_path / "report", OLD)
+    save(tmp_path / "report", OLD_FILES)
     write(tmp_path / "report", {"c_T.txt": "mine"})
     with check_error():
-        save(tmp_path / "report", NEW)
-    assert held(tmp_path / "report") == {**OLD, "c_T.txt": "mine"}
+        save(tmp_path / "report", NEW_FILES)
+    assert read_files(tmp_path / "report") == {**OLD_FILES, "c_T.txt": "mine"}
     (tmp_path / "report/c_T.txt").unlink()
     (tmp_path / "report/c_T.txt").mkdir()
     with check_error():
-        save(tmp_path / "report", NEW)
-    assert held(tmp_path / "report") == OLD
+        save(tmp_path / "report", NEW_FILES)
+    assert read_files(tmp_path / "report") == OLD_FILES
 
 
 def test_linked_figures_are_refused(tmp_path):
-    save(tmp_path / "report", OLD)
+    save(tmp_path / "report", OLD_FILES)
     write(tmp_path / "pictures", {"a.png": "mine", "b.png": "mine"})
     for name in ("a.png", "b.png"):
         (tmp_path / "report/figures" / name).unlink()
     (tmp_path / "report/figures").rmdir()
     (tmp_path / "report/figures").symlink_to(tmp_path / "pictures")
-    before = held(tmp_path)
+    before = read_files(tmp_path)
     with check_error():
-        save(tmp_path / "report", NEW)
+        save(tmp_path / "report", NEW_FILES)
     with check_error():
         draw(tmp_path / "report")
-    assert held(tmp_path) == before
+    assert read_files(tmp_path) == before
 
 
 @pytest.mark.parametrize(
@@ -154,11 +174,11 @@ def test_linked_figures_are_refused(tmp_path):
 )
 def test_a_forged_manifest_removes_nothing_elsewhere(tmp_path, name):
     write(tmp_path, {"mine.txt": "mine", "report/more/mine.txt": "mine"})
-    listed = {"schema": "pcbench.manifest/1", "files": [name, "stale.txt"]}
-    write(tmp_path / "report", {"manifest.json": json.dumps(listed), "stale.txt": ""})
-    save(tmp_path / "report", NEW)
-    assert held(tmp_path) == {"mine.txt": "mine", "report/more/mine.txt": "mine"} | {
-        f"report/{key}": text for key, text in NEW.items()
+    manifest = {"schema": "pcbench.manifest/1", "files": [name, "stale.txt"]}
+    write(tmp_path / "report", {"manifest.json": json.dumps(manifest), "stale.txt": ""})
+    save(tmp_path / "report", NEW_FILES)
+    assert read_files(tmp_path) == {"mine.txt": "mine", "report/more/mine.txt": "mine"} | {
+        f"report/{key}": text for key, text in NEW_FILES.items()
     }
 
 
@@ -169,7 +189,7 @@ def test_a_foreign_document_does_not_make_a_report(tmp_path, text):
         write(folder, {name: text})
         assert not is_report(folder)
         with check_error():
-            save(folder, NEW)
+            save(folder, NEW_FILES)
         assert (folder / name).read_text() == text
 
 
@@ -177,13 +197,13 @@ def test_pictures_drawn_later_belong_to_the_report(tmp_path):
     import_or_skip("matplotlib")
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(0, 10, (400, 2)), np.zeros(400)])
-    found = compare(Cloud(points), Cloud(points[::2] + rng.normal(0, 0.01, (200, 3))), register="none")
+    comparison = compare(Cloud(points), Cloud(points[::2] + rng.normal(0, 0.01, (200, 3))), register="none")
     out = tmp_path / "report"
-    found.save(out, figures=False)
+    comparison.save(out, figures=False)
     write(out / "figures", {"mine.svg": "mine"})
-    (drawn,) = draw(out, ("distribution.svg",))
-    found.save(out, figures=False)
-    assert not drawn.exists()
+    (figure,) = draw(out, ("distribution.svg",))
+    comparison.save(out, figures=False)
+    assert not figure.exists()
     assert [path.name for path in (out / "figures").iterdir()] == ["mine.svg"]
     assert read_report(out).candidates[0].name == "candidate_1"
     assert Path(out / "manifest.json").is_file()

@@ -12,7 +12,7 @@ from wording import check_text
 from pcbench import Cloud, Settings, compare, write_cloud
 from pcbench.report import print_comparison
 
-LONG = "reconstruction_of_the_whole_site_with_default_settings_2024-05-"
+LONG_NAME = "reconstruction_of_the_whole_site_with_default_settings_2024-05-"
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def clouds(tmp_path_factory):
 
 
 @pytest.fixture
-def printed(clouds, run, monkeypatch, tmp_path):
+def run_compare(clouds, run, monkeypatch, tmp_path):
     """Run compare on some candidates; return the lines of the answer, of the table and below it, and all output."""
     monkeypatch.chdir(tmp_path)
 
@@ -37,44 +37,46 @@ def printed(clouds, run, monkeypatch, tmp_path):
         files = [clouds / f"{name}.ply" for name in ("ref", *names)]
         code, out, err = run("compare", *files, "--register", "none", *options)
         assert (code, err) == (0, "")
-        return parts(out)
+        return split_output(out)
 
     return call
 
 
-def parts(out):
+def split_output(out):
     above, table, *below = out.split("\n\n")
     return above.splitlines(), table.splitlines(), " ".join("\n\n".join(below).split()), out
 
 
 @pytest.fixture(scope="module")
-def six():
+def six_candidates():
     """Compare six candidates: two names differ only at their ends, and one is in millimetres."""
     reference = Cloud(shapes.city(1500, noise=0.01, seed=1)[0], unit="m")
-    names = ["a", "b", "c", f"{LONG}17", f"{LONG}18"]
-    found = {name: shapes.city(800, noise=0.02 * k, seed=10 + k)[0] for k, name in enumerate(names)}
-    middle = reference.points.mean(axis=0)
-    return compare(reference, {**found, "astray": 1000 * (found["a"] - middle) + middle}, Settings(register="none"))
+    names = ["a", "b", "c", f"{LONG_NAME}17", f"{LONG_NAME}18"]
+    points = {name: shapes.city(800, noise=0.02 * k, seed=10 + k)[0] for k, name in enumerate(names)}
+    center = reference.points.mean(axis=0)
+    return compare(reference, {**points, "astray": 1000 * (points["a"] - center) + center}, Settings(register="none"))
 
 
 @pytest.fixture
-def shown(six, monkeypatch, capsys):
+def print_candidates(six_candidates, monkeypatch, capsys):
     """Return a function that prints the comparison of some of the six on a terminal of `columns` columns."""
 
     def call(*names, columns=80):
         monkeypatch.setenv("COLUMNS", str(columns))
-        kept = tuple(six[name] for name in names)
-        pairs = tuple(d for d in six.differences if {d.a, d.b} <= set(names))
-        print_comparison(replace(six, candidates=kept, differences=pairs))
-        return parts(capsys.readouterr().out)
+        candidates = tuple(six_candidates[name] for name in names)
+        differences = tuple(d for d in six_candidates.differences if {d.a, d.b} <= set(names))
+        print_comparison(replace(six_candidates, candidates=candidates, differences=differences))
+        return split_output(capsys.readouterr().out)
 
     return call
 
 
 @pytest.mark.parametrize("columns", [80, 132])
-@pytest.mark.parametrize("names", [("a",), (f"{LONG}17",), ("a", "b"), (f"{LONG}17", f"{LONG}18")], ids=len)
-def test_one_or_two_candidates_are_columns(shown, names, columns):
-    above, table, below, out = shown(*names, columns=columns)
+@pytest.mark.parametrize(
+    "names", [("a",), (f"{LONG_NAME}17",), ("a", "b"), (f"{LONG_NAME}17", f"{LONG_NAME}18")], ids=len
+)
+def test_one_or_two_candidates_are_columns(print_candidates, names, columns):
+    above, table, below, out = print_candidates(*names, columns=columns)
     assert len(table) == 2 + 12
     assert max(map(len, out.splitlines())) <= columns
     assert table[1].split() == ["lengths", "in", "m", *["c→r", "r→c"] * len(names)]
@@ -87,15 +89,15 @@ def test_one_or_two_candidates_are_columns(shown, names, columns):
 
 
 @pytest.mark.parametrize("columns", [60, 80, 132])
-def test_six_candidates_are_rows(six, shown, columns):
-    names = [c.name for c in six]
-    above, table, _, _ = shown(*names, columns=columns)
+def test_six_candidates_are_rows(six_candidates, print_candidates, columns):
+    names = [c.name for c in six_candidates]
+    above, table, _, _ = print_candidates(*names, columns=columns)
     head, rows = table[:2], table[2:]
     assert len(rows) == 6
     assert max(map(len, table + above)) <= columns
     assert [row.split()[0] for row in rows if "reconst" not in row] == ["a", "b", "c", "astray"]
-    ends = [row.split()[0] for row in rows if "reconst" in row]
-    assert [end[-2:] for end in ends] == ["17", "18"]
+    shortened_names = [row.split()[0] for row in rows if "reconst" in row]
+    assert [name[-2:] for name in shortened_names] == ["17", "18"]
     words = " ".join(head).split()
     assert "c→r" in words and "r→c" in words
     if columns >= 80:
@@ -118,46 +120,46 @@ def test_wide_letters_take_two_columns(clouds, run, monkeypatch, tmp_path):
     assert wide.index("%") + 2 == narrow.index("%")
 
 
-def test_a_doubtful_pose_is_marked_in_its_row(six, shown):
-    above, table, _, _ = shown("a", "b", "astray")
+def test_a_doubtful_pose_is_marked_in_its_row(six_candidates, print_candidates):
+    above, table, _, _ = print_candidates("a", "b", "astray")
     check_text(" ".join(" ".join(above).split()))
     assert table[1].removeprefix("lengths in m").split()[0] == "pose"
     (row,) = [line for line in table if line.startswith("astray")]
     assert "doubtful" in row
     assert "doubtful" not in "".join(line for line in table if not line.startswith("astray"))
-    assert "pose" not in shown("a", "b", "c")[1][1]
+    assert "pose" not in print_candidates("a", "b", "c")[1][1]
 
 
-def test_a_small_overlap_is_printed_above_the_numbers(printed):
-    above, _, _, _ = printed("beyond")
+def test_a_small_overlap_is_printed_above_the_numbers(run_compare):
+    above, _, _, _ = run_compare("beyond")
     assert "--crop reference" in check_text(" ".join(" ".join(above).split()))
-    cropped, *_ = printed("beyond", options=["--crop", "reference"])
-    assert "--crop reference" not in " ".join(cropped)
+    above_cropped, *_ = run_compare("beyond", options=["--crop", "reference"])
+    assert "--crop reference" not in " ".join(above_cropped)
 
 
-def test_full_prints_all(printed):
-    _, _, _, out = printed("a", "b", options=["--full"])
+def test_full_prints_all_metrics(run_compare):
+    _, _, _, out = run_compare("a", "b", options=["--full"])
     for label in ("Chamfer, sum of means", "mpeg: d1_psnr", "  median, signed", "  standard deviation", "  NMAD"):
         assert label in out
     assert "D1 MSE c→r: no significant difference between a and b" in " ".join(out.split())
     assert "--full" not in out
 
 
-def test_requested_metrics_are_among_the_rows(printed):
-    _, table, _, _ = printed("a", options=["--thresholds", "0.5,2"])
+def test_requested_metrics_are_among_the_rows(run_compare):
+    _, table, _, _ = run_compare("a", options=["--thresholds", "0.5,2"])
     assert [line.split("  ")[0] for line in table[-2:]] == ["F-score at 0.5", "F-score at 2"]
-    _, table, _, _ = printed("a", options=["--map", "m3c2"])
+    _, table, _, _ = run_compare("a", options=["--map", "m3c2"])
     assert any(line.startswith("map m3c2: ") for line in table)
     assert len(table) <= 2 + 12
 
 
-def test_the_folder_with_all_results_is_named(printed):
-    out = check_text(printed("a", options=["--out", "kept"])[2])
+def test_the_folder_with_all_results_is_named(run_compare):
+    out = check_text(run_compare("a", options=["--out", "kept"])[2])
     for name in ("table.md", "comparison.json", "metrics.csv", "*_deviation.ply", "*_T.txt"):
         assert name in out
     assert "figures" not in out  # none were drawn
     assert "NMAD" in Path("kept/table.md").read_text()
-    check_text(printed("a")[2])
+    check_text(run_compare("a")[2])
 
 
 def test_sentences_are_not_wrapped_without_a_known_width(clouds, run, monkeypatch):

@@ -8,8 +8,8 @@ from pcbench.report.plot.maps import frame
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import VIEWS, AxisBox, Frame, Viewpoint, round_length
 
-GROUND = np.array([10, 20, 30], np.uint8)
-ABOVE = VIEWS[0]
+BACKGROUND = np.array([10, 20, 30], np.uint8)
+TOP_VIEW = VIEWS[0]
 
 
 def cube(size, *, at=(0.0, 0.0, 0.0), points=5000, seed=0):
@@ -17,26 +17,29 @@ def cube(size, *, at=(0.0, 0.0, 0.0), points=5000, seed=0):
 
 
 def test_the_frame_is_that_of_the_measured_region():
-    reference, good = cube([10, 20, 4]), cube([10, 20, 4], seed=1)
-    found = frame(reference, {"good": good})
-    np.testing.assert_allclose(found.box.high - found.box.low, [11, 22, 4.4], rtol=0.03)
-    above = found.sizes[0]
+    reference, candidate = cube([10, 20, 4]), cube([10, 20, 4], seed=1)
+    result = frame(reference, {"good": candidate})
+    np.testing.assert_allclose(result.box.high - result.box.low, [11, 22, 4.4], rtol=0.03)
+    above = result.sizes[0]
     assert above[0] / above[1] == pytest.approx(0.5, abs=0.05)
 
 
-@pytest.mark.parametrize("far", [cube([500, 500, 500], seed=2), cube([10, 20, 4], at=(300, 0, 0), seed=3)])
-def test_a_distant_candidate_does_not_change_the_frame(far):
-    reference, good = cube([10, 20, 4]), cube([10, 20, 4], seed=1)
-    alone, with_far = frame(reference, {"good": good}), frame(reference, {"good": good, "far": far})
-    np.testing.assert_array_equal(alone.windows, with_far.windows)
+@pytest.mark.parametrize("distant_cloud", [cube([500, 500, 500], seed=2), cube([10, 20, 4], at=(300, 0, 0), seed=3)])
+def test_a_distant_candidate_does_not_change_the_frame(distant_cloud):
+    reference, candidate = cube([10, 20, 4]), cube([10, 20, 4], seed=1)
+    frame_alone, frame_with_far = (
+        frame(reference, {"good": candidate}),
+        frame(reference, {"good": candidate, "far": distant_cloud}),
+    )
+    np.testing.assert_array_equal(frame_alone.windows, frame_with_far.windows)
 
 
 def test_the_frame_extends_by_at_most_a_quarter_beyond_the_reference():
     reference, wider = cube([10, 20, 4]), cube([13, 20, 4], seed=1)
-    found = frame(reference, {"wider": wider})
-    assert found.box.high[0] > 6.4
-    much_wider = frame(reference, {"wider": cube([18, 20, 4], seed=1)})
-    assert much_wider.box.high[0] == pytest.approx(5.5 + 0.25 * 11, rel=0.03)
+    result = frame(reference, {"wider": wider})
+    assert result.box.high[0] > 6.4
+    clipped_frame = frame(reference, {"wider": cube([18, 20, 4], seed=1)})
+    assert clipped_frame.box.high[0] == pytest.approx(5.5 + 0.25 * 11, rel=0.03)
 
 
 def test_outliers_do_not_widen_the_frame():
@@ -44,7 +47,7 @@ def test_outliers_do_not_widen_the_frame():
     assert AxisBox.around(points).high.max() < 6
 
 
-def test_a_wall_and_a_point_still_get_windows():
+def test_flat_and_single_point_clouds_have_finite_windows():
     wall = cube([10, 0, 4]).points
     assert (Frame.of(AxisBox.around(wall), [wall]).sizes > 0.1).all()
     point = np.zeros((1, 3))
@@ -60,45 +63,49 @@ def test_views_are_rotations_in_the_named_direction(view: Viewpoint):
 
 
 @pytest.mark.parametrize(
-    ("most", "length"), [(1.0, 1.0), (0.99, 0.5), (49.0, 20.0), (5.0, 5.0), (0.0021, 0.002), (7e5, 5e5)]
+    ("max_length", "length"), [(1.0, 1.0), (0.99, 0.5), (49.0, 20.0), (5.0, 5.0), (0.0021, 0.002), (7e5, 5e5)]
 )
-def test_scale_bars_have_round_lengths(most, length):
-    assert round_length(most) == pytest.approx(length)
+def test_scale_bars_have_round_lengths(max_length, length):
+    assert round_length(max_length) == pytest.approx(length)
 
 
-def test_a_point_is_a_dot_where_it_lies_with_its_colour():
+def test_a_point_is_drawn_as_a_round_dot_at_its_position():
     window = np.array([[-5.0, -4.0], [5.0, 4.0]])
-    image = splat(np.array([[2.0, 1.0, 7.0]]), np.array([[200, 100, 50]], np.uint8), ABOVE, window, (100, 80), GROUND)
+    image = splat(
+        np.array([[2.0, 1.0, 7.0]]), np.array([[200, 100, 50]], np.uint8), TOP_VIEW, window, (100, 80), BACKGROUND
+    )
     assert image.shape == (80, 100, 3)
-    drawn = (image != GROUND).any(axis=2)
-    rows, columns = np.nonzero(drawn)
+    is_drawn = (image != BACKGROUND).any(axis=2)
+    rows, columns = np.nonzero(is_drawn)
     assert columns.mean() == pytest.approx(10 * (2 + 5), abs=1)
     assert rows.mean() == pytest.approx(10 * (4 - 1), abs=1)
     assert image[30, 70].tolist() == [200, 100, 50]
     assert np.ptp(rows) == np.ptp(columns) < 12  # round
 
 
-def test_the_nearest_is_on_top_and_what_is_outside_is_not_drawn():
+def test_nearer_points_hide_others_and_points_outside_are_not_drawn():
     window = np.array([[-1.0, -1.0], [1.0, 1.0]])
     points = np.array([[0, 0, 1.0], [0, 0, 5.0], [0, 0, 3.0], [9, 0, 9], [0.999, 0.999, 0]])
     colors = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [9, 9, 9], [1, 2, 3]], np.uint8)
     for order in ([0, 1, 2, 3, 4], [4, 3, 2, 1, 0]):
-        image = splat(points[order], colors[order], ABOVE, window, (40, 40), GROUND)
+        image = splat(points[order], colors[order], TOP_VIEW, window, (40, 40), BACKGROUND)
         assert image[20, 20].tolist() == [0, 255, 0]
-    nothing = splat(points[3:4], colors[3:4], ABOVE, window, (40, 40), GROUND)
-    assert (nothing == GROUND).all()
+    empty_image = splat(points[3:4], colors[3:4], TOP_VIEW, window, (40, 40), BACKGROUND)
+    assert (empty_image == BACKGROUND).all()
 
 
-def test_a_map_of_a_rough_surface_shows_both_sides_alike():
+def test_a_map_of_a_rough_surface_shows_both_sides_equally():
     """From above, points above the surface hide those below it, which would suggest a vertical offset."""
     rng = np.random.default_rng(0)
     height = rng.normal(0, 0.02, 200_000)
     points = np.column_stack([rng.uniform(-10, 10, (200_000, 2)), height])
     colors = np.where(height[:, None] > 0, 200, 100).astype(np.uint8) * np.ones(3, np.uint8)
-    image = splat(points, colors, ABOVE, np.array([[-10.0, -10], [10, 10]]), (200, 200), GROUND)
+    image = splat(points, colors, TOP_VIEW, np.array([[-10.0, -10], [10, 10]]), (200, 200), BACKGROUND)
     assert image.mean() == pytest.approx(150, abs=3)
-    hidden = splat(points, colors, ABOVE, np.array([[-10.0, -10], [10, 10]]), (200, 200), GROUND, shaded=True)
-    assert hidden.mean() > 175  # with shading, points above the surface hide those below
+    shaded_image = splat(
+        points, colors, TOP_VIEW, np.array([[-10.0, -10], [10, 10]]), (200, 200), BACKGROUND, shaded=True
+    )
+    assert shaded_image.mean() > 175  # with shading, points above the surface hide those below
 
 
 def test_shading_darkens_edges_but_not_level_ground():
@@ -108,16 +115,16 @@ def test_shading_darkens_edges_but_not_level_ground():
     tower[(np.abs(flat[:, :2]) < 3).all(axis=1), 2] = 8.0
     grey = np.full((100_000, 3), 180, np.uint8)
     window = np.array([[-9.0, -9], [9, 9]])
-    level = splat(flat, grey, ABOVE, window, (180, 180), GROUND, shaded=True)
-    edged = splat(tower, grey, ABOVE, window, (180, 180), GROUND, shaded=True)
-    assert np.median(level) == 180
-    assert edged[90, 55:61].min() < 120  # the ground to the left of the tower
-    assert np.median(edged[80:100, 80:100]) == 180
+    flat_image = splat(flat, grey, TOP_VIEW, window, (180, 180), BACKGROUND, shaded=True)
+    tower_image = splat(tower, grey, TOP_VIEW, window, (180, 180), BACKGROUND, shaded=True)
+    assert np.median(flat_image) == 180
+    assert tower_image[90, 55:61].min() < 120  # the ground to the left of the tower
+    assert np.median(tower_image[80:100, 80:100]) == 180
 
 
 def test_outliers_do_not_slow_drawing():
     points = np.concatenate([cube([2, 2, 2]).points, [[1e12, 0, 0], [0, -1e12, 1e12]]])
     image = splat(
-        points, np.full((len(points), 3), 99, np.uint8), ABOVE, np.array([[-1.0, -1], [1, 1]]), (50, 50), GROUND
+        points, np.full((len(points), 3), 99, np.uint8), TOP_VIEW, np.array([[-1.0, -1], [1, 1]]), (50, 50), BACKGROUND
     )
-    assert (image != GROUND).any(axis=2).mean() > 0.5
+    assert (image != BACKGROUND).any(axis=2).mean() > 0.5

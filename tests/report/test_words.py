@@ -13,14 +13,14 @@ from pcbench.report.words import title
 @pytest.mark.parametrize(
     ("count", "words"), [(0, "0 points"), (1, "1 point"), (2, "2 points"), (12_000, "12,000 points")]
 )
-def test_a_number_with_its_noun(count, words):
+def test_nouns_agree_with_their_numbers(count, words):
     assert pluralize(count, "point") == words
 
 
 @pytest.mark.parametrize(
     ("ratio", "words"), [(0.5, "0.5 times as many"), (0.999, "as many"), (1.04, "as many"), (11.2, "11 times as many")]
 )
-def test_a_ratio(ratio, words):
+def test_ratios_in_words(ratio, words):
     assert ratio_in_words(ratio, "many") == words
 
 
@@ -33,11 +33,11 @@ def test_a_ratio(ratio, words):
         (20.0, "units of the file", "20 units"),
     ],
 )
-def test_a_scale_bar(length, unit, words):
+def test_labels_of_scale_bars(length, unit, words):
     assert _bar_label(length, unit) == words
 
 
-def test_a_comparison_of_single_points():
-    found = compare(np.zeros((1, 3)), np.ones((1, 3)), register="none")
-    check_text(title(found))
-    assert [line.count("1 point,") for line in repr(found).splitlines()] == [1, 1]
+def test_single_points_are_counted_in_the_singular():
+    comparison = compare(np.zeros((1, 3)), np.ones((1, 3)), register="none")
+    check_text(title(comparison))
+    assert [line.count("1 point,") for line in repr(comparison).splitlines()] == [1, 1]
