@@ -8,7 +8,7 @@ from pcbench import compare
 from pcbench.geometry.voxels import robust_extent
 from pcbench.measure import intervals
 from pcbench.report import document
-from pcbench.report.words import rounding
+from pcbench.report.words import rounding_limit
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_the_extent_is_that_of_the_points_whatever_the_cells(clouds, monkeypatch
     monkeypatch.setattr(intervals, "_CELLS_ALONG_DIAGONAL", 14)
     coarse = compare(reference, clouds[1], register="none")
     assert coarse.reference.block_side == pytest.approx(2 * found.reference.block_side)
-    assert rounding(coarse) == rounding(found) == 1e-9 * found.reference.extent
+    assert rounding_limit(coarse) == rounding_limit(found) == 1e-9 * found.reference.extent
 
 
 def test_the_seed_drives_a_floor_and_the_folds_and_nothing_else():
