@@ -236,8 +236,8 @@ def _cause_sentences(scene: SceneResult, study: GaoStudy) -> Iterator[str]:
         )
     if rest:
         yield (
-            f"the deformation of {join_words(rest)} against the truth exceeds the effect of the cameras: the method adds"
-            " to it, or noise that its interval does not include."
+            f"the deformation of {join_words(rest)} against the truth exceeds the effect of the cameras: the method"
+            " adds to it, or noise that its interval does not include."
         )
 
 
