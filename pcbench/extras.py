@@ -56,7 +56,7 @@ def require(module: str, extra: str | None = None) -> Any:
     try:
         return import_module(module)
     except Exception as error:  # importing a library may raise anything
-        raise _missing(module, extra, error) from error
+        raise _missing_extra(module, extra, error) from error
 
 
 def import_problem(*libraries: str, extra: str | None = None) -> str | None:
@@ -99,7 +99,7 @@ def debian_package(library: str) -> str:
     return f"{name}-{version}" if name[-1].isdigit() and version else f"{name}{version}"
 
 
-def _missing(module: str, extra: str | None, error: Exception) -> MissingExtra:
+def _missing_extra(module: str, extra: str | None, error: Exception) -> MissingExtra:
     root = module.partition(".")[0]
     name, default = LIBRARIES.get(root, _Library(root, ""))
     extra = extra or default

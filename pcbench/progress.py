@@ -76,7 +76,7 @@ class TimeEstimate:
         self._step = text if isinstance(text, Step) else Step(text)
         self._step_start = now
 
-    def left(self, now: float) -> float | None:
+    def seconds_left(self, now: float) -> float | None:
         """Return the estimated time left in seconds; None if the step has no expected duration."""
         if self._step.expected is None:
             return None
@@ -87,7 +87,7 @@ class TimeEstimate:
 
     def share(self, now: float) -> float | None:
         """Return the finished share of the operation, from 0 to 1; None if it is unknown."""
-        left = self.left(now)
+        left = self.seconds_left(now)
         elapsed = now - self._start
         return None if left is None else elapsed / max(elapsed + left, 1e-9)
 

@@ -33,9 +33,9 @@ def test_time_left_adapts_to_the_machine():
         now = 75.0 * number
         estimate.begin(Step("run", 25.0, 25.0 * (3 - number)), now)
         if number:
-            assert estimate.left(now) == pytest.approx(300 - now, rel=0.15)
+            assert estimate.seconds_left(now) == pytest.approx(300 - now, rel=0.15)
             assert estimate.share(now) == pytest.approx(now / 300, abs=0.05)
-    assert estimate.left(now + 40) < estimate.left(now + 10)
+    assert estimate.seconds_left(now + 40) < estimate.seconds_left(now + 10)
 
 
 def test_slow_step_never_reaches_100_percent():
@@ -43,13 +43,13 @@ def test_slow_step_never_reaches_100_percent():
     estimate.begin(Step("long", 2.0, 1.0), 0.0)
     shares = [estimate.share(float(t)) for t in range(1, 100)]
     assert max(shares) < 1.0
-    assert all(estimate.left(float(t)) > 1.0 for t in range(100))
+    assert all(estimate.seconds_left(float(t)) > 1.0 for t in range(100))
 
 
 def test_step_without_duration_gives_no_estimate():
     estimate = TimeEstimate(0.0)
     estimate.begin("a step without a duration", 1.0)
-    assert estimate.left(5.0) is None
+    assert estimate.seconds_left(5.0) is None
     assert estimate.share(5.0) is None
 
 

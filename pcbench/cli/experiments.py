@@ -11,9 +11,9 @@ from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
-    given,
     image_scale_option,
     image_size,
+    is_given,
     key_value,
     no_figures_option,
     quiet_option,
@@ -68,7 +68,7 @@ def bend(
     from pcbench.studies.bend.bend import SurveySettings, run_bend
     from pcbench.studies.bend.findings import table
 
-    if scene is not None and any(given(context, name) for name in ("images", "size")):
+    if scene is not None and any(is_given(context, name) for name in ("images", "size")):
         raise click.UsageError("--images and --size apply only to a synthetic scene, without SCENE")
     settings = SurveySettings(images, *image_size(size), seed)
     with steps(quiet) as step:
@@ -149,7 +149,7 @@ def gao(
 
     if not scenes and image_scale != 1:
         raise click.UsageError("--image-scale applies only to given scenes: cities are rendered at --size")
-    if scenes and any(given(context, name) for name in ("cities", "images", "size", "extent")):
+    if scenes and any(is_given(context, name) for name in ("cities", "images", "size", "extent")):
         raise click.UsageError("--cities, --images, --size and --extent apply only to synthetic cities, without SCENE")
     synthetic = Cities(cities, images, *image_size(size), extent)
     job = GaoJob(scenes, synthetic, poses, dict(map(key_value, settings)), crop, image_scale, time_limit, seed)

@@ -101,10 +101,10 @@ def log_settings(command: click.Command) -> None:
     for inner in command.commands.values() if isinstance(command, click.Group) else ():
         log_settings(inner)
     if command.callback is not None and not isinstance(command, click.Group):
-        command.callback = _logged(command.callback)
+        command.callback = _log_calls(command.callback)
 
 
-def _logged(callback: Callable[..., Any]) -> Callable[..., Any]:
+def _log_calls(callback: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(callback)
     def run(*arguments: Any, **options: Any) -> Any:
         context = click.get_current_context()

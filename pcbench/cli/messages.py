@@ -75,7 +75,7 @@ def _in_lines() -> Iterator[Callable[[str], None]]:
         while not ended.wait(_MESSAGE_INTERVAL_S):
             with lock:
                 now = monotonic()
-                left = estimate.left(now)
+                left = estimate.seconds_left(now)
                 words = "" if left is None else f" (about {duration(left)} left)"
                 line = f"[{_clock(now - start)}] {current}{words}"
             with suppress(OSError, ValueError):  # stderr has no reader
@@ -107,7 +107,7 @@ def _on_terminal() -> Iterator[Callable[[str], None]]:
 
     class Left(ProgressColumn):
         def render(self, task: Task) -> Text:
-            left = estimate.left(monotonic())
+            left = estimate.seconds_left(monotonic())
             return Text("" if left is None else f"{duration(left)} left")
 
     columns = (SpinnerColumn(), Bar(), TimeElapsedColumn(), Left(), TextColumn("{task.description}"))

@@ -148,7 +148,7 @@ def figure_options(command: _Command) -> _Command:
 quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print only errors, including failed pictures.")
 
 
-def given(context: click.Context, name: str) -> bool:
+def is_given(context: click.Context, name: str) -> bool:
     """Whether the user set an option, even to its default."""
     return context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
 
@@ -179,7 +179,7 @@ def triple(option: str, text: str) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def words(values: tuple[str, ...]) -> tuple[str, ...]:
+def split_names(values: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names in an option that may be repeated or comma-separated."""
     return tuple(word for value in values for word in value.split(","))
 

@@ -18,7 +18,7 @@ from pcbench.cli.options import (
     crop_option,
     figure_options,
     format_option,
-    given,
+    is_given,
     las_options,
     las_returns,
     no_figures_option,
@@ -27,7 +27,7 @@ from pcbench.cli.options import (
     register_option,
     seed_option,
     splat_options,
-    words,
+    split_names,
 )
 from pcbench.errors import InputError
 
@@ -127,10 +127,10 @@ def compare(
             *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
             *("max_axis", "seed"),
         ]
-        if reference is not None or any(given(context, name) for name in options):
+        if reference is not None or any(is_given(context, name) for name in options):
             raise click.UsageError("--settings already has the files and the settings: give only options for outputs")
-        job = ComparisonJob.recorded(settings_file)
-        job = replace(job, figures=job.figures.changed(background, color_range, figure_format))
+        job = ComparisonJob.from_settings_file(settings_file)
+        job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -138,8 +138,8 @@ def compare(
             register=register,
             crop=crop,
             thresholds=numbers("--thresholds", thresholds, float),
-            presets=words(presets),
-            maps=words(maps),
+            presets=split_names(presets),
+            maps=split_names(maps),
             seed=seed,
             classes=numbers("--classes", classes, int),
             returns=las_returns(returns),
@@ -147,7 +147,7 @@ def compare(
             max_axis=max_axis,
             m3c2=m3c2,
         )
-        figures = Figures().changed(background, color_range, figure_format)
+        figures = Figures().with_changes(background, color_range, figure_format)
         job = ComparisonJob.of(reference, candidates, settings, figures)
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
 
@@ -210,7 +210,7 @@ def deform(
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
-    style = Figures().changed(background, None, figure_format)
+    style = Figures().with_changes(background, None, figure_format)
     output = JsonOutput(json_file)
     output.check([reference, candidate, *filter(None, map(file_in_setting, (register, crop)))], folder=out)
     with steps(quiet) as step:
@@ -282,7 +282,7 @@ def plot(
             " (scores.json) or `experiment gao` (gao.md)"
         )
     click.get_current_context().with_resource(lock_output(report))
-    style = recorded_figures(report / "settings.json").changed(background, color_range, figure_format)
+    style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)
     with steps(quiet) as step:
         candidates = len(list(report.glob("*_deviation.ply"))) or 1
         step(Step("drawing", 1.0 + 0.5 * len(names) if names else drawing_seconds(candidates)))

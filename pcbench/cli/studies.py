@@ -195,7 +195,7 @@ def bench(
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.studies.bench.score import Rules
 
-    axes = [*map(Axis.fixed, settings), *map(Axis.sweep, sweeps)]
+    axes = [*map(Axis.setting, settings), *map(Axis.sweep, sweeps)]
     rules = Rules(register, crop, threshold)
     job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
     output = JsonOutput(json_file)
@@ -213,7 +213,7 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
 
     def say(done: FinishedRun) -> None:
         if not quiet:
-            click.echo(f"{done.number}/{done.of} {done.words}", err=output.on_stdout)
+            click.echo(f"{done.number}/{done.of} {done.summary}", err=output.on_stdout)
 
     with steps(quiet) as step:
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))

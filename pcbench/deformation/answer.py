@@ -9,7 +9,7 @@ from pcbench.deformation.field import CellDisplacements, local_changes
 from pcbench.deformation.model import TILE
 from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, round_to_six_digits
-from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable
+from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable_shares
 from pcbench.deformation.sums import TileSums
 from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
 
@@ -35,7 +35,7 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
     changed, length, local = local_changes(geometry, noise, sums, resolution)
-    remaining = sums.energy.sum() - geometry.explained(scores, finding.model)
+    remaining = sums.energy.sum() - geometry.explained_sum(scores, finding.model)
     answer: Deformation = round_to_six_digits(
         Deformation(
             verdict=finding.verdict,
@@ -54,7 +54,7 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
             tiles=Tiles(count=len(geometry.tile_matrices), side=TILE * sums.side),
             pairs=int(sums.counts.sum()),
             growth=Growth(with_distance=cells.trend(cells.distance), with_height=cells.trend(cells.height)),
-            observable=observable(sums, geometry.tiles),
+            observable=observable_shares(sums, geometry.tiles),
             local=local,
             minimum_detectable_rms=minimum_detectable_rms(geometry, noise),
             warnings=finding.warnings,

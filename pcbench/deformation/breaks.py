@@ -49,8 +49,8 @@ def find_break(view: PairEvidence) -> Break | None:
     affine = geometry.half("affine")
     coefficients = affine @ (affine.T @ scores.total)
     left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
-    energy = float(scores.energy.sum()) - geometry.explained(scores, "affine")
-    smooth = geometry.explained(scores, "cubic") - geometry.explained(scores, "affine")
+    energy = float(scores.energy.sum()) - geometry.explained_sum(scores, "affine")
+    smooth = geometry.explained_sum(scores, "cubic") - geometry.explained_sum(scores, "affine")
     if energy <= 0:
         return None
     seen = np.einsum("cik,ia->cak", geometry.translations, affine)  # (C, 12, 3)

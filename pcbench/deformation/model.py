@@ -69,7 +69,7 @@ class ModelStep:
         large, matrix = geometry.columns[larger], geometry.matrix
         self.smaller = geometry.half(smaller)
         taken = matrix @ self.smaller @ self.smaller.T
-        values, vectors = geometry.observable(large.T @ (matrix - taken @ matrix) @ large, MIN_INFORMATION)
+        values, vectors = geometry.observable_directions(large.T @ (matrix - taken @ matrix) @ large, MIN_INFORMATION)
         # (60, K) from scores to modes, each of variance sigma^2 under white noise; also the coefficients of the modes.
         self.modes = (np.eye(len(matrix)) - taken).T @ large @ (vectors / np.sqrt(values))
         # (C, 3, K) response of the modes to noise that is constant in a cell, and (K, K) covariance under white noise.
@@ -163,7 +163,7 @@ class Geometry:
             self._steps[smaller, larger] = ModelStep(self, smaller, larger)
         return self._steps[smaller, larger]
 
-    def observable(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    def observable_directions(self, matrix: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues and eigenvectors with more than the share `least` of the information."""
         values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
         enough = values > least * self.total
@@ -180,7 +180,7 @@ class Geometry:
                 self._halves[model] = np.hstack([self.half("affine"), self.step("affine", model).modes])
             else:
                 columns = self.columns[model]
-                values, vectors = self.observable(columns.T @ self.matrix @ columns, _MIN_INFORMATION_AFFINE)
+                values, vectors = self.observable_directions(columns.T @ self.matrix @ columns, _MIN_INFORMATION_AFFINE)
                 self._halves[model] = columns @ (vectors / np.sqrt(values))
         return self._halves[model]
 
@@ -198,7 +198,7 @@ class Geometry:
         coefficients: FloatArray = half @ (half.T @ scores)
         return coefficients
 
-    def explained(self, scores: Scores, model: str) -> float:
+    def explained_sum(self, scores: Scores, model: str) -> float:
         """Sum of squares w (n . u)^2 that a model explains."""
         return float(scores.total @ self.fit(model, scores.total))
 

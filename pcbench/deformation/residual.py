@@ -65,13 +65,13 @@ def residual_deformation(
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_DISTANCE_GAIN) * plain.distance:
                 text = "a deformation brings the clouds closer together, but unmodified closest points do not show it"
-                finding = finding.undecided(Notice("pairs-disagree", text))
+                finding = finding.as_undecided(Notice("pairs-disagree", text))
     if finding.verdict == "undecided" and pairs.rough > _MAX_ROUGH_SHARE:
         text = f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement"
-        finding = finding.undecided(Notice("rough-places", text))
+        finding = finding.as_undecided(Notice("rough-places", text))
     broken = find_break(views[-1])
     if broken is not None:
-        finding = finding.undecided(Notice("parts-displaced", broken.text(origin)))
+        finding = finding.as_undecided(Notice("parts-displaced", broken.text(origin)))
     finding = _with_registration(finding, registration, pairs)
     # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
     which = -1 if finding.verdict == "none" else 0
@@ -103,20 +103,20 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
     """Return the finding as undecided if the pose behind it is wrong or may be."""
     if registration.doubtful:
         text = "the registration is doubtful, and the verdict depends on it: see its warnings"
-        return finding.undecided(Notice(_DOUBTFUL, text))
+        return finding.as_undecided(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIER_SHARE and pairs.distance > _MAX_DISTANCE_SPACINGS * pairs.spacing:
         text = (
             f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"
             " closer: they are not registered (use --register icp), or much has changed"
         )
-        return finding.undecided(Notice("not-registered", text))
+        return finding.as_undecided(Notice("not-registered", text))
     if UNOBSERVABLE in {notice.code for notice in registration.warnings}:
         if finding.verdict in ("similarity", "affine", "non-affine") and registration.converged is not None:
             text = (
                 "the geometry does not fix the pose, and the apparent deformation may be a sliding registration: see"
                 " the registration's warnings; a pose from another source settles it (--register matrix:FILE)"
             )
-            return finding.undecided(Notice(POSE_NOT_FIXED, text))
+            return finding.as_undecided(Notice(POSE_NOT_FIXED, text))
         notice = Notice(POSE_NOT_FIXED, "as far as the geometry determines the pose")
         return finding._replace(warnings=(notice, *finding.warnings))
     return finding

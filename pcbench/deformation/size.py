@@ -91,7 +91,7 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     return math.sqrt(high * power / geometry.total)
 
 
-def observable(sums: TileSums, tile: IntArray) -> Observable:
+def observable_shares(sums: TileSums, tile: IntArray) -> Observable:
     """Share of the tiles that constrain a displacement along each axis, for any displacement along the others."""
     spread = sum_over_tiles(sums.spread, tile)
     mean = spread / np.maximum(np.trace(spread, axis1=1, axis2=2), 1e-300)[:, None, None]

@@ -63,7 +63,7 @@ class Finding(NamedTuple):
     evidence: Evidence  # that there is a non-affine part
     warnings: tuple[Notice, ...]
 
-    def undecided(self, reason: Notice) -> Finding:
+    def as_undecided(self, reason: Notice) -> Finding:
         """Return the finding as undecided, with the reason as first warning."""
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
 
@@ -148,7 +148,7 @@ def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) 
     fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
     effective = effective_count(geometry, noise)
     found = []
-    rigid = geometry.explained(scores, "rigid")
+    rigid = geometry.explained_sum(scores, "rigid")
     for model in MODELS:
         half, loss = geometry.half(model), np.empty(len(matrices))
         for number in range(_FOLDS):
@@ -158,7 +158,7 @@ def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) 
             c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
             loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
         score = float(loss.sum() / weight.sum())
-        explained = geometry.explained(scores, model)
+        explained = geometry.explained_sum(scores, model)
         left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
         found.append(
             ModelScore(

@@ -75,7 +75,7 @@ class Box:
         """Return the mask (N,) of the points (N, 3) inside or on the border."""
         inside = np.ones(len(points), dtype=np.bool_)
         for axis in range(3):  # one axis at a time: no (N, 3) temporaries
-            inside &= _between(points[:, axis], self.lower[axis], self.upper[axis])
+            inside &= _is_between(points[:, axis], self.lower[axis], self.upper[axis])
         return inside
 
     def shifted(self, origin: FloatArray) -> Box:
@@ -215,9 +215,9 @@ class Polygon:
         """Return the mask (N,) of the points (N, 3) inside or on the border."""
         first, second = self._plane
         low, high = np.vstack(self.rings).min(axis=0), np.vstack(self.rings).max(axis=0)
-        inside = _between(points[:, self.axis], self.lower, self.upper)
-        inside &= _between(points[:, first], low[0], high[0])
-        inside &= _between(points[:, second], low[1], high[1])
+        inside = _is_between(points[:, self.axis], self.lower, self.upper)
+        inside &= _is_between(points[:, first], low[0], high[0])
+        inside &= _is_between(points[:, second], low[1], high[1])
         candidates = np.flatnonzero(inside)
         for start in range(0, len(candidates), _CHUNK_POINTS):
             chunk = candidates[start : start + _CHUNK_POINTS]
@@ -338,7 +338,7 @@ def _as_ring(vertices: ArrayLike) -> FloatArray:
 # Geometry
 
 
-def _between(values: FloatArray, lower: float, upper: float) -> Mask:
+def _is_between(values: FloatArray, lower: float, upper: float) -> Mask:
     result: Mask = values >= lower
     result &= values <= upper
     return result
@@ -366,7 +366,7 @@ def _inside_rings(u: FloatArray, v: FloatArray, rings: tuple[FloatArray, ...]) -
             continue
         # Positive if the point is left of the edge. Without a division it is exact on vertices and axis-parallel edges.
         side = (u1 - u0) * (v[i:k] - v0) - (v1 - v0) * (u[i:k] - u0)
-        border[i:k] |= (side == 0) & _between(u[i:k], min(u0, u1), max(u0, u1))
+        border[i:k] |= (side == 0) & _is_between(u[i:k], min(u0, u1), max(u0, u1))
         odd[i:j] ^= side[: j - i] > 0
     inside = np.empty_like(odd)
     inside[order] = odd | border

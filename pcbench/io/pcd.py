@@ -60,7 +60,7 @@ class _PcdHeader:
     def point_bytes(self) -> int:
         return sum(field.size for field in self.fields)
 
-    def truncated(self, complete: int) -> InputError:
+    def truncation_error(self, complete: int) -> InputError:
         return InputError(f"truncated: got {complete} of {self.count} points: copy or export the file again")
 
 
@@ -222,7 +222,7 @@ def _excerpt(line: bytes) -> str:
 def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Columns:
     """Return columns (N, count) as views: the body stores point after point."""
     if len(body) < header.count * header.point_bytes:
-        raise header.truncated(len(body) // header.point_bytes)
+        raise header.truncation_error(len(body) // header.point_bytes)
     if extra := len(body) - header.count * header.point_bytes:
         warn(f"left out {extra} bytes after the last point")
     columns, offset = {}, 0
@@ -238,7 +238,7 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Column
     """Return columns (N, count) as views: the body stores field after field, compressed together."""
     total = header.count * header.point_bytes
     if len(body) < 8:
-        raise header.truncated(0)
+        raise header.truncation_error(0)
     packed, unpacked = struct.unpack("<II", body[:8].tobytes())
     if unpacked != total:
         raise InputError(
@@ -260,10 +260,10 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Column
 def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
     """Return columns (N, count) in their types; coordinates in float64."""
     if header.count * header.values * 2 - 1 > len(text):  # at least a digit and a separator per value
-        raise header.truncated(min(len(text.splitlines()), header.count - 1))
+        raise header.truncation_error(min(len(text.splitlines()), header.count - 1))
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < header.count:
-        raise header.truncated(len(lines))
+        raise header.truncation_error(len(lines))
     if len(lines) > header.count:
         raise InputError(
             f"expected {header.count} points as the header states, got {len(lines)} lines: export the file again"

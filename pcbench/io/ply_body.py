@@ -124,7 +124,7 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
         for skip, unpack, counter_bytes, item_bytes in steps:
             offset += skip
             if offset + counter_bytes > len(data):
-                raise element.truncated(row)
+                raise element.truncation_error(row)
             length = unpack(data, offset)[0]
             if length < 0:
                 raise InputError(
@@ -133,7 +133,7 @@ def _list_lengths(body: NDArray[np.uint8], start: int, element: Element, rows: i
             lengths.append(length)
             offset += counter_bytes + length * item_bytes
         if offset + before > len(data):
-            raise element.truncated(row)
+            raise element.truncation_error(row)
         offset += before
     return np.frombuffer(lengths, dtype=np.int64).reshape(rows, len(steps)) if steps else np.empty((rows, 0), np.int64)
 
@@ -157,7 +157,7 @@ def _uniform_rows(
     end = start + element.count * row_bytes
     if end > len(body):
         if not lists:
-            raise element.truncated((len(body) - start) // row_bytes)
+            raise element.truncation_error((len(body) - start) // row_bytes)
         return None
 
     def column(dtype: np.dtype[Any], offset: int) -> NDArray[Any]:
@@ -221,7 +221,7 @@ def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selectio
             continue
         rows = lines[start : start + element.count]
         if len(rows) < element.count:
-            raise element.truncated(len(rows))
+            raise element.truncation_error(len(rows))
         start += len(rows)
         tables[element.name] = _ascii_table(rows, element, selection[element.name])
     if start < len(lines):

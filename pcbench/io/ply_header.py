@@ -80,7 +80,7 @@ class Element:
         plural = {"vertex": "vertices", "face": "faces", "edge": "edges"}.get(self.name, f"{self.name[:40]!r} elements")
         return f"{count} of {self.count} {plural}"
 
-    def truncated(self, complete: int) -> InputError:
+    def truncation_error(self, complete: int) -> InputError:
         """Return the error of a file that ends after `complete` rows."""
         return InputError(f"truncated: got {self.count_text(complete)}: copy or export the file again")
 

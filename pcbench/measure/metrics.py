@@ -80,17 +80,17 @@ def mean_square(distances: ArrayLike) -> float:
 
 def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
     """Symmetric Hausdorff distance max(max a, max b), unsquared."""
-    return max(float(_unsigned(each, "hausdorff").max()) for each in (a, b))
+    return max(float(_check_unsigned(each, "hausdorff").max()) for each in (a, b))
 
 
 def one_way_hausdorff(distances: ArrayLike) -> float:
     """Largest one-way distance, in the clouds' unit."""
-    return float(_unsigned(distances, "one_way_hausdorff").max())
+    return float(_check_unsigned(distances, "one_way_hausdorff").max())
 
 
 def chamfer_unsquared(a: ArrayLike, b: ArrayLike) -> float:
     """Sum of the mean distances, mean a + mean b, in the clouds' unit (Open3D, point-cloud-utils)."""
-    forth, back = (float(np.mean(_unsigned(each, "chamfer_unsquared"))) for each in (a, b))
+    forth, back = (float(np.mean(_check_unsigned(each, "chamfer_unsquared"))) for each in (a, b))
     return forth + back
 
 
@@ -105,7 +105,7 @@ def fscore(a: ArrayLike, b: ArrayLike, threshold: float) -> FScore:
 
     Knapitsch et al. 2017 (Tanks and Temples), eqs. 1-5.
     """
-    forth, back = (_unsigned(each, "fscore", ", threshold") for each in (a, b))
+    forth, back = (_check_unsigned(each, "fscore", ", threshold") for each in (a, b))
     if not threshold > 0:
         raise InputError(f"expected a positive threshold, got {threshold}")
     precision, recall = float(np.mean(forth <= threshold)), float(np.mean(back <= threshold))
@@ -231,7 +231,7 @@ def _distances(given: ArrayLike, name: str | None, further: str = "") -> FloatAr
     return values
 
 
-def _unsigned(given: ArrayLike, name: str, further: str = "") -> FloatArray:
+def _check_unsigned(given: ArrayLike, name: str, further: str = "") -> FloatArray:
     """Return distances (N,) as float64; signed ones are refused, because they would cancel."""
     values = _distances(given, name, further)
     if bad := int(np.count_nonzero(values < 0)):

@@ -41,7 +41,7 @@ class Perceptual:
     missing: tuple[Notice, ...] = ()
 
     @classmethod
-    def here(cls) -> Perceptual:
+    def find_available(cls) -> Perceptual:
         """Return the metrics that are available without a download; LPIPS needs the weights of its network."""
         lpips, without_lpips = _find_lpips()
         flip, without_flip = _find_flip()

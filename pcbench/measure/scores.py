@@ -82,7 +82,9 @@ def measure(
     spreads = _distributions(forth, back)
     ranks = {way: spreads["distance"][way].percentiles or {} for way in ways}
     found = Metrics(
-        directed=_directed(ways, known, {way: voxels.cells(d.points, voxel, corner) for way, d in ways.items()}),
+        directed=_directed_metrics(
+            ways, known, {way: voxels.cells(d.points, voxel, corner) for way, d in ways.items()}
+        ),
         hausdorff=Hausdorff(*(_extremes(direction, ranks[way], origin) for way, direction in ways.items())),
         chamfer=Chamfer(**{name: _chamfer(name, ways, known) for name in _CHAMFER}),
         fscores=tuple(_threshold_scores(threshold, known) for threshold in thresholds),
@@ -108,7 +110,7 @@ class _ScoreTable(NamedTuple):
         return Estimate(score.value, interval=intervals.interval(score, self.spreads[name]))
 
 
-def _directed(
+def _directed_metrics(
     ways: Mapping[str, Direction], known: _ScoreTable, grids: Mapping[str, voxels.Cells]
 ) -> dict[str, DirectedMetric]:
     """Return the mean metrics by name, with floors and area-weighted means over the cells of `grids`."""

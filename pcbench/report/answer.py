@@ -9,7 +9,7 @@ from pcbench.measure.intervals import Interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
-from pcbench.report.words import joined, length, rounding, shortened
+from pcbench.report.words import join_words, length, rounding_limit, shorten_name
 
 _MAX_SENTENCES = 4
 _MAX_FLOOR_RATIO = 1.25  # a distance up to this multiple of its floor mostly reflects point spacing
@@ -65,16 +65,16 @@ class _Writer:
     def __init__(self, comparison: SourcedComparison) -> None:
         self.comparison = comparison
         names = [c.name for c in comparison]
-        short = [shortened(name, _MAX_NAME_COLUMNS) for name in names]
+        short = [shorten_name(name, _MAX_NAME_COLUMNS) for name in names]
         self.names = dict(zip(names, short if len(set(short)) == len(set(names)) else names, strict=True))
 
     def length(self, value: float | None) -> str:
         """Return a length with the unit of the comparison."""
         return length(value, self.comparison.reference.unit)
 
-    def all(self, candidates: Sequence[Candidate]) -> str:
+    def name_list(self, candidates: Sequence[Candidate]) -> str:
         """Return the names of candidates as a list in words."""
-        return joined([self.names[c.name] for c in candidates])
+        return join_words([self.names[c.name] for c in candidates])
 
     def no_verdict(self, doubtful: Sequence[Candidate]) -> list[str]:
         """Return the sentences for a comparison whose registrations are all doubtful."""
@@ -92,20 +92,24 @@ class _Writer:
             parts.append(f"{self._doubt(doubtful)}, so the ranking excludes {'them' if len(doubtful) > 1 else 'it'}")
         if unconstrained:
             parts.append(
-                f"The geometry does not determine the pose of {self.all(unconstrained)} (see the warnings): distances"
-                " along unconstrained directions are meaningless"
+                f"The geometry does not determine the pose of {self.name_list(unconstrained)} (see the warnings):"
+                " distances along unconstrained directions are meaningless"
             )
         return [f"{'. '.join(parts)}."] if parts else []
 
     def _doubt(self, doubtful: Sequence[Candidate]) -> str:
         several = len(doubtful) > 1
-        whose = f"registrations of {self.all(doubtful)} are" if several else f"registration of {self.all(doubtful)} is"
+        whose = (
+            f"registrations of {self.name_list(doubtful)} are"
+            if several
+            else f"registration of {self.name_list(doubtful)} is"
+        )
         numbers = "their numbers" if several else "its numbers"
         return f"The {whose} doubtful (see the warnings): {numbers} describe a pose that may be wrong"
 
     def of_one(self, candidate: Candidate) -> list[str]:
         """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
-        if candidate.metrics.hausdorff.symmetric_max <= rounding(self.comparison):
+        if candidate.metrics.hausdorff.symmetric_max <= rounding_limit(self.comparison):
             same = f"{self.names[candidate.name]} coincides with the reference up to rounding."
             return [same, self._pose(candidate)]
         bend = bend_sentence(self.comparison, candidate, self.names[candidate.name])
@@ -113,11 +117,11 @@ class _Writer:
 
     def _how_far(self, candidate: Candidate) -> str:
         name, off = self.names[candidate.name], _off_surface(candidate)
-        if off.value <= rounding(self.comparison):
+        if off.value <= rounding_limit(self.comparison):
             return f"Each point of {name} lies on the reference's {off.target}, up to rounding."
         interval = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
-        if partly := self._partly(candidate):
+        if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
         if off.floor is not None and off.is_sampling:
             return f"{text}, no more than error-free points with this density ({self.length(off.floor)})."
@@ -143,12 +147,12 @@ class _Writer:
         )
 
     def _pose(self, candidate: Candidate) -> str:
-        found, least = candidate.registration, rounding(self.comparison)
+        found, least = candidate.registration, rounding_limit(self.comparison)
         how = found.method.partition(":")[0]
         given = {"none": "Not registered", "matrix": "In the given pose"}
         pose = given.get(how, f"Registered by {'control points' if how == 'points' else how}")
         parts = []
-        if not self._partly(candidate):  # _how_far states a small overlap
+        if not self._overlap_warning(candidate):  # _how_far states a small overlap
             parts.append(f"{found.overlap:.1%} of the candidate lies on the reference")
         if found.weakest_sigma is not None and found.weakest_sigma > least and how not in given:
             sigma = self.length(found.weakest_sigma)
@@ -167,11 +171,11 @@ class _Writer:
         complete = self._ranking(away, "more complete", "most complete", "completeness")
         missing = [c for c in candidates if not away[c.name].is_sampling]
         if missing:
-            why = f"parts are missing in {self.all(missing)}"
+            why = f"parts are missing in {self.name_list(missing)}"
         else:
             why = "point spacing explains these distances"
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
-        notes = [*map(self._partly, ends), self._robust_order(candidates, off)]
+        notes = [*map(self._overlap_warning, ends), self._robust_order(candidates, off)]
         return [
             f"{'; '.join(filter(None, [accuracy, *notes]))}.",
             f"{complete}; {why}.",
@@ -200,7 +204,7 @@ class _Writer:
         if len(like) == 1:
             then = "" if order[1] in tied else f", then {self.names[order[1]]} ({values[1]})"
             return f"{best} is {most}: {values[0]}{words}{then}{last}"
-        these, farthest = joined([self.names[name] for name in like]), self.length(found[like[-1]].value)
+        these, farthest = join_words([self.names[name] for name in like]), self.length(found[like[-1]].value)
         return f"{these} are {most}, without a significant difference: {values[0]} to {farthest}{words}{last}"
 
     def _tied_with(self, one: str, order: Sequence[str], metric: str) -> list[str]:
@@ -208,12 +212,15 @@ class _Writer:
         return [name for name in order if name == one or not self._differ(one, name, metric)]
 
     def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:
-        names, ends = joined([self.names[k] for k in tied]), [self.length(found[k].value) for k in (tied[0], tied[-1])]
+        names, ends = (
+            join_words([self.names[k] for k in tied]),
+            [self.length(found[k].value) for k in (tied[0], tied[-1])],
+        )
         if len(tied) == 1:
             return f"; {names} is last ({ends[0]})"
         return f"; {names} are last, without a significant difference ({' to '.join(ends)})"
 
-    def _partly(self, candidate: Candidate) -> str:
+    def _overlap_warning(self, candidate: Candidate) -> str:
         """Return a warning if little of a candidate lies on the reference: the rest dominates its distances."""
         if not overlaps_little(self.comparison, candidate):
             return ""
@@ -244,7 +251,7 @@ class _Writer:
             chosen = [c for c in candidates if _verdict(c) == verdict]
             if not chosen:
                 continue
-            text = f"{joined([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
+            text = f"{join_words([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
             if verdict == "non-affine":
                 text += " beyond any affine motion"
             limits = [c.deformation.minimum_detectable_rms for c in chosen]

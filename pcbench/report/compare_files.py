@@ -56,11 +56,11 @@ class ComparisonJob:
         return cls(reference, named, settings, {}, figures or Figures())
 
     @classmethod
-    def recorded(cls, settings_file: Path) -> ComparisonJob:
+    def from_settings_file(cls, settings_file: Path) -> ComparisonJob:
         """Return the job that a report's settings.json describes."""
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
-        expected = {file.path: file.sha256 for file in inputs.all()}
+        expected = {file.path: file.sha256 for file in inputs.all_files()}
         return cls(Path(inputs.reference.path), candidates, settings, expected, recorded_figures(settings_file))
 
 

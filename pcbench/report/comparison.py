@@ -92,7 +92,7 @@ def compare(
         RegistrationError: a candidate does not overlap the reference.
     """
     compared = compare_inputs(reference, candidates, with_changes(settings, changed), on_step or (lambda _: None))
-    for file in () if compared.inputs is None else compared.inputs.all():
+    for file in () if compared.inputs is None else compared.inputs.all_files():
         for text in file.warnings:
             warnings.warn(text, stacklevel=2)
     return compared
@@ -117,7 +117,7 @@ def compare_inputs(
     if isinstance(reference, str | os.PathLike):
         step(f"reading {reference}")
         reference, reference_file = read_reference(Path(reference), settings)
-    named = _named(candidates)
+    named = _by_name(candidates)
     for name, given in named.items():
         if is_path(given):
             step(f"reading {given}")
@@ -160,7 +160,7 @@ def _is_splat_model(cloud: Any) -> bool:
     return isinstance(cloud, Cloud) and splat_model(cloud) is not None
 
 
-def _named(candidates: Any) -> dict[str, Any]:
+def _by_name(candidates: Any) -> dict[str, Any]:
     """Return candidates by name: the given name, the stem of the file, or a number."""
     if isinstance(candidates, Mapping):
         return dict(candidates)

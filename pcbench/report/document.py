@@ -100,14 +100,14 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "registration": _registration(candidate.registration),
-        **_measured(candidate),
+        **_metrics_and_deviation(candidate),
         "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }
 
 
-def _measured(candidate: Candidate) -> dict[str, Any]:
+def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
     """Return `metrics` and `deviation`: each quantity at its path, and values that are not single numbers."""
     m, deviation = candidate.metrics, candidate.deviation
     lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}

@@ -51,7 +51,7 @@ class Figures:
         name = self.background or otherwise
         return _BACKGROUNDS.get(name, name)
 
-    def changed(self, background: str | None, range: float | None, format: str | None) -> Figures:
+    def with_changes(self, background: str | None, range: float | None, format: str | None) -> Figures:
         """Return a copy with some values replaced; None keeps a value."""
         return Figures(
             self.background if background is None else background,

@@ -115,19 +115,19 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         raise InputError(f"{path}: expected the settings.json of a report (schema {SETTINGS_SCHEMA})")
     try:
         settings = restore(values["settings"])
-        candidates = {row["name"]: _recorded(row) for row in values["candidates"]}
+        candidates = {row["name"]: _input_file(row) for row in values["candidates"]}
         if not candidates or len(candidates) < len(values["candidates"]):
             raise ValueError("candidates need different names")
         for name in candidates:
             check_name(name)
-        files = tuple(_recorded(row) for row in values.get("files", []))
-        return settings, Inputs(_recorded(values["reference"]), candidates, files)
+        files = tuple(_input_file(row) for row in values.get("files", []))
+        return settings, Inputs(_input_file(values["reference"]), candidates, files)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
 
 
-def _recorded(row: dict[str, Any]) -> InputFile:
+def _input_file(row: dict[str, Any]) -> InputFile:
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 must be text")
     return InputFile(row["path"], row["sha256"])
@@ -160,8 +160,8 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
     )
     for candidate in comparison.candidates:
         deviation = candidate.deviation
-        cloud = _coloured(deviation, to_reference[candidate.name], comparison)
-        missing = _coloured(candidate.completeness, to_candidate[candidate.name], comparison)
+        cloud = _colour_cloud(deviation, to_reference[candidate.name], comparison)
+        missing = _colour_cloud(candidate.completeness, to_candidate[candidate.name], comparison)
         stem = folder / candidate.name
         write_cloud(f"{stem}_deviation.ply", cloud)
         write_cloud(f"{stem}_completeness.ply", missing)
@@ -174,7 +174,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)
 
 
-def _coloured(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
+def _colour_cloud(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
     return Cloud(
         deviation.points,
         colors=scale.colors(deviation.scalars["distance"]),

@@ -26,13 +26,13 @@ class Inputs:
     candidates: Mapping[str, InputFile] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
 
-    def all(self) -> tuple[InputFile, ...]:
+    def all_files(self) -> tuple[InputFile, ...]:
         """Return all input files."""
         return (self.reference, *self.candidates.values(), *self.files)
 
     def paths(self) -> list[Path]:
         """Return the paths of all input files."""
-        return [Path(file.path) for file in self.all()]
+        return [Path(file.path) for file in self.all_files()]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -52,7 +52,7 @@ _CANDIDATE_PICTURES = (
 def is_report(folder: Path) -> bool:
     """Whether the folder has a report, of this version or of an earlier one without a manifest."""
     return (
-        _listed(folder / MANIFEST) is not None
+        _listed_files(folder / MANIFEST) is not None
         or str(read_json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
         or {"verdict", "model"} <= read_json_object(folder / "deformation.json").keys()
     )
@@ -104,7 +104,7 @@ def complete_replacement(folder: Path) -> None:
     pending = folder / _PENDING
     if not pending.is_dir():
         return
-    new = _listed(pending / MANIFEST)
+    new = _listed_files(pending / MANIFEST)
     if new is not None:
         own = _old_files(folder)
         remaining = {name for name in new if (pending / name).is_file()}
@@ -128,7 +128,7 @@ def complete_replacement(folder: Path) -> None:
 
 def record_files(folder: Path, names: Iterable[str]) -> None:
     """Add files to the manifest of a report, if it has one."""
-    listed = _listed(folder / MANIFEST)
+    listed = _listed_files(folder / MANIFEST)
     if listed is not None and not (added := set(names)) <= listed:
         _write(folder / MANIFEST, listed | added)
 
@@ -141,7 +141,7 @@ def _check_free(folder: Path, names: Iterable[str], own: set[str]) -> None:
             raise InputError(
                 f"{path}: the new report has a file with this name: rename yours, or choose another folder"
             )
-    if os.path.lexists(folder / MANIFEST) and _listed(folder / MANIFEST) is None:
+    if os.path.lexists(folder / MANIFEST) and _listed_files(folder / MANIFEST) is None:
         raise InputError(
             f"{folder / MANIFEST}: expected the manifest of a report: rename this file, or choose another folder"
         )
@@ -149,7 +149,7 @@ def _check_free(folder: Path, names: Iterable[str], own: set[str]) -> None:
 
 def _old_files(folder: Path) -> set[str]:
     """Return the names of the files of an earlier report in a folder, whether they still exist or not."""
-    listed = _listed(folder / MANIFEST)
+    listed = _listed_files(folder / MANIFEST)
     if listed is not None:
         return listed
     names: set[str] = set()
@@ -168,7 +168,7 @@ def _old_files(folder: Path) -> set[str]:
     return set(filter(_is_inside, names))
 
 
-def _listed(manifest: Path) -> set[str] | None:
+def _listed_files(manifest: Path) -> set[str] | None:
     """Return the files in a manifest; None if it is missing or invalid."""
     values = read_json_object(manifest)
     files = values.get("files")

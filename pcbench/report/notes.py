@@ -9,7 +9,7 @@ from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Difference
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import joined, length
+from pcbench.report.words import join_words, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
@@ -32,7 +32,7 @@ def warnings(comparison: SourcedComparison) -> list[str]:
             found.update({text: [] for text in inputs.candidates[candidate.name].warnings})
         for text in _of_candidate(comparison, candidate):
             found.setdefault(text, []).append(candidate.name)
-    return [f"{joined(names)}: {text}" if names else text for text, names in found.items()]
+    return [f"{join_words(names)}: {text}" if names else text for text, names in found.items()]
 
 
 def survey_sentences(comparison: SourcedComparison) -> Iterator[str]:

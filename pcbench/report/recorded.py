@@ -32,8 +32,8 @@ def record(settings: Settings) -> dict[str, Any]:
     if values["initial"] is None:
         del values["initial"]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):
-        values["m3c2"] = _recorded_m3c2(m3c2)
-    return {name: _absolute(value) if isinstance(value, str) else _recorded(value) for name, value in values.items()}
+        values["m3c2"] = _m3c2_record(m3c2)
+    return {name: _absolute(value) if isinstance(value, str) else _to_record(value) for name, value in values.items()}
 
 
 def restore(values: Mapping[str, Any]) -> Settings:
@@ -42,26 +42,26 @@ def restore(values: Mapping[str, Any]) -> Settings:
     Raises:
         InputError, AttributeError, KeyError, TypeError, ValueError: the values are damaged.
     """
-    restored = {name: _restored(value) for name, value in values.items()}
+    restored = {name: _from_record(value) for name, value in values.items()}
     if isinstance(values.get("m3c2"), Mapping):
-        restored["m3c2"] = M3C2Settings(**{name: _restored(value) for name, value in values["m3c2"].items()})
+        restored["m3c2"] = M3C2Settings(**{name: _from_record(value) for name, value in values["m3c2"].items()})
     return Settings(**restored)
 
 
-def _recorded(value: Any) -> Any:
+def _to_record(value: Any) -> Any:
     if isinstance(value, IcpSettings | FeatureSettings) and value.text in METHODS and parse_method(value.text) == value:
         return value.text
     if type(value).__name__ in _TYPES and is_dataclass(value):
-        recorded = {item.name: _recorded(getattr(value, item.name)) for item in fields(value) if item.init}
+        recorded = {item.name: _to_record(getattr(value, item.name)) for item in fields(value) if item.init}
         if "text" in recorded:
             recorded["text"] = _absolute(recorded["text"])
         return {"type": type(value).__name__, **recorded}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {name: _recorded(item) for name, item in value.items()}
+        return {name: _to_record(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_recorded(item) for item in value]
+        return [_to_record(item) for item in value]
     return getattr(value, "text", value)  # a user-defined region has only its text
 
 
@@ -70,17 +70,17 @@ def _absolute(text: str) -> str:
     return text if file is None else f"{text.partition(':')[0]}:{file.absolute()}"
 
 
-def _recorded_m3c2(settings: M3C2Settings) -> Any:
+def _m3c2_record(settings: M3C2Settings) -> Any:
     if not isinstance(settings.cores, Cloud):
         return settings.absolute().text
-    return {item.name: _recorded(getattr(settings, item.name)) for item in fields(settings)}
+    return {item.name: _to_record(getattr(settings, item.name)) for item in fields(settings)}
 
 
-def _restored(value: Any) -> Any:
+def _from_record(value: Any) -> Any:
     """Restore a value; fields that are null in JSON (non-finite numbers) get their defaults."""
     if isinstance(value, Mapping) and "type" in value:
-        arguments = {name: _restored(item) for name, item in value.items() if name != "type" and item is not None}
+        arguments = {name: _from_record(item) for name, item in value.items() if name != "type" and item is not None}
         return _TYPES[value["type"]](**arguments)
     if isinstance(value, Mapping):
-        return {name: _restored(item) for name, item in value.items()}
-    return tuple(_restored(item) for item in value) if isinstance(value, list) else value
+        return {name: _from_record(item) for name, item in value.items()}
+    return tuple(_from_record(item) for item in value) if isinstance(value, list) else value

@@ -10,7 +10,7 @@ from pcbench.measure.quantity import LENGTH, RATIO, Quantity
 from pcbench.measure.results import ARROWS, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.table import Line, across
-from pcbench.report.words import UNKNOWN, columns, number, rounding, shortened
+from pcbench.report.words import UNKNOWN, columns, number, rounding_limit, shorten_name
 
 MAX_SIDE_BY_SIDE = 2  # candidates in one table with a column each
 _MAX_ROWS = 12
@@ -33,7 +33,7 @@ class Column(NamedTuple):
 def main_lines(comparison: SourcedComparison) -> list[Line]:
     """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
     candidates = list(comparison)
-    show, thresholds = _shown(comparison), _thresholds(comparison)
+    show, thresholds = _length_formatter(comparison), _thresholds(comparison)
 
     def is_shown(quantity: Quantity) -> bool:
         if quantity.headline is None or quantity.threshold not in (None, *thresholds):
@@ -54,7 +54,10 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
     how = "registration" if len(methods) > 1 else methods.pop()
     fits = [(show(c.registration.rmse), f"{c.registration.overlap:.1%}") for c in candidates]
     rows = [
-        Line("points measured", [(f"{c.points_in_region:,}", f"{_measured(comparison):,}") for c in candidates]),
+        Line(
+            "points measured",
+            [(f"{c.points_in_region:,}", f"{_reference_point_count(comparison):,}") for c in candidates],
+        ),
         Line(f"{how}: rmse, overlap", fits),
         *always,
         Line("deformation", [(c.deformation.verdict, "") for c in candidates]),
@@ -78,7 +81,12 @@ def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
         *_quantity_columns(comparison),
         (2, Column(("", "deformation"), [c.deformation.verdict for c in candidates])),
-        (7, Column(("deformed", "RMS"), [_deformation_size(c, _shown(comparison, digits=3)) for c in candidates])),
+        (
+            7,
+            Column(
+                ("deformed", "RMS"), [_deformation_size(c, _length_formatter(comparison, digits=3)) for c in candidates]
+            ),
+        ),
     ]
     room = width - min(max(columns(c.name) for c in candidates), _MIN_NAME_COLUMNS)
     kept: set[int] = set()
@@ -97,19 +105,19 @@ def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
 
 def _names(candidates: list[Candidate], width: int) -> list[str]:
     """Return the names shortened to `width` columns, numbered if two would become equal."""
-    names = [shortened(c.name, width) for c in candidates]
+    names = [shorten_name(c.name, width) for c in candidates]
     if len(set(names)) < len(names):
-        names = [f"{k} {shortened(c.name, width - len(str(k)) - 1)}" for k, c in enumerate(candidates, 1)]
+        names = [f"{k} {shorten_name(c.name, width - len(str(k)) - 1)}" for k, c in enumerate(candidates, 1)]
     return names
 
 
-def _measured(comparison: SourcedComparison) -> int:
+def _reference_point_count(comparison: SourcedComparison) -> int:
     return comparison.reference.points_in_region
 
 
 def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Column]]:
     """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
-    show, thresholds = _shown(comparison, digits=3), _thresholds(comparison)[:1]
+    show, thresholds = _length_formatter(comparison, digits=3), _thresholds(comparison)[:1]
 
     def text(quantity: Quantity | None) -> str:
         if quantity is None or quantity.value is None:
@@ -136,9 +144,9 @@ def _deformation_size(candidate: Candidate, show: Callable[[float | None], str])
     return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
 
 
-def _shown(comparison: SourcedComparison, digits: int = 4) -> Callable[[float | None], str]:
+def _length_formatter(comparison: SourcedComparison, digits: int = 4) -> Callable[[float | None], str]:
     """Return a function that formats lengths; values within rounding are 0."""
-    least = rounding(comparison)
+    least = rounding_limit(comparison)
 
     def show(value: float | None) -> str:
         return UNKNOWN if value is None else "0" if abs(value) <= least else f"{value:.{digits}g}"

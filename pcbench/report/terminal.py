@@ -13,7 +13,7 @@ from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import details, survey_sentences, warnings
 from pcbench.report.summary import MAX_SIDE_BY_SIDE, main_columns, main_lines
 from pcbench.report.table import Line, lines
-from pcbench.report.words import columns, padded, shortened, title
+from pcbench.report.words import columns, pad, shorten_name, title
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,7 +65,7 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
             cells = [column.head[head].rjust(column.width) for column in others]
             _print_row(console, [(unit if head else "").ljust(left), *cells], "bold")
         for row, name in enumerate(names.cells):
-            _print_row(console, [padded(name, left), *(column.cells[row].rjust(column.width) for column in others)])
+            _print_row(console, [pad(name, left), *(column.cells[row].rjust(column.width) for column in others)])
     console.print()
     if full:
         for sentence in details(comparison):
@@ -128,9 +128,9 @@ def _print_lines(console: Console, names: Sequence[str], unit: str, table: Seque
     heads = []
     for name, pair in zip(names, widths, strict=True):  # a long name uses the spare width
         room = sum(pair) + len(_GAP)
-        shown = shortened(name, room + spare)
+        shown = shorten_name(name, room + spare)
         pair[0] += max(columns(shown) - room, 0)
-        heads.append(padded(shown, sum(pair) + len(_GAP), right=True))
+        heads.append(pad(shown, sum(pair) + len(_GAP), right=True))
     _print_row(console, ["".ljust(label), *heads], "bold")
     _print_row(
         console, [unit.ljust(label), *(a.rjust(w) for pair in widths for a, w in zip(_ARROWS, pair, strict=True))]

@@ -30,14 +30,14 @@ def length(value: float | None, unit: str | None) -> str:
     return f"{text} {unit}" if unit else text
 
 
-def joined(names: Sequence[str], most: int = 8) -> str:
+def join_words(names: Sequence[str], most: int = 8) -> str:
     """Return "a, b and c"; beyond `most` names the rest is counted, as in "a, b and 3 others"."""
     if len(names) > most:
         names = [*names[: most - 1], f"{len(names) - most + 1} others"]
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def shortened(name: str, width: int) -> str:
+def shorten_name(name: str, width: int) -> str:
     """Return a name in at most `width` columns; a long name keeps its two ends."""
     name = printable(name)
     if columns(name) <= width:
@@ -56,7 +56,7 @@ def columns(text: str) -> int:
     return sum(map(_columns, text))
 
 
-def padded(text: str, width: int, *, right: bool = False) -> str:
+def pad(text: str, width: int, *, right: bool = False) -> str:
     """Pad a text with blanks to `width` columns, aligned to the left or to the right."""
     blanks = " " * (width - columns(text))
     return f"{blanks}{text}" if right else f"{text}{blanks}"
@@ -72,7 +72,7 @@ def _prefix(text: str, width: int) -> str:
     return text[: sum(end <= width for end in ends)]
 
 
-def rounding(comparison: SourcedComparison) -> float:
+def rounding_limit(comparison: SourcedComparison) -> float:
     """Return the largest distance that counts as rounding, in the clouds' unit."""
     return _ROUNDING_SHARE * comparison.reference.extent
 

@@ -42,7 +42,7 @@ from reconstructors.mvs.fusion import (
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MatchedImage, choose_references
-from reconstructors.mvs.sparse import SparseModel, recentered_camera, sparse_from_colmap
+from reconstructors.mvs.sparse import SparseModel, recenter_camera, sparse_from_colmap
 from reconstructors.mvs.views import IMAGE, ViewCache, luminance, pinhole, stage_location, view_stage
 from reconstructors.sfm.features import join_names
 from reconstructors.sfm.sfm import ColmapSfm
@@ -154,7 +154,7 @@ class DenseMvs:
 
         filtered = self._filter_maps(photographs, references, maps, workspace)
         notes += _describe_missing_maps(filtered, references)
-        write_colmap_model(workspace / MAPS, [recentered_camera(cameras[name], -origin) for name in filtered.folders])
+        write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered.folders])
         fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
         counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
         cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
@@ -261,7 +261,7 @@ def _local_sparse_model(workspace: Path, cameras: Mapping[str, Camera]) -> tuple
 
     model = pycolmap.Reconstruction(workspace / _SFM / "model")
     origin = next(iter(cameras.values())).position.round()
-    return sparse_from_colmap(model, cameras).recentered(origin), origin
+    return sparse_from_colmap(model, cameras).recenter(origin), origin
 
 
 def _matched_names(references: Sequence[MatchedImage]) -> list[str]:

@@ -81,7 +81,7 @@ def match(
         if state is None:
             state = _SearchState.initial(np.zeros((*scaled.gray.shape, 4), np.float32), len(others))
         else:
-            state = state.upsampled(scaled.gray.shape)
+            state = state.upsample(scaled.gray.shape)
         coarsest = level == len(pyramid) - 1
         # Depths from a coarser level are close already: one more sweep at full size brought 0.4 % of the depths to
         # within a pixel's footprint of the truth, for a third of the time.
@@ -133,7 +133,7 @@ class _SearchState(NamedTuple):
         shape = planes.shape[:2]
         return cls(planes, np.zeros(shape, np.float32), np.zeros((*shape, sources), np.float32))
 
-    def upsampled(self, shape: tuple[int, ...]) -> _SearchState:
+    def upsample(self, shape: tuple[int, ...]) -> _SearchState:
         """Return the state at the next finer level: each pixel gets the plane of its coarser pixel."""
         rows, columns = (
             np.minimum(np.arange(n) // 2, m - 1) for n, m in zip(shape, self.planes.shape[:2], strict=True)

@@ -42,13 +42,13 @@ class SparseModel:
         rows = self.visibility.indices[self.visibility.indptr[k] : self.visibility.indptr[k + 1]]
         return np.asarray(rows, dtype=np.int64)
 
-    def recentered(self, origin: FloatArray) -> SparseModel:
+    def recenter(self, origin: FloatArray) -> SparseModel:
         """Return the model relative to an origin (3,); small coordinates are accurate in float32."""
-        moved = {name: recentered_camera(camera, origin) for name, camera in self.cameras.items()}
+        moved = {name: recenter_camera(camera, origin) for name, camera in self.cameras.items()}
         return replace(self, cameras=moved, points=self.points - origin)
 
 
-def recentered_camera(camera: Camera, origin: FloatArray) -> Camera:
+def recenter_camera(camera: Camera, origin: FloatArray) -> Camera:
     """Return a camera in the frame whose origin is at `origin` (3,)."""
     pose = camera.cam_from_world
     return replace(camera, cam_from_world=Similarity(pose.rotation, pose.translation + pose.rotation @ origin))

@@ -99,7 +99,7 @@ class Curve:
     budgets: tuple[Budget, ...]
 
     @property
-    def chosen(self) -> Budget:
+    def selected(self) -> Budget:
         """The smallest budget that is as good as the best."""
         return self.budgets[select_budget(self.budgets)]
 
@@ -111,7 +111,7 @@ class Curve:
     @property
     def sentence(self) -> str:
         """The choice and its reason, as a sentence for the notes."""
-        selected, best, most = self.chosen, self.best, self.budgets[0].gaussians
+        selected, best, most = self.selected, self.best, self.budgets[0].gaussians
         size = f"{selected.gaussians:,} Gaussians with spherical harmonics of degree {selected.degree}"
         words = f"{size} are enough: PSNR {selected.mean:.2f} dB on held-out photographs"
         if selected is best and selected.gaussians == most:
@@ -137,7 +137,7 @@ class Curve:
         writer = csv.writer(text, lineterminator="\n")
         blocks = [f"block_{k}_db" for k in range(1, len(self.budgets[0].psnr) + 1)]
         writer.writerow([*_COLUMNS, "bytes", "psnr_db", "loss_db", "loss_standard_error_db", "chosen", *blocks])
-        best, selected = self.best, self.chosen
+        best, selected = self.best, self.selected
         for budget in self.budgets:
             loss = PsnrLoss.of(budget, best)
             counts = (budget.gaussians, budget.degree, f"{budget.step_ms:.2f}", 4 * budget.numbers)

@@ -70,7 +70,9 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
 
     cloud = read_cloud(path, on_warning=on_warning)
     model = splat_model(cloud)
-    missing = [name for name in (*_numbered("f_dc", 3), *_numbered("rot", 4)) if name not in cloud.attributes]
+    missing = [
+        name for name in (*_numbered_names("f_dc", 3), *_numbered_names("rot", 4)) if name not in cloud.attributes
+    ]
     if model is None or missing:
         raise InputError(
             f"{path}: expected a model of Gaussian splats with opacity, scale_*, rot_* and f_dc_*, got attributes"
@@ -80,23 +82,23 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
         count = sum(name.startswith("f_rest_") for name in cloud.attributes)
         raise InputError(f"{path}: expected 0, 9, 24 or 45 properties f_rest_*, got {count}")
 
-    def stacked(name: str, count: int) -> NDArray[np.float32]:
-        columns = [cloud.attributes[column].astype(np.float32) for column in _numbered(name, count)]
+    def stack_columns(name: str, count: int) -> NDArray[np.float32]:
+        columns = [cloud.attributes[column].astype(np.float32) for column in _numbered_names(name, count)]
         return np.stack(columns, axis=1) if count else np.empty((len(cloud), 0), np.float32)
 
     higher = (model.sh_degree + 1) ** 2 - 1
-    rest = stacked("f_rest", 3 * higher).reshape(len(cloud), 3, higher).transpose(0, 2, 1)
-    scales = stacked("scale", model.dimensions)
+    rest = stack_columns("f_rest", 3 * higher).reshape(len(cloud), 3, higher).transpose(0, 2, 1)
+    scales = stack_columns("scale", model.dimensions)
     if model.dimensions == 2:  # the normal of a disc is its third axis
         thin = scales.min(axis=1, keepdims=True) + np.float32(np.log(_DISC_FLATNESS))
         scales = np.concatenate([scales, thin], axis=1)
     origin = _local_origin(cloud.points)
     parts = [
         (cloud.points - origin).astype(np.float32),
-        stacked("rot", 4),
+        stack_columns("rot", 4),
         scales,
         cloud.attributes["opacity"].astype(np.float32),
-        np.concatenate([stacked("f_dc", 3)[:, None], rest], axis=1),
+        np.concatenate([stack_columns("f_dc", 3)[:, None], rest], axis=1),
     ]
     finite = np.all([np.isfinite(part.reshape(len(cloud), -1)).all(axis=1) for part in parts], axis=0)
     if not finite.any():
@@ -107,7 +109,7 @@ def read_model(path: Path, on_warning: Warn | None = None) -> tuple[Gaussians, L
     return Gaussians(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts)), LocalFrame(origin, 1.0)
 
 
-def _numbered(name: str, count: int) -> list[str]:
+def _numbered_names(name: str, count: int) -> list[str]:
     return [f"{name}_{k}" for k in range(count)]
 
 

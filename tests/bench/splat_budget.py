@@ -93,7 +93,7 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
         print(
             f"{budget.gaussians:9,}{budget.degree:8}{budget.mean:8.2f}{f'{loss.mean:.2f} ± {loss.error:.2f}':>14}"
             f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
-            f"{'  chosen' if budget is curve.chosen else ''}"
+            f"{'  chosen' if budget is curve.selected else ''}"
         )
     rows = [("chosen", selected_training, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
     held_out = {photograph.name: photograph for photograph in inputs.held_out}

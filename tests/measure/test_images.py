@@ -110,7 +110,7 @@ def test_flip_equals_flip_evaluator():
     flip = import_or_skip("flip_evaluator")
     truth = make_photograph(2)
     image = degrade(truth, 2)
-    metrics = Perceptual.here()
+    metrics = Perceptual.find_available()
     a, b = (pixels.astype(np.float32) / 255 for pixels in (image, truth))
     assert metrics.scores(image, truth).flip == pytest.approx(flip.evaluate(b, a, "LDR")[1], abs=1e-6)
     assert metrics.scores(truth, truth).flip == 0
@@ -124,7 +124,7 @@ def test_flip_equals_flip_evaluator():
 def test_missing_packages_are_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(perceptual, "find_spec", lambda name: None)
     break_library(monkeypatch, tmp_path, "flip_evaluator", None)
-    metrics = Perceptual.here()
+    metrics = Perceptual.find_available()
     assert [notice.code for notice in metrics.missing] == ["no-lpips", "no-flip"]
     check_text("\n".join(notice.text for notice in metrics.missing))
     scores = metrics.scores(make_photograph(0), make_photograph(1))
@@ -139,7 +139,7 @@ def test_lpips_without_its_weights_downloads_nothing(monkeypatch, tmp_path):
     monkeypatch.setattr(perceptual, "find_spec", lambda name: find_spec("json" if name == "lpips" else name))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     monkeypatch.setattr(perceptual, "require", pytest.fail)
-    metrics = Perceptual.here()
+    metrics = Perceptual.find_available()
     assert metrics.lpips is None
     assert metrics.missing[0].code == "no-lpips"
     check_text(metrics.missing[0].text)
@@ -162,7 +162,7 @@ def test_lpips_equals_the_lpips_package(monkeypatch, tmp_path):
     image = degrade(truth, 2)
     network = lpips.LPIPS(net="vgg", verbose=False)
     tensors = (lpips.im2tensor(pixels) for pixels in (image, truth))
-    metrics = Perceptual.here()
+    metrics = Perceptual.find_available()
     scores = metrics.scores(image, truth)
     assert scores.lpips == pytest.approx(float(network(*tensors)), rel=1e-5)
     assert scores.lpips > 0

@@ -179,7 +179,7 @@ def test_no_trial_fails_silently(monkeypatch, capsys):
     """The benchmark's quick form: generated scenes only, including mirror images."""
     trials, scenes = _import_bench(monkeypatch)
     selected_scenes = {name: (scenes.TUNED | scenes.HELD_OUT)[name] for name in ("bumps", "rough ground")}
-    rows = trials.run(selected_scenes, ["icp", "similarity"], range(2))
+    rows = trials.run_trials(selected_scenes, ["icp", "similarity"], range(2))
     kinds = [row["kind"] for row in rows]
     assert "silent" not in kinds
     assert kinds.count("right") >= 4
@@ -189,7 +189,7 @@ def test_no_trial_fails_silently(monkeypatch, capsys):
 @pytest.mark.slow
 def test_no_trial_of_any_scene_fails_silently(monkeypatch):
     trials, scenes = _import_bench(monkeypatch)
-    rows = trials.run(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
+    rows = trials.run_trials(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
     kinds = [row["kind"] for row in rows]
     assert kinds.count("silent") <= 0.01 * len(kinds)
     assert kinds.count("right, warned") <= 0.06 * kinds.count("right")

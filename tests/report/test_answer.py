@@ -14,7 +14,7 @@ from pcbench.registration import result
 from pcbench.report.answer import answer
 from pcbench.report.notes import details, warnings
 from pcbench.report.table import html, markdown
-from pcbench.report.words import columns, joined, length, padded, shortened
+from pcbench.report.words import columns, join_words, length, pad, shorten_name
 
 NO_REGISTRATION = Settings(register="none")
 
@@ -208,13 +208,13 @@ def test_files_and_notebooks_start_with_the_answer_and_have_all_details(comparis
 
 
 def test_lists_lengths_and_names_are_formatted():
-    assert joined(["a"]) == "a"
-    assert joined(["a", "b", "c"]) == "a, b and c"
-    assert joined([*"abcdefghij"]) == "a, b, c, d, e, f, g and 3 others"
+    assert join_words(["a"]) == "a"
+    assert join_words(["a", "b", "c"]) == "a, b and c"
+    assert join_words([*"abcdefghij"]) == "a, b, c, d, e, f, g and 3 others"
     assert (length(0.12345, "m"), length(1234.5, None), length(None, "m")) == ("0.123 m", "1,234", "–")
-    assert shortened("reconstruction_2024-05-17", 15) == "reconst…4-05-17"
-    assert shortened("short", 15) == "short"
-    assert shortened("two\nlines\udcff", 15) == "two?lines?"
-    assert shortened("測量點雲的名字", 9) == "測量…名字"
+    assert shorten_name("reconstruction_2024-05-17", 15) == "reconst…4-05-17"
+    assert shorten_name("short", 15) == "short"
+    assert shorten_name("two\nlines\udcff", 15) == "two?lines?"
+    assert shorten_name("測量點雲的名字", 9) == "測量…名字"
     assert (columns("a測é"), columns("e\u0301")) == (4, 1)
-    assert padded("測", 4, right=True) == "  測"
+    assert pad("測", 4, right=True) == "  測"

@@ -8,7 +8,7 @@ from pcbench import compare
 from pcbench.geometry.voxels import robust_extent
 from pcbench.measure import intervals
 from pcbench.report import document
-from pcbench.report.words import rounding
+from pcbench.report.words import rounding_limit
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_the_extent_does_not_depend_on_the_cell_size(clouds, monkeypatch):
     monkeypatch.setattr(intervals, "_CELLS_ALONG_DIAGONAL", 14)
     coarse_comparison = compare(reference, clouds[1], register="none")
     assert coarse_comparison.reference.block_side == pytest.approx(2 * comparison.reference.block_side)
-    assert rounding(coarse_comparison) == rounding(comparison) == 1e-9 * comparison.reference.extent
+    assert rounding_limit(coarse_comparison) == rounding_limit(comparison) == 1e-9 * comparison.reference.extent
 
 
 def test_the_seed_changes_only_sampling_floors_and_cross_validation():

@@ -84,7 +84,7 @@ def test_study_recognises_its_folder(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("kind", "left"),
+    ("kind", "files"),
     [
         (BENCH, {".lock": "", "runs/x/run.json": "{}"}),
         (BENCH, {"bench.json": '{"schema": "pcbench.bench/1"}'}),

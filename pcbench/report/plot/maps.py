@@ -46,10 +46,10 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
         return Frame.of(box, [cloud.points for cloud in clouds.values()])
     box = AxisBox.around(measured.points)
     near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MAX_OUTSIDE_SHARE]
-    return Frame.of(box.widened(map(AxisBox.around, near)), [measured.points, *near])
+    return Frame.of(box.widen(map(AxisBox.around, near)), [measured.points, *near])
 
 
-def coloured(
+def draw_coloured_cloud(
     cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, shared: Frame, path: Path,
     look: Figures,
 ) -> bool:  # fmt: skip

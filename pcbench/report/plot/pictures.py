@@ -91,7 +91,9 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
     def picture(name: str, scale: Range) -> Picture:
         title = f"{name} ({pluralize(len(clouds[name]), noun)})"
         return Picture(
-            lambda path: maps.coloured(clouds[name], values[name], title, scale, label, report.unit, frame, path, look)
+            lambda path: maps.draw_coloured_cloud(
+                clouds[name], values[name], title, scale, label, report.unit, frame, path, look
+            )
         )
 
     return {f"{name}_{scalar}": picture(name, scale) for name, scale in scales.items()}
@@ -110,7 +112,7 @@ def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Pict
             assert cloud is not None
             title = f"completeness of {candidate.name} (the reference's {pluralize(len(cloud), 'point')})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
-            return maps.coloured(cloud, values, title, scale, label, report.unit, frame, path, look)
+            return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, frame, path, look)
 
         return Picture(draw)
 

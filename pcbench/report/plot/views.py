@@ -74,7 +74,7 @@ class AxisBox:
         reach = _MAX_GROWTH_SHARE * (self.high - self.low)
         return AxisBox(self.low - reach, self.high + reach)
 
-    def widened(self, others: Iterable[AxisBox]) -> AxisBox:
+    def widen(self, others: Iterable[AxisBox]) -> AxisBox:
         """Return the box enlarged to include other boxes, at most to `grown`."""
         low, high, limit = self.low, self.high, self.grown()
         for other in others:

@@ -34,7 +34,7 @@ class Axis:
         return cls._parse("--sweep [METHOD.]KEY=VALUE,VALUE,...", text, split=True)
 
     @classmethod
-    def fixed(cls, text: str) -> Axis:
+    def setting(cls, text: str) -> Axis:
         """Parse `[METHOD.]KEY=VALUE`; the value may contain commas.
 
         Raises:

@@ -129,7 +129,7 @@ class FinishedRun:
     kept: bool
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Result of the run in one line."""
         row = self.row
         end = f"F-score {row['fscore']:.4g}" if row["status"] == "ok" else f"{row['status']}: {row['message']}"

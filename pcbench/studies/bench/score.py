@@ -290,8 +290,8 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
         (float(to_truth.distances.mean()), float(np.square(to_truth.distances).mean()), float(to_truth.distances.max()))
         if by_surface
         else (
-            _required(metrics.mean_distance.accuracy.value),
-            _required(metrics.d1_mse.accuracy.value),
+            _require(metrics.mean_distance.accuracy.value),
+            _require(metrics.d1_mse.accuracy.value),
             metrics.hausdorff.accuracy.largest,
         )
     )
@@ -300,10 +300,10 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
         accuracy_to="surface" if by_surface else "points",
         mean_c2r=mean,
         mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
-        mean_r2c=_required(metrics.mean_distance.completeness.value),
+        mean_r2c=_require(metrics.mean_distance.completeness.value),
         mean_r2c_floor=metrics.mean_distance.completeness.floor,
         d1_c2r=square,
-        d1_r2c=_required(metrics.d1_mse.completeness.value),
+        d1_r2c=_require(metrics.d1_mse.completeness.value),
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
         threshold_scores=tuple(_threshold_scores(protocol, to_truth, error_free)),
         notes=(
@@ -388,7 +388,7 @@ def _nearest_distances(points: FloatArray, places: FloatArray) -> FloatArray:
     return Index(points).query(places).distances if len(points) else np.full(len(places), np.inf)
 
 
-def _required(value: float | None) -> float:
+def _require(value: float | None) -> float:
     assert value is not None  # distances to points always exist
     return value
 

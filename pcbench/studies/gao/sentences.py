@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from pcbench.deformation import Deformation, Trend
 from pcbench.measure.wording import ratio_in_words
-from pcbench.report.words import joined, length
+from pcbench.report.words import join_words, length
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import TRUTH, GaoStudy, ReferenceEvaluation, SceneResult
 from pcbench.studies.gao.table import failures
@@ -176,12 +176,12 @@ def _verdicts(found: dict[str, Deformation], unit: str) -> str:
     ):
         names = [name for name, bend in found.items() if bend.verdict == verdict]
         if names:
-            parts.append(f"{joined(names)} {'is' if len(names) == 1 else 'are'} {words}")
+            parts.append(f"{join_words(names)} {'is' if len(names) == 1 else 'are'} {words}")
     reasons: dict[str, list[str]] = {}
     for name, bend in found.items():
         if bend.verdict == "undecided":
             reasons.setdefault(str(bend.warnings[0]) if bend.warnings else "", []).append(name)
-    parts += [f"{joined(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
+    parts += [f"{join_words(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
     return "; ".join(parts)
 
 
@@ -217,8 +217,8 @@ def _cause_sentences(scene: SceneResult, study: GaoStudy) -> Iterator[str]:
     against_mvs = [name for name in names if _is_bent(scene, name, MVS)]
     if against_mvs:
         yield (
-            f"{joined([*against_mvs, MVS])} use the same cameras, so the cameras do not explain the deformation of"
-            f" {joined(against_mvs)} against mvs{_attribution(scene, against_mvs)}."
+            f"{join_words([*against_mvs, MVS])} use the same cameras, so the cameras do not explain the deformation of"
+            f" {join_words(against_mvs)} against mvs{_attribution(scene, against_mvs)}."
         )
     bent = [name for name in names if _is_bent(scene, name, TRUTH)]
     surface = None if scene.cameras is None else scene.cameras.surface
@@ -229,15 +229,15 @@ def _cause_sentences(scene: SceneResult, study: GaoStudy) -> Iterator[str]:
     rest = [name for name in bent if name not in explained]
     if explained:
         unseen = [name for name in explained if name != MVS and not _is_bent(scene, name, MVS)]
-        hidden = f"; mvs as the reference hides that of {joined(unseen)}" if unseen else ""
+        hidden = f"; mvs as the reference hides that of {join_words(unseen)}" if unseen else ""
         yield (
-            f"the deformation of {joined(explained)} against the truth does not exceed the effect of the"
+            f"the deformation of {join_words(explained)} against the truth does not exceed the effect of the"
             f" cameras{hidden}."
         )
     if rest:
         yield (
-            f"the deformation of {joined(rest)} against the truth exceeds the effect of the cameras: the method adds to"
-            " it, or noise that its interval does not include."
+            f"the deformation of {join_words(rest)} against the truth exceeds the effect of the cameras: the method"
+            " adds to it, or noise that its interval does not include."
         )
 
 

@@ -93,7 +93,7 @@ def score_views(
         MissingExtra: Pillow is not installed.
     """
     read = [read_views(folder) for folder in folders]
-    measured = perceptual or Perceptual.here()
+    measured = perceptual or Perceptual.find_available()
     left = sum(len(views.views) for views in read)
     scenes = []
     for views in read:

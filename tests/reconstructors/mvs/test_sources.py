@@ -110,9 +110,9 @@ def test_recentering_changes_only_the_frame():
     ]
     sparse = model_over_plane(cameras)
     origin = np.array([4e5, 5e6, 300.0])
-    shifted_model = sparse.recentered(-origin)
+    shifted_model = sparse.recenter(-origin)
     np.testing.assert_allclose(shifted_model.cameras["a"].position, cameras[0].position + origin, rtol=1e-12)
-    restored_model = shifted_model.recentered(origin)
+    restored_model = shifted_model.recenter(origin)
     np.testing.assert_allclose(restored_model.points, sparse.points, atol=1e-8)
     np.testing.assert_allclose(restored_model.cameras["a"].cam_from_world.translation, [1, 2, 3], atol=1e-8)
 

@@ -74,7 +74,7 @@ def test_the_selected_model_is_trained_on_all_photographs():
     curve = training.density.curve
     assert [b.gaussians for b in curve.budgets[:3]] == [480, 240, 120]
     assert len({b.gaussians for b in curve.budgets}) < len(curve.budgets), "colours of a lower degree were tried"
-    assert (len(training.model), training.model.degree) == (curve.chosen.gaussians, curve.chosen.degree)
+    assert (len(training.model), training.model.degree) == (curve.selected.gaussians, curve.selected.degree)
     assert training.step == 120
     assert len(training.photographs) == 8
 
@@ -121,7 +121,7 @@ def test_a_resumed_selection_equals_an_uninterrupted_one(tmp_path):
 def test_a_run_of_one_step_ends_with_a_selection():
     training = new_training(steps=1)
     training.run(1)
-    assert (training.step, len(training.model)) == (1, training.density.curve.chosen.gaussians)
+    assert (training.step, len(training.model)) == (1, training.density.curve.selected.gaussians)
 
 
 def test_one_held_out_block_is_refused():

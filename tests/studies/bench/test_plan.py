@@ -59,7 +59,7 @@ def method(label, *settings, problem=None):
 
 def test_trials_are_the_product_of_sweeps():
     a, b, unusable = method("A", "n", "seed"), method("B", "n", "m"), method("C", problem="it cannot be imported")
-    axes = [Axis.sweep("image_scale=0.5,1"), Axis.sweep("n=1,2"), Axis.sweep("B.m=x,y"), Axis.fixed("A.n=7,8")]
+    axes = [Axis.sweep("image_scale=0.5,1"), Axis.sweep("n=1,2"), Axis.sweep("B.m=x,y"), Axis.setting("A.n=7,8")]
     planned_trials, notes = trials([a, b, unusable], axes, 2)
     titles = [trial.title for trial in planned_trials]
     assert titles[:4] == [f"A image_scale={s} n=7,8 seed {k}" for s in ("0.5", "1") for k in (0, 1)]

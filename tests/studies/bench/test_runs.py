@@ -339,7 +339,9 @@ class Own:
         return Reconstruction(Cloud(frame.apply(read_cloud(HERE / "made.ply").points)), "arbitrary", found)
 """
     )
-    bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.fixed("noise=0")])
+    bench_job = BenchJob(
+        Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.setting("noise=0")]
+    )
     bench_job = replace(bench_job, cameras="none")
     own_row, good_row = bench(bench_job, Path("out"))["rows"]
     assert (own_row["status"], own_row["registration"], good_row["registration"]) == ("ok", "cameras", "none")

@@ -29,11 +29,11 @@ def check_changed_sentences(*scenes, **settings):
 def test_sentences_report_gains_and_costs():
     text = check_text("\n".join(study(scene()).sentences))
     for value in (
-        "1,000 points out of 1,000",
-        "2 m RMS becomes 0.5 m (4 times less)",
-        "0.1 m RMS becomes 0.4 m (4 times as much)",
+        "increases 1,000 points to 1,000",
+        "2 m RMS becomes 0.5 m (4 times smaller)",
+        "0.1 m RMS becomes 0.4 m (4 times as large)",
         "0.141 m RMS becomes 0.412 m",
-        "0.412 m RMS becomes 0.224 m (1.8 times less)",
+        "0.412 m RMS becomes 0.224 m (1.8 times smaller)",
         "30 s for sparse, 100 s more for mvs, 300 s more for splats (3 times mvs)",
         "25.0 dB PSNR",
         "30.0 dB: a gap of 5.0 dB",
@@ -55,7 +55,7 @@ def test_scenes_are_averaged_and_counted():
     opposite = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
     text = check_changed_sentences(scene("a"), scene("c", factor=4.0), opposite)
     # Geometric means: 2, 8 and 0.5 m become 0.5, 2 and 2 m.
-    assert "2 m RMS becomes 1.26 m (1.6 times less, in 2 of 3 scenes)" in text
+    assert "2 m RMS becomes 1.26 m (1.6 times smaller, in 2 of 3 scenes)" in text
 
 
 def test_sentences_report_errors_hidden_by_mvs():
@@ -142,7 +142,7 @@ def test_failure_is_a_row_and_a_sentence():
     assert (MEANS, "failed") in rows_of_first_scene
     assert rows_of_first_scene[(SURFACE, MVS)][3] == "failed"
     assert len(rows) - scene_indices[1] == 1 + 3 + 4
-    assert "4 times less" in " ".join(result.sentences)  # the other scene still counts
+    assert "(3.9 times smaller)" in " ".join(result.sentences)  # the other scene still counts
     failed_rows = [row for row in csv.DictReader(csv_text(result).splitlines()) if row["failure"]]
     assert [(row["cloud"], row["failure"]) for row in failed_rows] == [
         (MEANS, "out of memory"),
