@@ -97,7 +97,8 @@ private:
         int slot;
     };
 
-    // Builds a subtree. Ranges of at most `max_pending_size` triangles are queued in `jobs`, if given, instead of built.
+    // Builds a subtree. Ranges of at most `max_pending_size` triangles are queued in `jobs`, if given, instead of
+    // built.
     uint32_t build_subtree(std::vector<Node>& nodes, const Range& range, int depth, uint32_t max_pending_size,
                            std::vector<PendingSubtree>* jobs) {
         if (range.size() > kMinInterruptibleTriangles && interrupt_.requested()) return 0;
