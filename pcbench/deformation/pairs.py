@@ -25,6 +25,7 @@ from pcbench.geometry.voxels import cells, voxel_downsample_to
 _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
+_MAX_WIDENINGS, _MIN_WIDENING_GAIN = 4, 1.02  # searches under the field found so far, while they find more pairs
 MIN_PAIRS = 300
 _MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
 _CONVERGENCE_TOLERANCE = 0.01  # in standard deviations of the noise
@@ -126,15 +127,23 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
     swapped = len(candidate.surface) > len(reference.surface)
     queries, surface = (reference, candidate) if swapped else (candidate, reference)
     sign = -1.0 if swapped else 1.0  # query minus closest point, times the sign: candidate minus reference
-    spread = _spread_queries(queries, surface)
-    if spread is None:
+    rows = _spread_queries(queries, surface)
+    if rows is None:
         return None
-    rows, max_distance = spread
-    fitted = _graduated_fit(queries, surface, rows, max_distance, sign=sign, follow=follow)
-    if fitted is None:
-        return None
-    matches, field = fitted
-    return _freeze(matches, field, surface.surface)
+    lower, upper = np.percentile(queries.surface.points[rows], [1, 99], axis=0)
+    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
+    matches: _PlanePairs | None = None
+    for _ in range(_MAX_WIDENINGS if follow else 1):
+        near, max_distance = _near_queries(queries, surface, rows, field, sign=sign)
+        fitted = _graduated_fit(queries, surface, near, field, max_distance, sign=sign, follow=follow)
+        if fitted is None:
+            break
+        # Where a deformation is large, its pairs are far apart at first: they are found once most of it is known.
+        inliers = np.count_nonzero(fitted[0].weights)
+        if matches is not None and inliers <= _MIN_WIDENING_GAIN * np.count_nonzero(matches.weights):
+            break
+        matches, field = fitted
+    return None if matches is None else _freeze(matches, field, surface.surface)
 
 
 class _PlanePairs(NamedTuple):
@@ -152,32 +161,45 @@ class _PlanePairs(NamedTuple):
     noise: float  # robust standard deviation of the residuals from the model
 
 
-def _spread_queries(queries: Side, surface: Side) -> tuple[IntArray, float] | None:
-    """Select evenly spread points that may have a counterpart, and the initial maximum correspondence distance."""
+def _spread_queries(queries: Side, surface: Side) -> IntArray | None:
+    """Select evenly spread points that may be queries; None if there are too few."""
     rows = np.flatnonzero(queries.inside)
     if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
         return None
     points = queries.surface.points[rows]
     if extent(points) == 0 or surface.surface.spacing == 0:
         return None  # all points coincide
-    rows = rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
-    # The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
-    # downsampling favours outliers, which fill space, so distant points are removed before the final selection.
-    distances = surface.surface.index.query(queries.surface.points[rows]).distances
+    return rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
+
+
+def _near_queries(
+    queries: Side, surface: Side, rows: IntArray, field: Displacement, *, sign: float
+) -> tuple[IntArray, float]:
+    """Select the query points that may have a counterpart under a displacement, and the maximum distance for that.
+
+    The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
+    downsampling favours outliers, which fill space, so distant points are removed before the final selection.
+    """
+    points = queries.surface.points[rows]
+    distances = surface.surface.index.query(points - sign * field(points)).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
     max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
-    rows = rows[distances <= max_distance]
-    return rows[:: -(-len(rows) // _MAX_PAIRS)], max_distance
+    near = rows[distances <= max_distance]
+    return near[:: max(1, -(-len(near) // _MAX_PAIRS))], max_distance
 
 
 def _graduated_fit(
-    queries: Side, surface: Side, rows: IntArray, max_distance: float, *, sign: float, follow: bool
+    queries: Side,
+    surface: Side,
+    rows: IntArray,
+    field: Displacement,
+    max_distance: float,
+    *,
+    sign: float,
+    follow: bool,
 ) -> tuple[_PlanePairs, Displacement] | None:
     """Fit the largest model in rounds of closest points; return the pairs of the last round and the fitted model."""
-    points = queries.surface.points[rows]
     step = max(1, len(rows) // _MAX_COARSE_PAIRS)
-    lower, upper = np.percentile(points, [1, 99], axis=0)
-    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     min_distance = 4 * surface.surface.spacing
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3

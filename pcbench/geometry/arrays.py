@@ -29,6 +29,13 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
+def random_rows(points: FloatArray, count: int) -> FloatArray:
+    """Return `count` of the points (N, 3) at random, in random order, the same in each run; all if there are fewer."""
+    if len(points) <= count:
+        return np.random.default_rng(0).permutation(points)
+    return points[np.random.default_rng(0).choice(len(points), count, replace=False)]
+
+
 def as_rows(name: str, data: ArrayLike) -> FloatArray:
     """Return a caller's points or directions as a C-contiguous float64 array (N, 3), copied only if needed.
 

@@ -3,7 +3,7 @@
 from pcbench.registration.control_points import ControlPoints
 from pcbench.registration.from_features import FeatureSettings
 from pcbench.registration.given import GivenPose, as_similarity
-from pcbench.registration.icp import IcpSettings
+from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.methods import METHODS, Method, as_method, parse_method, register
 from pcbench.registration.residuals import PointResidual, PointRmse, SurveyResiduals
 from pcbench.registration.result import Registration

@@ -23,9 +23,11 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.registration.contrast import CONFIDENT_CONTRAST, contrast
 from pcbench.registration.correspondences import SCALE_STEP, FeaturePairs, likely_poses, match_features, pose_distance
-from pcbench.registration.icp import IcpSettings, align, refine
+from pcbench.registration.icp import fit_pose
+from pcbench.registration.icp_settings import IcpSettings
+from pcbench.registration.icp_stages import IcpProblem, refine
 from pcbench.registration.quality import Fit, assess_given
-from pcbench.registration.result import AMBIGUOUS, NO_CONVERGENCE
+from pcbench.registration.result import AMBIGUOUS, DOUBTFUL_POSE, NO_CONVERGENCE
 from pcbench.registration.target import Target, local_origin
 
 _FEATURE_CELL_COUNT = 15_000  # cells of the larger cloud for feature matching: about one second
@@ -43,7 +45,6 @@ _MIN_OVERLAP = 0.05  # share of a cloud's sample that must overlap the other clo
 _MIN_OVERLAP_POINTS = 20  # points of the sample that must overlap the other cloud
 _MIN_COSINE = 0.85  # between normals that agree
 _SUFFICIENT_OVERLAP = 0.2  # share of a cloud that overlaps the other: a larger share is no stronger evidence
-_MIN_CONTRAST = 0.7  # poses with less are refused
 _MIN_RIVAL_SHARE = 0.9  # share of the best pose's evidence that makes another pose a rival
 
 
@@ -97,13 +98,11 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
             start, fit = poses[1], other
     pose = fit.T_local
     # Assess the complete candidate, not only the part that ICP used.
-    quality = assess_given(target, points, _undo_shift(pose, shift), origin, settings.text).quality
-    if quality.contrast is None or quality.contrast < _MIN_CONTRAST:
-        raise _no_pose_error(
-            f"displacing the best one worsens its fit by only {max(quality.contrast or 0, 0):.0%} of what the same"
-            " displacement costs the reference itself",
-            settings,
-        )
+    quality = assess_given(target, points, _undo_shift(pose, shift), origin, settings.text, pose_is_given=False).quality
+    if quality.contrast is None:
+        raise _no_pose_error("the best one overlaps it in too few points", settings)
+    if (doubt := next((notice for notice in quality.warnings if notice.code == DOUBTFUL_POSE), None)) is not None:
+        raise _no_pose_error(str(doubt), settings)
     warnings = [notice for notice in fit.quality.warnings if notice.code == NO_CONVERGENCE]
     rivals = [p for p in poses if p is not start and search.are_different(p, pose)]
     rivals = [p for p in rivals if search.evidence(p) > _MIN_RIVAL_SHARE * search.evidence(pose)]
@@ -233,7 +232,9 @@ class _PoseSearch:
 
     def refine_full(self, pose: Similarity, target: Target, points: FloatArray) -> Fit:
         """Run ICP at full resolution on the overlapping points; the others would only bias a pose that starts right."""
-        return align(target, points[self.is_near(pose, points)], self.icp, pose, may_be_far=False)
+        problem = IcpProblem.of(target, pose.apply(points[self.is_near(pose, points)]), self.icp)
+        fit = fit_pose(problem, may_be_far=False)
+        return fit._replace(T_local=fit.T_local @ pose)
 
     def side(self, scale: float) -> float:
         """Return the side of cells that are coarse enough for both clouds."""

@@ -19,7 +19,8 @@ from pcbench.io import CloudLike, to_cloud
 from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
-from pcbench.registration.icp import IcpSettings, align
+from pcbench.registration.icp import align
+from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import assess_given
 from pcbench.registration.residuals import SurveyResiduals
@@ -120,6 +121,7 @@ def register(
         warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
+        returned_share=quality.returned,
     )
 
 

@@ -8,23 +8,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds, random_rows
 from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface
 from pcbench.geometry.transform import Similarity
-from pcbench.geometry.voxels import voxel_downsample_to
+from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.registration.advice import align_coarsely
-from pcbench.registration.contrast import CONFIDENT_CONTRAST, DOUBTFUL_CONTRAST, Contrast, contrast
+from pcbench.registration.contrast import (
+    BLURRED_CONTRAST,
+    CONFIDENT_CONTRAST,
+    DOUBTFUL_CONTRAST,
+    MIN_CONTRAST,
+    SURE_CONTRAST,
+    Contrast,
+    contrast,
+)
 from pcbench.registration.degeneracy import Observability, observability
-from pcbench.registration.result import DOUBTFUL_POSE, FAR_OFF, FEW_POINTS, LOW_OVERLAP, OFF_SURFACE, WEAKLY_OBSERVABLE
-from pcbench.registration.target import Target
-from pcbench.registration.weighted_pairs import WeightedPairs, weigh
+from pcbench.registration.icp_stages import MAX_RANDOM_SAMPLE
+from pcbench.registration.restarts import MIN_RETURNED_SHARE, returned_share
+from pcbench.registration.result import (
+    BLURRED,
+    DOUBTFUL_POSE,
+    FAR_OFF,
+    FEW_POINTS,
+    LOW_OVERLAP,
+    OFF_SURFACE,
+    WEAKLY_OBSERVABLE,
+)
+from pcbench.registration.target import MIN_EXTENT, Target
+from pcbench.registration.weighted_pairs import MIN_POINTS, WeightedPairs, weigh
 
-MIN_EXTENT = 1e-150  # of a reference: squares of smaller values underflow
-MIN_POINTS = 10  # needed to assess a fit
 MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface, above which other starts are tried
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
 _MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
+_NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
 _MIN_SENSITIVITY = 0.015  # see `Contrast.min_sensitivity`
@@ -42,6 +60,7 @@ class Quality(NamedTuple):
     overlap: float
     off_surface: float  # share of the points near the reference that do not lie on it
     contrast: float | None  # None if `contrast` cannot measure it
+    returned: float | None  # share of restarts that returned to the pose; None if none were needed
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
@@ -60,53 +79,151 @@ class Fit(NamedTuple):
 def assess(
     target: Target,
     sample: Index,
+    random_sample: FloatArray,
     T: Similarity,
     *,
     plane: bool,
     with_scale: bool,
     hint: IntArray | None = None,
-    pose_is_given: bool = False,
 ) -> Quality:
-    """Assess a pose without changing it: residuals, overlap and observability.
+    """Assess a pose without changing it: residuals, overlap, observability and contrast.
+
+    Overlap counts an even sample, so that dense parts do not dominate. Contrast and points beside the surface are
+    measured on a random sample: an even one exaggerates outliers, which fill space.
 
     Args:
         target: reference.
         sample: even sample of the candidate's points, minus the reference's local origin.
+        random_sample: (N, 3) random sample of the same points.
         T: pose between local coordinates.
         plane: whether the RMSE is of distances to tangent planes, or to points.
         with_scale: whether the scale is one of the motions that the geometry has to fix.
         hint: reference points last found closest to the sample, where the search starts.
-        pose_is_given: whether the pose was given by the user, so that a blurred cloud may explain a low contrast too.
     """
     matched = _match(target, sample, T, hint)
     on_surface, informing = _pairs_with_weight(matched.on_surface), _pairs_with_weight(matched.informing)
     if matched.on_surface is None or on_surface is None or informing is None:
         return _quality_from_distances(matched, with_scale=with_scale)
     observation = observability(target.surface, informing, with_scale=with_scale)
+    moved = T.apply(random_sample)
+    nearest = target.surface.index.query(moved)
     pose_contrast = contrast(
         target.surface,
-        matched.moved,
-        matched.nearest,
-        np.flatnonzero(matched.is_near),
+        moved,
+        nearest,
+        np.flatnonzero(nearest.distances <= matched.max_near),
         sigma=on_surface.sigma,
         spacing=target.spacing,
         extent=target.extent,
         with_scale=with_scale,
     )
-    hovering = _hovering_share(matched, matched.on_surface)
+    hovering = _hovering_share(weigh(target.surface, moved, nearest, matched.max_on_surface, robust=True), matched)
     return Quality(
         rmse=_weighted_rmse(on_surface, plane=plane),
         overlap=matched.overlap,
         off_surface=matched.off_surface,
         contrast=None if pose_contrast is None else pose_contrast.share,
+        returned=None,
         eigenvalues=observation.eigenvalues,
         weakest_sigma=observation.weakest_sigma,
         unobservable=observation.unobservable,
-        warnings=_warnings(matched, observation, pose_contrast, hovering, pose_is_given=pose_is_given),
+        warnings=_warnings(matched, observation, pose_contrast, hovering),
     )
 
 
-def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin: FloatArray, text: str) -> Fit:
+def with_doubt(
+    target: Target,
+    random_sample: FloatArray,
+    T: Similarity,
+    quality: Quality,
+    *,
+    with_scale: bool,
+    pose_is_given: bool = False,
+) -> Quality:
+    """Complete the quality of a pose with a warning if the pose may be wrong, or the candidate is blurred.
+
+    Noise and blur lower the contrast of a right pose. So a low contrast is measured again at the scale of the noise. If
+    it is then high, or if the geometry weakly constrains some motion, restarts decide.
+
+    Args:
+        target: reference.
+        random_sample: (N, 3) random sample of the candidate, minus the reference's local origin.
+        T: pose between local coordinates.
+        quality: result of `assess`.
+        with_scale: whether the scale was solved for.
+        pose_is_given: whether the pose was given by the user.
+    """
+    share = quality.contrast
+    is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
+    if share is None or (share >= SURE_CONTRAST and not is_weak):
+        return quality
+    name = "the given pose" if pose_is_given else "the pose"
+    at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
+    cost = (
+        f"displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same displacement costs the"
+        " reference itself"
+    )
+    if min(share, at_noise) < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST:
+        return _with_notice(quality, Notice(DOUBTFUL_POSE, f"{name} may be wrong: {cost}"))
+    if quality.unobservable.shape[1]:
+        return quality  # restarts would slide along the unobservable motions
+    tolerance = max(target.spacing, quality.rmse)
+    returned = returned_share(target, random_sample, T, tolerance=tolerance, with_scale=with_scale)
+    quality = quality._replace(returned=returned)
+    if returned < MIN_RETURNED_SHARE:
+        text = f"{name} may be wrong: only {returned:.0%} of the registrations that start nearby return to it"
+        return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if share < BLURRED_CONTRAST:
+        text = (
+            f"the candidate is blurred or noisy: displacing it worsens its fit by {share:.0%} of what the same"
+            " displacement costs the reference itself, but registrations that start nearby return to this pose"
+        )
+        return _with_notice(quality, Notice(BLURRED, text))
+    return quality
+
+
+def _contrast_at_noise(
+    target: Target, random_sample: FloatArray, T: Similarity, quality: Quality, *, with_scale: bool
+) -> float:
+    """Return the contrast with a reference that is as sparse as the candidate is noisy; -1 if it cannot be measured.
+
+    Noise moves points off the surface. It lowers the contrast most if the displacement is a few spacings of a reference
+    that is much denser than the noise is large.
+    """
+    side = _NOISE_SPACINGS * quality.rmse
+    surface = target.surface
+    if side <= 1.5 * target.spacing:
+        return -1.0 if quality.contrast is None else quality.contrast
+    surface = Surface(Index(surface.points[voxel_downsample(surface.points, side)]))
+    moved = T.apply(random_sample)
+    nearest = surface.index.query(moved)
+    max_near = max(_NEAR_EXTENT_SHARE * target.extent, _MAX_SPACINGS_ON_SURFACE * surface.spacing)
+    found = contrast(
+        surface,
+        moved,
+        nearest,
+        np.flatnonzero(nearest.distances <= max_near),
+        sigma=quality.rmse,
+        spacing=surface.spacing,
+        extent=target.extent,
+        with_scale=with_scale,
+    )
+    return -1.0 if found is None else found.share
+
+
+def _with_notice(quality: Quality, notice: Notice) -> Quality:
+    return quality._replace(warnings=(notice, *quality.warnings))
+
+
+def assess_given(
+    target: Target,
+    points: FloatArray,
+    T_local: Similarity,
+    origin: FloatArray,
+    text: str,
+    *,
+    pose_is_given: bool = True,
+) -> Fit:
     """Assess a given pose in the same way as a fitted one.
 
     Args:
@@ -115,6 +232,7 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
         T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
         text: method text for the error message.
+        pose_is_given: whether the pose was given by the user.
 
     Raises:
         RegistrationError: the bounding boxes do not overlap.
@@ -135,7 +253,11 @@ def assess_given(target: Target, points: FloatArray, T_local: Similarity, origin
             f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)}):"
             f" {align_coarsely()}"
         )
-    return Fit(T_local, assess(target, sample, T_local, plane=True, with_scale=T_local.scale != 1, pose_is_given=True))
+    random_sample, with_scale = random_rows(points, MAX_RANDOM_SAMPLE), T_local.scale != 1
+    quality = assess(target, sample, random_sample, T_local, plane=True, with_scale=with_scale)
+    return Fit(
+        T_local, with_doubt(target, random_sample, T_local, quality, with_scale=False, pose_is_given=pose_is_given)
+    )
 
 
 class _SampleMatches(NamedTuple):
@@ -154,14 +276,17 @@ class _SampleMatches(NamedTuple):
         return float(np.mean(self.nearest.distances <= self.max_on_surface))
 
     @property
+    def max_near(self) -> float:
+        """Distance up to which a point may have a counterpart."""
+        return max(_NEAR_EXTENT_SHARE * self.target.extent, self.max_on_surface)
+
+    @property
     def is_near(self) -> NDArray[np.bool_]:
         """(M,) whether a point may have a counterpart.
 
         Parts missing in the reference lie far from it; a wrong pose leaves points beside their counterparts.
         """
-        near: NDArray[np.bool_] = self.nearest.distances <= max(
-            _NEAR_EXTENT_SHARE * self.target.extent, self.max_on_surface
-        )
+        near: NDArray[np.bool_] = self.nearest.distances <= self.max_near
         return near
 
     @property
@@ -209,6 +334,7 @@ def _quality_from_distances(matched: _SampleMatches, *, with_scale: bool) -> Qua
         overlap=matched.overlap,
         off_surface=matched.off_surface,
         contrast=None,
+        returned=None,
         eigenvalues=(),
         weakest_sigma=None,
         unobservable=np.zeros((7 if with_scale else 6, 0)),
@@ -222,17 +348,17 @@ def _weighted_rmse(pairs: WeightedPairs, *, plane: bool) -> float:
     return float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
 
 
-def _hovering_share(matched: _SampleMatches, pairs: WeightedPairs) -> float:
+def _hovering_share(pairs: WeightedPairs, matched: _SampleMatches) -> float:
     """Return the share of the candidate near the reference that floats above or below its surface.
 
     Args:
-        matched: correspondences of the sample.
-        pairs: the same pairs, weighted up to the distance at which a point lies on the reference.
+        pairs: random sample, weighted up to the distance at which a point lies on the reference.
+        matched: correspondences of the even sample, for the distances.
     """
-    distances = matched.nearest.distances
     min_distance = max(matched.max_on_surface, _MIN_SIGMAS_OFF * pairs.sigma)
-    is_hovering = (distances > min_distance) & (np.abs(pairs.residuals) > _MIN_NORMAL_COSINE * distances)
-    return float(np.mean(is_hovering[distances <= max(_NEAR_EXTENT_SHARE * matched.target.extent, 2 * min_distance)]))
+    is_hovering = (pairs.distances > min_distance) & (np.abs(pairs.residuals) > _MIN_NORMAL_COSINE * pairs.distances)
+    is_near = pairs.distances <= max(_NEAR_EXTENT_SHARE * matched.target.extent, 2 * min_distance)
+    return float(np.mean(is_hovering[is_near])) if is_near.any() else 0.0
 
 
 def _warnings(
@@ -240,19 +366,10 @@ def _warnings(
     observation: Observability,
     pose_contrast: Contrast | None,
     hovering: float,
-    *,
-    pose_is_given: bool,
 ) -> tuple[Notice, ...]:
     """Return the warnings about a pose from its measurements."""
     warnings = list(observation.warnings)
     overlap = matched.overlap
-    if pose_contrast is not None and pose_contrast.share < DOUBTFUL_CONTRAST:
-        what = "the given pose may be wrong, or the cloud is blurred" if pose_is_given else "the pose may be wrong"
-        text = (
-            f"{what}: displacing the candidate worsens its fit by {max(pose_contrast.share, 0):.0%} of what the same"
-            " displacement costs the reference itself"
-        )
-        warnings.append(Notice(DOUBTFUL_POSE, text))
     # A round body fits turned about its axis. The part that would fix the rotation, such as a handle, then does not
     # overlap.
     is_insensitive = pose_contrast is not None and pose_contrast.min_sensitivity < _MIN_SENSITIVITY

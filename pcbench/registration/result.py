@@ -24,6 +24,7 @@ NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a ratio of units
 DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surroundings
+BLURRED = "blurred"  # noise or blur hides how well the pose fits, but restarts return to it
 
 # Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
 _DOUBT_CODES = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE))
@@ -57,6 +58,8 @@ class Registration:
         contrast: how much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
             at a right pose, whatever the scene. None if the clouds overlap in too few points, or if no motion changes
             the reference's distances significantly.
+        returned_share: share of ICP runs from starts displaced by several spacings that return to the pose. None if the
+            contrast alone decides.
     """
 
     method: str
@@ -72,6 +75,7 @@ class Registration:
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
     contrast: float | None = None
+    returned_share: float | None = None
 
     @property
     def check_points(self) -> tuple[PointResidual, ...]:

@@ -13,6 +13,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cell_means, robust_extent
 
+MIN_EXTENT = 1e-150  # of a reference: squares of smaller values underflow
 _BLOCK_ROWS = 65_536  # rows compared at a time: fits into the processor's cache
 
 

@@ -12,6 +12,8 @@ from pcbench.geometry.neighbors import Matches
 from pcbench.geometry.normals import Surface
 from pcbench.native import _core
 
+MIN_POINTS = 10  # needed to fit a pose, and to assess it
+
 
 class WeightedPairs(NamedTuple):
     """Weighted correspondences at one pose; ICP minimises their residuals."""
