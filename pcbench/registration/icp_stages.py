@@ -54,6 +54,11 @@ class IcpProblem(NamedTuple):
 
     @classmethod
     def of(cls, target: Target, points: FloatArray, settings: IcpSettings) -> IcpProblem:
+        """Prepare the samples of a candidate's points (N, 3).
+
+        Raises:
+            RegistrationError: there are too few points, or the reference has no extent.
+        """
         surface, remedy = target.surface, "use --register points:FILE, matrix:FILE or none"
         if len(points) < MIN_POINTS or len(surface) < MIN_POINTS:
             raise RegistrationError(
@@ -75,11 +80,13 @@ class IcpProblem(NamedTuple):
         return cls(target, coarse_sample, sample, random_rows(points, MAX_RANDOM_SAMPLE), settings)
 
     def coarse_schedule(self, start: Start) -> Schedule:
+        """Return the schedule of the coarse stage."""
         limit = self.settings.max_correspondence_distance
         first = _INITIAL_DISTANCE_SHARE * self.target.extent if limit is None else limit
         return Schedule(first, min(2 * self.target.coarse_side, limit or np.inf), start)
 
     def fine_schedule(self) -> Schedule:
+        """Return the schedule of the fine stage."""
         limit = self.settings.max_correspondence_distance or np.inf
         final = max(3 * self.target.spacing, 1e-9 * self.target.extent)
         return Schedule(min(1.5 * self.target.coarse_side, limit), min(final, limit), FAST_START)

@@ -174,6 +174,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         **registration.residuals.plain(),
         "scale_solved": registration.solved_scale,
         "contrast": registration.contrast,
+        "returned_share": registration.returned_share,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],
     }

@@ -189,7 +189,9 @@ def test_no_trial_fails_silently(monkeypatch, capsys):
 @pytest.mark.slow
 def test_no_trial_of_any_scene_fails_silently(monkeypatch):
     trials, scenes = _import_bench(monkeypatch)
-    rows = trials.run_trials(scenes.available(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410))
+    rows = trials.run_trials(
+        scenes.available_scenes(scenes.TUNED | scenes.HELD_OUT), trials.METHODS[:2], range(400, 410)
+    )
     kinds = [row["kind"] for row in rows]
     assert kinds.count("silent") <= 0.01 * len(kinds)
     assert kinds.count("right, warned") <= 0.06 * kinds.count("right")
