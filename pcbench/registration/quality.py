@@ -158,13 +158,15 @@ def with_doubt(
     if share is None or (share >= SURE_CONTRAST and not is_weak):
         return quality
     name = "the given pose" if pose_is_given else "the pose"
-    at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
-    cost = (
-        f"displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same displacement costs the"
-        " reference itself"
-    )
-    if min(share, at_noise) < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST:
-        return _with_notice(quality, Notice(DOUBTFUL_POSE, f"{name} may be wrong: {cost}"))
+    at_noise = share
+    if MIN_CONTRAST <= share < DOUBTFUL_CONTRAST:
+        at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
+    if at_noise < DOUBTFUL_CONTRAST:
+        text = (
+            f"{name} may be wrong: displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same"
+            " displacement costs the reference itself"
+        )
+        return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if quality.unobservable.shape[1]:
         return quality  # restarts would slide along the unobservable motions
     tolerance = max(target.spacing, quality.rmse)
@@ -185,7 +187,7 @@ def with_doubt(
 def _contrast_at_noise(
     target: Target, random_sample: FloatArray, T: Similarity, quality: Quality, *, with_scale: bool
 ) -> float:
-    """Return the contrast with a reference that is as sparse as the candidate is noisy; -1 if it cannot be measured.
+    """Return the contrast with a reference that is as sparse as the candidate is noisy; -1 if no motion changes the fit.
 
     Noise moves points off the surface. It lowers the contrast most if the displacement is a few spacings of a reference
     that is much denser than the noise is large.
