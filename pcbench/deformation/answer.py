@@ -9,9 +9,15 @@ from pcbench.deformation.field import CellDisplacements, local_changes
 from pcbench.deformation.model import TILE
 from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, round_to_six_digits
-from pcbench.deformation.size import amplitude, effective_count, minimum_detectable_rms, observable_shares
+from pcbench.deformation.size import (
+    amplitude,
+    detectable_sizes,
+    effective_count,
+    minimum_detectable_rms,
+    observable_shares,
+)
 from pcbench.deformation.sums import TileSums
-from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide
+from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide, negligible_rms
 
 
 def assess(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed: int = 0) -> Deformation:
@@ -31,6 +37,7 @@ def assess(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
     sums, geometry, scores, noise = view
+    negligible = max(resolution, negligible_rms(noise))
     rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
@@ -57,6 +64,9 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
             observable=observable_shares(sums, geometry.tiles),
             local=local,
             minimum_detectable_rms=minimum_detectable_rms(geometry, noise),
+            negligible_rms=negligible,
+            detectable=detectable_sizes(geometry, noise, negligible),
+            conditional_verdict=finding.conditional,
             warnings=finding.warnings,
         )
     )

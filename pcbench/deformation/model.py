@@ -33,6 +33,14 @@ _MIN_INFORMATION_AFFINE = 1e-4  # for affine fields and smaller models
 _RIDGE = 1e-12
 _CELLS_AT_ONCE = 32  # cells per block of normal matrices, which are much larger than the moments
 POSITION_NOISE_FACTOR = 100 / MIN_INFORMATION  # a coordinate has to vary by ten standard deviations of the noise
+# Kinds of deformation whose detectable size is stated: powers of x, y and z by the axis of the displacement.
+KINDS = {
+    "dome": {"z": [(2, 0, 0), (0, 2, 0)]},
+    "saddle": {"z": [(2, 0, 0)], "-z": [(0, 2, 0)]},
+    "S-bend": {"z": [(3, 0, 0), (1, 2, 0)]},
+    "twist": {"-x": [(1, 1, 0)], "y": [(2, 0, 0)]},
+    "lean": {"x": [(0, 0, 2)]},
+}
 _LAGS = (-1.0, 0.0, 1.3, 2.1, 3.3, 5.0)  # bounds of the lag classes, in cells; negative to 0: within a cell
 
 
@@ -95,7 +103,7 @@ class Geometry:
         self.basis = np.kron(self.to_orthonormal, np.eye(3))
         self.matrix = self.basis @ normal_matrix(total) @ self.basis.T
         coefficients = np.kron(factor.T, np.eye(3))
-        self.dome = coefficients @ _dome()
+        self.kinds = {kind: coefficients @ _kind(terms) for kind, terms in KINDS.items()}
         self.columns = {model: np.linalg.qr(coefficients @ model_columns(model))[0] for model in MODELS}
         self.translations = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.moments), optimize=True)
         self.loads = np.einsum("ij,cjk->cik", self.basis, translation_columns(sums.loads), optimize=True)
@@ -277,11 +285,13 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
     return Noise(float(found[0]), found[1:], geometry.lengths)
 
 
-def _dome() -> FloatArray:
-    """(60,) coefficients of the vertical displacement x^2 + y^2."""
+def _kind(terms: dict[str, list[tuple[int, int, int]]]) -> FloatArray:
+    """(60,) coefficients of a kind of deformation of unit size."""
     coefficients = np.zeros((len(EXPONENTS), 3))
-    for powers in ([2, 0, 0], [0, 2, 0]):
-        coefficients[EXPONENTS.tolist().index(powers), 2] = 1.0
+    for axis, powers in terms.items():
+        sign = -1.0 if axis.startswith("-") else 1.0
+        for power in powers:
+            coefficients[EXPONENTS.tolist().index(list(power)), "xyz".index(axis[-1])] += sign
     return coefficients.ravel()
 
 

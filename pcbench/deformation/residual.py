@@ -30,6 +30,7 @@ _MIN_INLIER_SHARE, _MAX_DISTANCE_SPACINGS = 0.85, 1.25
 _MIN_MAP_COORDINATE = 1e5  # larger coordinates are probably those of a map projection
 _EARTH_RADIUS = 6.37e6  # metres
 _DOUBTFUL = "doubtful-registration"
+_POSE_CODES = (_DOUBTFUL, POSE_NOT_FIXED)
 
 
 def residual_deformation(
@@ -74,12 +75,12 @@ def residual_deformation(
         finding = finding.as_undecided(Notice("parts-displaced", broken.text(origin)))
     finding = _with_registration(finding, registration, pairs)
     # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
-    which = -1 if finding.verdict == "none" else 0
+    which = -1 if (finding.conditional or finding.verdict) == "none" else 0
     described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
-    if finding.verdict == "undecided" and finding.warnings[0].code in (_DOUBTFUL, POSE_NOT_FIXED):
+    if finding.verdict == "undecided" and finding.conditional is None and finding.warnings[0].code in _POSE_CODES:
         answer = answer.withheld()
     answer = answer.without_rounding(rounding_bound(reference.surface.points, origin))
     return answer.shifted(origin).with_warnings(notes)
@@ -102,8 +103,8 @@ def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:
     """Return the finding as undecided if the pose behind it is wrong or may be."""
     if registration.doubtful:
-        text = "the registration is doubtful, and the verdict depends on it: see its warnings"
-        return finding.as_undecided(Notice(_DOUBTFUL, text))
+        text = "the registration is doubtful: see its warnings"
+        return finding.as_conditional(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIER_SHARE and pairs.distance > _MAX_DISTANCE_SPACINGS * pairs.spacing:
         text = (
             f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"

@@ -19,6 +19,8 @@ from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
+NEGLIGIBLE_SHARE = 0.4  # share of the noise, white and correlated, below which a deformation is negligible
+_LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
 _MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
@@ -147,6 +149,23 @@ class Observable:
 
 
 @dataclass(frozen=True)
+class DetectableSize:
+    """Size above which a kind of deformation is found and stated, in the clouds' unit.
+
+    Attributes:
+        kind: dome, saddle, S-bend (a cubic vertical displacement along x), twist (about the vertical), or lean (a
+            horizontal displacement that grows with the square of the height).
+        rms: RMS along the normals beyond an affine motion that is detected with a power of 90 % and is not negligible;
+            None if the surfaces hardly constrain this kind.
+        displacement: RMS length of the same displacement, in all directions.
+    """
+
+    kind: str
+    rms: float | None = None
+    displacement: float | None = None
+
+
+@dataclass(frozen=True)
 class LocalChanges:
     """Parts of the scene that changed locally.
 
@@ -210,6 +229,10 @@ class Deformation:
         observable: observable directions.
         local: local changes.
         minimum_detectable_rms: RMS of the smallest dome that is detected with a power of 90 %.
+        negligible_rms: RMS below which a deformation is negligible: 40 % of the noise, white and correlated.
+        detectable: smallest detectable sizes by kind of deformation.
+        conditional_verdict: the verdict if the pose is right, where the registration is doubtful and `verdict` is
+            therefore undecided; sizes and p-value then belong to it. None otherwise.
         warnings: codes and texts; for an undecided verdict, the reasons.
         field: the displacement per cell, a separate table in a report; None if there was nothing to test, and after
             `from_json`.
@@ -229,6 +252,9 @@ class Deformation:
     observable: Observable | None = None
     local: LocalChanges | None = None
     minimum_detectable_rms: float | None = None
+    negligible_rms: float | None = None
+    detectable: tuple[DetectableSize, ...] = ()
+    conditional_verdict: str | None = None
     warnings: tuple[Notice, ...] = ()
     field: Field | None = dataclasses.field(default=None, compare=False, metadata={"json": False})
 
@@ -275,14 +301,27 @@ class Deformation:
             return ()
         return tuple(notice for notice in self.warnings if notice.code != POSE_NOT_FIXED)
 
+    @property
+    def label(self) -> str:
+        """Verdict for tables; a verdict that holds only if the pose is right is followed by `(?)`."""
+        return self.verdict if self.conditional_verdict is None else f"{self.conditional_verdict} (?)"
+
+    @property
+    def size_limit(self) -> float | None:
+        """RMS above which a dome is detected and not negligible."""
+        limits = [limit for limit in (self.minimum_detectable_rms, self.negligible_rms) if limit is not None]
+        return None if self.minimum_detectable_rms is None else max(limits)
+
     def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
-            return f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}{parts}"
+            text = f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}"
+            if self.conditional_verdict is None:
+                return f"{text}{parts}"
+            return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit)}"
         if self.remaining_rms == 0 and self.verdict == "none":
             return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
-        limit = self.minimum_detectable_rms
-        unseen = "" if limit is None else f"; a deformation above {limit:.3g}{unit} RMS would have been detected"
+        unseen = self._limit_in_words(unit)
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
@@ -299,6 +338,26 @@ class Deformation:
             return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed{whole}{unseen}{parts}"
+
+    def assuming_pose(self) -> Deformation:
+        """Return the result that holds if the pose is right: the conditional verdict, where there is one."""
+        if self.conditional_verdict is None:
+            return self
+        return replace(self, verdict=self.conditional_verdict, conditional_verdict=None)
+
+    def _limit_in_words(self, unit: str) -> str:
+        """Return the size above which a deformation would have been stated, and kinds that need much larger ones."""
+        limit = self.size_limit
+        if limit is None:
+            return ""
+        share = "" if limit != self.negligible_rms else f" ({NEGLIGIBLE_SHARE:.0%} of the noise)"
+        text = f"; a deformation above {limit:.3g}{unit} RMS{share} would have been detected"
+        known = [size for size in self.detectable if size.displacement is not None]
+        large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
+        hidden = [size.kind for size in self.detectable if size.displacement is None]
+        parts = [f"a {size.kind} above {size.displacement:.3g}{unit}" for size in large]
+        parts += [f"a {kind} not at all" for kind in hidden]
+        return f"{text} (other kinds less well: {', '.join(parts)})" if parts else text
 
     @property
     def has_moved_part(self) -> bool:
@@ -346,6 +405,8 @@ class Deformation:
             growth=None,
             local=None,
             minimum_detectable_rms=None,
+            negligible_rms=None,
+            detectable=(),
         )
 
     def without_rounding(self, rounding: float) -> Deformation:
@@ -359,6 +420,8 @@ class Deformation:
             amplitude=self.amplitude and _scale_amplitude(self.amplitude, 0.0),
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
+            negligible_rms=None if self.negligible_rms is None else 0.0,
+            detectable=(),
         )
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:

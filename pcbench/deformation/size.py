@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_quantile
-from pcbench.deformation.model import MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
-from pcbench.deformation.result import Amplitude, Interval, Observable
+from pcbench.deformation.model import KINDS, MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
+from pcbench.deformation.result import Amplitude, DetectableSize, Interval, Observable
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 
@@ -70,25 +71,59 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     """RMS of the smallest dome that is detected with power `DETECTION_POWER`; None if domes are not observable."""
-    step = geometry.step("affine", "cubic")
-    modes = step.modes.T @ (geometry.matrix @ geometry.dome)
-    power = float(modes @ modes)
-    if power <= MIN_INFORMATION * geometry.total * float(geometry.dome @ geometry.dome):
-        return None
-    covariance = geometry.covariance(step, noise)
+    dome = _Kind.of(geometry, "dome")
+    return None if dome is None else dome.rms * _detectable_factor(geometry, noise, dome)
+
+
+def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tuple[DetectableSize, ...]:
+    """Return the smallest detectable size of each kind of deformation; negligible sizes are not stated."""
+    sizes = []
+    for name in KINDS:
+        kind = _Kind.of(geometry, name)
+        factor = 0.0 if kind is None else _detectable_factor(geometry, noise, kind)
+        if kind is None or not math.isfinite(factor):
+            sizes.append(DetectableSize(name))
+            continue
+        factor = max(factor, negligible / kind.rms)
+        sizes.append(DetectableSize(name, factor * kind.rms, factor * kind.displacement))
+    return tuple(sizes)
+
+
+class _Kind(NamedTuple):
+    """A kind of deformation of any size: its non-affine modes, its RMS along the normals, and its RMS length."""
+
+    modes: FloatArray
+    rms: float
+    displacement: float
+
+    @classmethod
+    def of(cls, geometry: Geometry, name: str) -> _Kind | None:
+        """Return a kind; None if the surfaces hardly constrain it."""
+        field, affine = geometry.kinds[name], geometry.columns["affine"]
+        field = field - affine @ (affine.T @ field)
+        modes = geometry.step("affine", "cubic").modes.T @ (geometry.matrix @ field)
+        power, length = float(modes @ modes), float(field @ field)
+        if power <= MIN_INFORMATION * geometry.total * length:
+            return None
+        return cls(modes, math.sqrt(power / geometry.total), math.sqrt(length))
+
+
+def _detectable_factor(geometry: Geometry, noise: Noise, kind: _Kind) -> float:
+    """Return the factor by which a kind has to be multiplied to be detected; infinite if none is enough."""
+    covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
     limit = chi_squares_quantile(MAX_P_SIGNIFICANT, np.linalg.eigvalsh(covariance).astype(np.float64))
     base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
-    along = float(modes @ covariance @ modes)
+    power, along = float(kind.modes @ kind.modes), float(kind.modes @ covariance @ kind.modes)
     low, high = 0.0, 1.0
     while base + high * power - _POWER_Z * math.sqrt(scatter + 4 * high * along) < limit:
         high *= 2
         if high > 1e300:
-            return None
+            return math.inf
     for _ in range(100):
         middle = (low + high) / 2
         found = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
         low, high = (low, middle) if found else (middle, high)
-    return math.sqrt(high * power / geometry.total)
+    return math.sqrt(high)
 
 
 def observable_shares(sums: TileSums, tile: IntArray) -> Observable:

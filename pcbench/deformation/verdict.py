@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import TILE, Geometry, Noise, Scores, estimate_noise
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
-from pcbench.deformation.result import ModelScore
+from pcbench.deformation.result import NEGLIGIBLE_SHARE, ModelScore
 from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
@@ -19,7 +19,6 @@ from pcbench.errors import Notice
 MIN_TILES = 40
 _FOLDS = 10
 _MAX_P_DOUBTFUL = 1e-3
-_MIN_BEND = 0.1  # in standard deviations of the noise: a deformation bounded below this is negligible
 
 
 class PairEvidence(NamedTuple):
@@ -62,25 +61,49 @@ class Finding(NamedTuple):
     model: str
     evidence: Evidence  # that there is a non-affine part
     warnings: tuple[Notice, ...]
+    conditional: str | None = None  # the verdict if the pose is right, where the verdict is undecided
 
     def as_undecided(self, reason: Notice) -> Finding:
         """Return the finding as undecided, with the reason as first warning."""
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
 
+    def as_conditional(self, reason: Notice) -> Finding:
+        """Return the finding as undecided, with its verdict as the one that holds if the pose is right."""
+        if self.verdict == "undecided":
+            return self.as_undecided(reason)
+        return self._replace(verdict="undecided", conditional=self.verdict, warnings=(reason, *self.warnings))
+
 
 def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
-    """Return the smallest adequate model, tested from the largest down; see `judge`."""
-    geometry, scores, noise = views[0].geometry, views[0].scores, views[0].noise
+    """Return the smallest adequate model, tested from the largest down.
+
+    A larger model is stated only if it is significant and its size is not negligible: tiny systematic errors of a
+    scanner or of a matching method are significant if there are enough points.
+
+    Args:
+        views: evidence of several sets of pairs of the same clouds; all must agree.
+        metric: whether the scale of both clouds is known; otherwise a difference in scale is not a deformation.
+        resolution: smallest deformation that counts, in the clouds' unit.
+    """
+    geometry, noise = views[0].geometry, views[0].noise
+    negligible = max(resolution, negligible_rms(noise))
 
     def compare(smaller: str, larger: str) -> Evidence:
         return least_significant([compare_models(view, smaller, larger) for view in views])
 
-    def largest(smaller: str, larger: str) -> float:
-        step = geometry.step(smaller, larger)
-        return float(amplitude(geometry, scores, noise, step).ci[1]) if step.modes.shape[1] else 0.0
+    def exceeds(smaller: str, larger: str, limit: float, *, upper: bool = False) -> bool:
+        """Whether the size of the larger model's part, or the end of its interval, exceeds a limit in each view."""
+        for view in views:
+            step = view.geometry.step(smaller, larger)
+            if not step.modes.shape[1]:
+                return False
+            found = amplitude(view.geometry, view.scores, view.noise, step)
+            if (found.ci[1] if upper else found.rms) <= limit:
+                return False
+        return True
 
     def is_needed(smaller: str, larger: str) -> bool:
-        return compare(smaller, larger).significant and largest(smaller, larger) > resolution
+        return compare(smaller, larger).significant and exceeds(smaller, larger, negligible)
 
     non_affine = compare("affine", "cubic")
     tiles = len(geometry.tile_matrices)
@@ -94,9 +117,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
-    bend = largest("affine", "cubic")
-    shown = bend > resolution
-    if non_affine.significant and shown and not warnings:
+    if is_needed("affine", "cubic") and not warnings:
         # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
         model = "cubic" if compare("quadratic", "cubic").p <= _MAX_P_DOUBTFUL else "quadratic"
         return Finding("non-affine", model, non_affine, ())
@@ -109,7 +130,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
-    matters = shown and bend > _MIN_BEND * math.sqrt(noise.white + noise.correlated)
+    matters = exceeds("affine", "cubic", negligible, upper=True)
     if non_affine.doubtful and matters:
         side = geometry.side * TILE
         remedy = (
@@ -123,6 +144,11 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     if (non_affine.doubtful and matters) or non_affine.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
     return Finding(verdict, model, non_affine, tuple(warnings))
+
+
+def negligible_rms(noise: Noise) -> float:
+    """Return the RMS below which a deformation is negligible, in the clouds' unit."""
+    return NEGLIGIBLE_SHARE * math.sqrt(noise.white + noise.correlated)
 
 
 def least_significant(evidence: Sequence[Evidence]) -> Evidence:

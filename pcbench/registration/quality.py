@@ -187,7 +187,7 @@ def with_doubt(
 def _contrast_at_noise(
     target: Target, random_sample: FloatArray, T: Similarity, quality: Quality, *, with_scale: bool
 ) -> float:
-    """Return the contrast with a reference that is as sparse as the candidate is noisy; -1 if no motion changes the fit.
+    """Return the contrast with a reference that is as sparse as the candidate is noisy; -1 if it cannot be measured.
 
     Noise moves points off the surface. It lowers the contrast most if the displacement is a few spacings of a reference
     that is much denser than the noise is large.

@@ -247,18 +247,25 @@ class _Writer:
             "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
         }
         sentences = []
+        conditional = [c for c in candidates if c.deformation.conditional_verdict is not None]
         for verdict, (singular, plural) in verdicts.items():
-            chosen = [c for c in candidates if _verdict(c) == verdict]
+            chosen = [c for c in candidates if _verdict(c) == verdict and c not in conditional]
             if not chosen:
                 continue
             text = f"{join_words([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
             if verdict == "non-affine":
                 text += " beyond any affine motion"
-            limits = [c.deformation.minimum_detectable_rms for c in chosen]
+            limits = [c.deformation.size_limit for c in chosen]
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
                 text += f"; a deformation above {self.length(limit)} RMS would have been detected"
             sentences.append(text)
+        for candidate in conditional:
+            result = candidate.deformation.assuming_pose()
+            text = verdicts[result.verdict][0]
+            if result.verdict == "non-affine" and result.amplitude is not None:
+                text += f" by {self.length(result.amplitude.rms)} RMS"
+            sentences.append(f"If its pose is right, {self.names[candidate.name]} {text}")
         return ". ".join(sentences)
 
     def _with_size(self, candidate: Candidate) -> str:

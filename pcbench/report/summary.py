@@ -60,11 +60,12 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
         ),
         Line(f"{how}: rmse, overlap", fits),
         *always,
-        Line("deformation", [(c.deformation.verdict, "") for c in candidates]),
+        Line("deformation", [(c.deformation.label, "") for c in candidates]),
     ]
-    limits = [c.deformation.minimum_detectable_rms for c in candidates]
+    limits = [c.deformation.size_limit for c in candidates]
     if any(limit is not None for limit in limits):
-        amplitudes = [None if c.deformation.verdict == "undecided" else c.deformation.amplitude for c in candidates]
+        results = [c.deformation.assuming_pose() for c in candidates]
+        amplitudes = [None if result.verdict == "undecided" else result.amplitude for result in results]
         sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
         cells = [(show(size), show(limit)) for size, limit in zip(sizes, limits, strict=True)]
         rows.append(Line("  RMS, detectable RMS", cells))
@@ -80,7 +81,7 @@ def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
         (0 if any(pose) else None, Column(("", "pose"), pose)),
         (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
         *_quantity_columns(comparison),
-        (2, Column(("", "deformation"), [c.deformation.verdict for c in candidates])),
+        (2, Column(("", "deformation"), [c.deformation.label for c in candidates])),
         (
             7,
             Column(
@@ -140,7 +141,7 @@ def _thresholds(comparison: SourcedComparison) -> list[float]:
 
 
 def _deformation_size(candidate: Candidate, show: Callable[[float | None], str]) -> str:
-    result = candidate.deformation
+    result = candidate.deformation.assuming_pose()
     return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
 
 

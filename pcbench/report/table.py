@@ -74,7 +74,7 @@ def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator
             yield None
             section = first.section
             if section == "deformation":
-                yield Line("deformation", [(c.deformation.verdict, "") for c in candidates])
+                yield Line("deformation", [(c.deformation.label, "") for c in candidates])
         yield Line(first.label, row.cells(lambda q: number(q.value, q.interval if intervals else None)))
 
 

@@ -46,7 +46,8 @@ def test_json_has_the_documented_keys_in_order(bent_result):
     values = json.loads(to_json(bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     assert list(values) == [
         "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "noise",
-        "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms", "warnings", "warning_codes",
+        "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms",
+        "negligible_rms", "detectable", "conditional_verdict", "warnings", "warning_codes",
     ]  # fmt: skip
     assert list(values["amplitude"]) == ["rms", "p95", "max", "ci", "rms_surface", "ci_surface"]
     assert list(values["rungs"][0]) == ["model", "parameters", "cv_score", "cv_se", "bic_eff", "rms_explained"]

@@ -1,5 +1,6 @@
 """Sentences on deformation respect the warnings of the registration, and rounding is not reported as a size."""
 
+import json
 import re
 
 import numpy as np
@@ -7,7 +8,11 @@ import pytest
 from wording import check_text
 
 from pcbench import Cloud, Settings, compare, deform
+from pcbench.deformation import Deformation
+from pcbench.registration import quality
 from pcbench.registration.result import UNOBSERVABLE
+from pcbench.report import to_json
+from pcbench.report.answer import answer
 from pcbench.report.table import markdown
 from pcbench.scenes.synthetic import city
 
@@ -53,23 +58,40 @@ def town():
     return city(3).sample(15_000, np.random.default_rng(1))[0]
 
 
-def test_candidates_with_doubtful_poses_get_no_verdict(town):
+def test_wrong_poses_get_no_verdict(town):
     registered = city(3).sample(15_000, np.random.default_rng(2))[0]
     clouds = {"right": registered, "wrong": town[::2] + [11, 7, 0]}
     comparison = compare(town, clouds, Settings(register="none"))
     candidate = comparison["wrong"]
     assert candidate.registration.doubtful
     assert candidate.deformation.warnings[0].code == "doubtful-registration"
-    assert (candidate.deformation.amplitude, candidate.deformation.p_value, candidate.deformation.growth) == (
-        None,
-        None,
-        None,
-    )
+    result = candidate.deformation
+    assert (result.label, result.amplitude, result.p_value, result.growth) == ("undecided", None, None, None)
     text = markdown(comparison)
     check_text(candidate.deformation.sentence("wrong"))
     assert candidate.deformation.sentence("wrong") in text
     assert "than wrong" not in text
     assert "told apart" not in text
+
+
+def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
+    monkeypatch.setattr(quality, "DOUBTFUL_CONTRAST", 10.0)
+    monkeypatch.setattr(quality, "SURE_CONTRAST", 10.0)
+    rng = np.random.default_rng(2)
+    flat, bent = (city(3).sample(15_000, rng)[0] for _ in range(2))
+    bent[:, 2] += 0.5 * np.square(bent[:, :2] / 200).sum(axis=1)
+    comparison = compare(town, {"flat": flat, "bent": bent})
+    text = markdown(comparison)
+    for name, verdict in (("flat", "none"), ("bent", "non-affine")):
+        result = comparison[name].deformation
+        assert comparison[name].registration.doubtful
+        assert (result.verdict, result.conditional_verdict, result.label) == ("undecided", verdict, f"{verdict} (?)")
+        assert result.assuming_pose().verdict == verdict
+        assert result.amplitude is not None
+        assert result.label in text
+        check_text(result.sentence(name))
+        assert Deformation.from_json(json.loads(to_json(result))) == result
+    check_text(" ".join(answer(comparison)))
 
 
 @pytest.mark.parametrize("frame", ["local", "survey", "feet"])

@@ -38,7 +38,7 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
 def _deformation_pictures(
     name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str, frame: Frame, look: Figures
 ) -> dict[str, Picture]:
-    title = f"{name or 'candidate'} against the reference: {bend.verdict} ({bend.model} model)"
+    title = f"{name or 'candidate'} against the reference: {bend.label} ({bend.model} model)"
     prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
         f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look)),

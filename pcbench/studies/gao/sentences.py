@@ -179,7 +179,10 @@ def _verdicts(found: dict[str, Deformation], unit: str) -> str:
             parts.append(f"{join_words(names)} {'is' if len(names) == 1 else 'are'} {words}")
     reasons: dict[str, list[str]] = {}
     for name, bend in found.items():
-        if bend.verdict == "undecided":
+        if bend.conditional_verdict is not None:
+            inner = _verdicts({name: bend.assuming_pose()}, unit)
+            parts.append(f"if its pose is right, {inner}")
+        elif bend.verdict == "undecided":
             reasons.setdefault(str(bend.warnings[0]) if bend.warnings else "", []).append(name)
     parts += [f"{join_words(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
     return "; ".join(parts)

@@ -138,7 +138,7 @@ def _measure_cells(of: ReferenceEvaluation) -> list[str]:
     m, bend = of.measures, of.deformation
     values = (m.d1_mse, of.r2c_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
     size = _DASH if bend is None or bend.amplitude is None else _size_text(bend)
-    return [f"{of.points or 0:,}", *map(format_number, values), _DASH if bend is None else bend.verdict, size]
+    return [f"{of.points or 0:,}", *map(format_number, values), _DASH if bend is None else bend.label, size]
 
 
 def format_number(value: float | None) -> str:
@@ -158,7 +158,7 @@ def _bend_values(bend: Deformation | None) -> Sequence[object]:
     if bend is None:
         return (None,) * 6
     size = (None,) * 3 if bend.amplitude is None else (bend.amplitude.rms, *bend.amplitude.ci)
-    return bend.verdict, bend.model, *size, bend.minimum_detectable_rms
+    return bend.label, bend.model, *size, bend.size_limit
 
 
 def _memory(cloud: CloudResult) -> str:
@@ -166,6 +166,9 @@ def _memory(cloud: CloudResult) -> str:
 
 
 def _notes(study: GaoStudy) -> Iterator[str]:
+    results = [of.deformation for scene in study.scenes for cloud in scene.clouds for of in cloud.against]
+    if any(result is not None and result.conditional_verdict is not None for result in results):
+        yield "(?): verdict that holds if the pose is right; the registration is doubtful"
     for scene in study.scenes:
         yield f"{scene.name} ({Path(scene.path).name}): measured in {scene.region}"
         for cloud in scene.clouds:
