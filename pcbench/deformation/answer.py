@@ -15,6 +15,7 @@ from pcbench.deformation.size import (
     effective_count,
     minimum_detectable_rms,
     observable_shares,
+    with_systematic_errors,
 )
 from pcbench.deformation.sums import TileSums
 from pcbench.deformation.verdict import Finding, PairEvidence, cross_validate, decide, negligible_rms
@@ -50,7 +51,7 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
             parameters=PARAMETERS[finding.model],
             p_value=finding.evidence.p,
             rungs=tuple(rungs),
-            amplitude=amplitude(geometry, scores, noise, beyond),
+            amplitude=with_systematic_errors(amplitude(geometry, scores, noise, beyond), noise),
             remaining_rms=math.sqrt(max(0.0, float(remaining)) / geometry.total),
             noise=NoiseSize(
                 sigma_white=math.sqrt(noise.white),

@@ -25,7 +25,9 @@ from pcbench.geometry.voxels import cells, voxel_downsample_to
 _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
-_MAX_WIDENINGS, _MIN_WIDENING_GAIN = 4, 1.02  # searches under the field found so far, while they find more pairs
+_FIELD_REACH = 0.7  # maximum correspondence distance, in the 95th percentile of the field found so far
+_MAX_WIDENINGS = 5  # searches for pairs under the field found so far
+_MIN_FIELD_CHANGE = 1.0  # RMS change of the field, in spacings, below which no further search is needed
 MIN_PAIRS = 300
 _MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
 _CONVERGENCE_TOLERANCE = 0.01  # in standard deviations of the noise
@@ -133,16 +135,16 @@ def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs |
     lower, upper = np.percentile(queries.surface.points[rows], [1, 99], axis=0)
     field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
     matches: _PlanePairs | None = None
+    points = queries.surface.points[rows]
     for _ in range(_MAX_WIDENINGS if follow else 1):
         near, max_distance = _near_queries(queries, surface, rows, field, sign=sign)
         fitted = _graduated_fit(queries, surface, near, field, max_distance, sign=sign, follow=follow)
         if fitted is None:
             break
-        # Where a deformation is large, its pairs are far apart at first: they are found once most of it is known.
-        inliers = np.count_nonzero(fitted[0].weights)
-        if matches is not None and inliers <= _MIN_WIDENING_GAIN * np.count_nonzero(matches.weights):
-            break
+        change = np.sqrt(np.square(fitted[1](points) - field(points)).sum(axis=1).mean())
         matches, field = fitted
+        if change <= max(_MIN_FIELD_CHANGE * surface.surface.spacing, matches.noise):
+            break
     return None if matches is None else _freeze(matches, field, surface.surface)
 
 
@@ -181,9 +183,11 @@ def _near_queries(
     downsampling favours outliers, which fill space, so distant points are removed before the final selection.
     """
     points = queries.surface.points[rows]
-    distances = surface.surface.index.query(points - sign * field(points)).distances
+    bend = field(points)
+    distances = surface.surface.index.query(points - sign * bend).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
-    max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing)
+    reach = _FIELD_REACH * float(np.percentile(np.linalg.norm(bend, axis=1), 95))
+    max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing, reach)
     near = rows[distances <= max_distance]
     return near[:: max(1, -(-len(near) // _MAX_PAIRS))], max_distance
 
