@@ -95,7 +95,7 @@ class StressSettings:
     seed: int = 0
     only: str | None = None
     methods: tuple[str, ...] = ()
-    register: str = "global"
+    register: str = "icp"
     time_limit_s: float = 120.0
 
 
