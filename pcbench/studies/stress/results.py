@@ -28,7 +28,7 @@ SUBJECTS = (REGISTRATION, METRICS, VERDICTS)
 # Outcomes of a run. Every subject uses the last two.
 RIGHT = "right"
 FALSE_ALARM = "false-alarm"  # the pose is right, but the result is doubtful
-REFUSED = "refused"  # no pose, although a method of the same scope found it from the same clouds
+REFUSED = "refused"  # no pose, although another method found it from the same clouds
 SAID = "said"  # wrong, and the result is doubtful; or no pose where none was findable
 SILENT = "silent"  # wrong without doubt
 WRONG = "wrong"  # a verdict that contradicts the truth

@@ -26,7 +26,7 @@ SCENES = tuple(SURFACES)
 # Standard deviations of each cloud's noise, in metres.
 _NOISE = {"city": 0.03, "terrain": 0.03, "room": 0.003, "object": 0.001}
 _DEGENERATE_NOISE = 0.02
-POINTS, QUICK_POINTS = 40_000, 12_000  # of the reference; the candidate has half of them
+POINTS, QUICK_POINTS = 24_000, 8_000  # of the reference; the candidate has half of them
 _MAX_GIVEN_POINTS = 60_000  # of each cloud of a given pair
 
 
