@@ -274,8 +274,9 @@ class RegistrationCell(Cell):
 class MetricCell(Cell):
     """Result of one metric.
 
-    A value within 10 % of the exact one is right. Any other is said if the value is within 10 % of its floor or the
-    interval contains the exact value; otherwise it is silent.
+    A value within 10 % of the exact one is right. Any other is said if its interval contains the exact value, or if the
+    exact value is smaller by at most the sampling floor, which states how much the point spacing may add; otherwise it
+    is silent.
 
     Attributes:
         metric: name of the metric, such as `RMS off the surface`.
