@@ -16,6 +16,7 @@ from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
 from pcbench.studies.stress.methods import missing_method
 from pcbench.studies.stress.results import (
+    MAX_METRIC_ERROR,
     METRICS,
     RIGHT,
     SAID,
@@ -27,7 +28,6 @@ from pcbench.studies.stress.scenes import StressPair
 
 MEAN_DISTANCE, RMS_OFF_SURFACE = "mean distance", "RMS off the surface"
 NAMES = (MEAN_DISTANCE, RMS_OFF_SURFACE)
-_MAX_RIGHT_ERROR = 0.1  # relative error up to which a value is right
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def judge(value: MeasuredValue, exact: float) -> str:
     """
     if value.value is None:
         return SAID
-    if abs(value.value - exact) <= _MAX_RIGHT_ERROR * exact:
+    if abs(value.value - exact) <= MAX_METRIC_ERROR * exact:
         return RIGHT
     if value.interval is not None and value.interval[0] <= exact <= value.interval[1]:
         return SAID

@@ -54,6 +54,12 @@ LOCAL = "local"  # starts from the given pose
 GLOBAL = "global"  # needs no initial pose
 SCOPES = (LOCAL, GLOBAL)
 
+MAX_METRIC_ERROR = 0.1
+"""Relative error up to which the value of a metric is right."""
+
+MIN_COUNTED_SIZE = 0.25
+"""RMS over the noise from which a deformation counts as one."""
+
 _Z = NormalDist().inv_cdf(0.975)
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -331,6 +337,11 @@ class VerdictCell(Cell):
     def size_in_noise(self) -> float:
         """True RMS of the deformation over the noise."""
         return self.true_rms / self.noise
+
+    @property
+    def is_deformed(self) -> bool:
+        """Whether the true deformation is large enough to count as one."""
+        return self.true_rms > MIN_COUNTED_SIZE * self.noise
 
     @property
     def ratio(self) -> float | None:

@@ -40,7 +40,7 @@ _CHILD = "pcbench.studies.stress.child"
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
 # Modules of pcbench that no result of a run depends on.
 _OUTSIDE = ("cli", "plugins", "report", "studies/bench", "studies/bend", "studies/gao", "studies/views")
-_PAGES = ("table", "words", "charts", "study", "results")
+_PAGES = ("table", "words", "charts", "study", "limits")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BATCH_RUNS = 40  # of a child process, whose start takes seconds
 _RUN_S = 1.0  # rough duration of a run, for progress bars

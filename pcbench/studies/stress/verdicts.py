@@ -18,6 +18,7 @@ from pcbench.extras import installed_versions
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress.results import (
     FALSE_BEND,
+    MIN_COUNTED_SIZE,
     MISSED,
     RIGHT,
     VERDICTS,
@@ -30,7 +31,6 @@ from pcbench.studies.stress.scenes import StressPair
 
 DEFORM, NAIVE_BIC, NAIVE_TILES = "deform", "naive BIC", "naive cross-validation"
 NON_AFFINE, UNDECIDED = "non-affine", "undecided"
-_MIN_COUNTED_SIZE = 0.25  # RMS over the noise from which a deformation counts
 _NAMES = {"rigid": "none", "similarity": "similarity", "affine": "affine"}  # verdicts of the selected models
 
 
@@ -84,7 +84,7 @@ def judge(values: VerdictValues, true_rms: float, noise: float, *, pose_is_right
         noise: standard deviation of the difference of both clouds along the normals.
         pose_is_right: whether the pose below the verdict is right.
     """
-    counts = true_rms > _MIN_COUNTED_SIZE * noise
+    counts = true_rms > MIN_COUNTED_SIZE * noise
     if values.verdict == UNDECIDED:
         return WITHHELD, WITHHELD_ALTHOUGH_RIGHT if pose_is_right else ""
     if values.verdict == NON_AFFINE:
