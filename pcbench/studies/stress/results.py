@@ -97,7 +97,7 @@ class StressSettings:
     """
 
     quick: bool = False
-    seeds: int = 3
+    seeds: int = 1
     seed: int = 0
     only: str | None = None
     methods: tuple[str, ...] = ()
