@@ -12,12 +12,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from pcbench.deformation import deform
 from pcbench.errors import MissingExtra
 from pcbench.extras import require
+from pcbench.measure.comparison import compare
 from pcbench.studies.folder import write_record
 from pcbench.studies.stress.cells import RunPlan, build_pair, load_pair, run_cell
 from pcbench.studies.stress.methods import METHODS
-from pcbench.studies.stress.results import GLOBAL, REGISTRATION
+from pcbench.studies.stress.metrics import METRIC_METHODS
+from pcbench.studies.stress.results import METRICS, REGISTRATION
 from pcbench.studies.stress.scenes import scene_pair
 
 MISSING_LIBRARY = 3  # exit code
@@ -37,10 +40,10 @@ def main(file: str) -> None:
 
 def _run_all(path: Path, batch: dict[str, Any]) -> None:
     given = None if batch["given"] is None else load_pair(Path(batch["given"]))
-    _warm_up(batch["runs"])
+    plans = [RunPlan(**run["plan"]) for run in batch["runs"]]
+    _warm_up(plans)
     pair, of_plan = None, None
-    for number, run in enumerate(batch["runs"]):
-        plan = RunPlan(**run["plan"])
+    for number, (plan, run) in enumerate(zip(plans, batch["runs"], strict=True)):
         path.with_suffix(".at").write_text(str(number), encoding="utf-8")
         faulthandler.dump_traceback_later(batch["time_limit_s"], exit=True)
         if pair is None or of_plan != plan.pair:
@@ -50,18 +53,18 @@ def _run_all(path: Path, batch: dict[str, Any]) -> None:
         write_record(Path(run["record"]), run["key"], result.values())
 
 
-def _warm_up(runs: list[dict[str, Any]]) -> None:
-    """Run each method on a tiny pair, so that the CPU seconds of the first run do not include imports."""
-    tiny = scene_pair("object", 0, _TINY_POINTS)
-    methods = {(run["plan"]["subject"], run["plan"]["method"]): run["plan"] for run in runs}
-    for values in methods.values():
-        plan = RunPlan(**values)
-        if plan.subject == REGISTRATION:
-            for module in METHODS[plan.method].modules:
-                require(module)
-            if METHODS[plan.method].scope == GLOBAL:
-                continue  # its own child process imports again in each run
-        run_cell(plan, tiny)
+def _warm_up(plans: list[RunPlan]) -> None:
+    """Import what the runs need, so that the CPU seconds of the first ones do not include it."""
+    for name in {plan.method for plan in plans if plan.subject == REGISTRATION}:
+        for module in METHODS[name].modules:
+            require(module)
+    for name in {plan.method for plan in plans if plan.subject == METRICS}:
+        for module in METRIC_METHODS[name].modules:
+            require(module)
+    tiny = scene_pair("object", 0, _TINY_POINTS)  # our own methods import in functions
+    if any(plan.subject == METRICS for plan in plans):
+        compare(tiny.reference, tiny.points)
+    deform(tiny.reference, tiny.points)
 
 
 if __name__ == "__main__":
