@@ -28,7 +28,6 @@ from pcbench.studies.stress.scenes import StressPair
 
 MEAN_DISTANCE, RMS_OFF_SURFACE = "mean distance", "RMS off the surface"
 NAMES = (MEAN_DISTANCE, RMS_OFF_SURFACE)
-_MAX_FLOOR_RATIO = 1.1  # value over floor up to which the floor explains the value
 
 
 @dataclass(frozen=True)
@@ -73,14 +72,17 @@ def exact_values(pair: StressPair) -> dict[str, float]:
 
 
 def judge(value: MeasuredValue, exact: float) -> str:
-    """Return the outcome of a metric: right, said or silent; see `MetricCell`."""
+    """Return the outcome of a metric: right, said or silent; see `MetricCell`.
+
+    The floor beside a value states how much of it the point spacing may be.
+    """
     if value.value is None:
         return SAID
     if abs(value.value - exact) <= MAX_METRIC_ERROR * exact:
         return RIGHT
     if value.interval is not None and value.interval[0] <= exact <= value.interval[1]:
         return SAID
-    if value.floor is not None and value.value <= _MAX_FLOOR_RATIO * value.floor:
+    if value.floor is not None and value.value - value.floor <= exact <= value.value:
         return SAID
     return SILENT
 

@@ -28,7 +28,7 @@ SUBJECTS = (REGISTRATION, METRICS, VERDICTS)
 # Outcomes of a run. Every subject uses the last two.
 RIGHT = "right"
 FALSE_ALARM = "false-alarm"  # the pose is right, but the result is doubtful
-REFUSED = "refused"  # no pose, although a method of the same scope found it from the same clouds
+REFUSED = "refused"  # no pose, although another method found it from the same clouds
 SAID = "said"  # wrong, and the result is doubtful; or no pose where none was findable
 SILENT = "silent"  # wrong without doubt
 WRONG = "wrong"  # a verdict that contradicts the truth
@@ -97,7 +97,7 @@ class StressSettings:
     """
 
     quick: bool = False
-    seeds: int = 3
+    seeds: int = 1
     seed: int = 0
     only: str | None = None
     methods: tuple[str, ...] = ()
@@ -280,8 +280,9 @@ class RegistrationCell(Cell):
 class MetricCell(Cell):
     """Result of one metric.
 
-    A value within 10 % of the exact one is right. Any other is said if the value is within 10 % of its floor or the
-    interval contains the exact value; otherwise it is silent.
+    A value within 10 % of the exact one is right. Any other is said if its interval contains the exact value, or if the
+    exact value is smaller by at most the sampling floor, which states how much the point spacing may add; otherwise it
+    is silent.
 
     Attributes:
         metric: name of the metric, such as `RMS off the surface`.

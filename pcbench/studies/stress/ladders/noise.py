@@ -117,6 +117,6 @@ NOISE_LADDERS = (
     _noise_ladder("distance", "noise that grows with distance", _growing),
     _noise_ladder("correlated", "correlated noise", _correlated),
     Ladder("impulse", "displaced points", "noise", "%", (0, 3, 5, 10, 20, 40, 60), (), _impulse, _ALL),
-    Ladder("background", "uniform outliers", "noise", "%", (0, 5, 10, 20, 40, 60), (0, 30, 60), _background, _ALL),
+    Ladder("background", "uniform outliers", "noise", "%", (0, 5, 10, 20, 40, 60), (0, 20, 60), _background, _ALL),
     Ladder("floaters", "clumps beside the surface", "noise", "%", (0, 5, 10, 20, 40, 60), (), _floaters, _ALL),
 )

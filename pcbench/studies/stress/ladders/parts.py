@@ -21,6 +21,8 @@ _LEVEL = 0.7  # vertical component of the normal from which it counts as level
 
 def _overlapping(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
     """Cut both clouds by vertical planes so that this share of each lies in the part that both show."""
+    if level == 100:
+        return pair
     angle = rng.uniform(0, 2 * np.pi)
     across = np.array([np.cos(angle), np.sin(angle), 0.0])
     width = 1 / (2 - level / 100)
@@ -116,7 +118,7 @@ PART_LADDERS = (
         "parts",
         "%",
         (100, 80, 60, 40, 30, 20, 10, 5),
-        (100, 50, 20),
+        (100, 40, 20),
         _overlapping,
         (REGISTRATION, VERDICTS),
     ),
