@@ -27,6 +27,7 @@ from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.methods import METHODS, check_names
 from pcbench.studies.stress.metrics import METRIC_METHODS
+from pcbench.studies.stress.page import page
 from pcbench.studies.stress.results import (
     DOCUMENT,
     METRICS,
@@ -57,7 +58,7 @@ from pcbench.studies.stress.scenes import (
 )
 from pcbench.studies.stress.table import stress_table
 from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
-from pcbench.studies.stress.words import page, sentences
+from pcbench.studies.stress.words import sentences
 
 KIND = StudyKind("stress", DOCUMENT, SCHEMA)
 CSV, PAGE, TABLE = "stress.csv", "stress.md", "stress.txt"
@@ -188,14 +189,20 @@ def run_stress(
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))
         study = replace(study, sentences=sentences(study))
         without_figures = None
+        drawn: list[str] = []
         if figures:
             step("drawing charts")
             try:
-                draw_charts(study, out)
+                drawn = draw_charts(study, out)
             except MissingExtra as error:
                 without_figures = record_error(error)
         table = stress_table(study)
-        pages = {CSV: csv_text(study), TABLE: f"{table}\n", PAGE: page(study), DOCUMENT: to_json(document(study))}
+        pages = {
+            CSV: csv_text(study),
+            TABLE: f"{table}\n",
+            PAGE: page(study, drawn),
+            DOCUMENT: to_json(document(study)),
+        }
         write_pages(out, pages)
     return StressOutcome(study, table, without_figures)
 
