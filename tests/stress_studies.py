@@ -1,5 +1,7 @@
 """Stress studies with known counts, built by hand."""
 
+from dataclasses import replace
+
 from pcbench.studies.stress.results import (
     CRASH,
     FALSE_ALARM,
@@ -39,7 +41,7 @@ CASES = LadderInfo(
     "degenerate", "degenerate surface", "degenerate", (REGISTRATION,), "", (0, 1), ("plane", "half-turn building")
 )
 GAUSSIAN = LadderInfo(
-    "gaussian", "Gaussian noise", "noise", (REGISTRATION, METRICS, VERDICTS), "spacings", (0, 1, 4)
+    "noise-gaussian", "Gaussian noise", "noise", (REGISTRATION, METRICS, VERDICTS), "spacings", (0, 1, 4)
 )  # fmt: skip
 DOME = LadderInfo("warp-dome", "dome", "warp", (VERDICTS,), "x noise", (0, 1, 4))
 LADDERS = (ROTATION, MAP, OVERLAP, GAUSSIAN, DOME, CASES)
@@ -79,8 +81,9 @@ def metrics(level, method, metric, outcomes, covers=None):
     value = {RIGHT: 1.05, SAID: 1.3, SILENT: 2.0}
     return [
         MetricCell(
-            "city", "gaussian", level, None, method, seed, outcome, cpu_s=0.2, metric=metric, value=value.get(outcome),
-            exact=1.0, interval=None if covers is None else (0.9, 1.1) if covers[seed] else (1.01, 1.2),
+            "city", GAUSSIAN.name, level, None, method, seed, outcome, cpu_s=0.2, metric=metric,
+            value=value.get(outcome), exact=1.0,
+            interval=None if covers is None else (0.9, 1.1) if covers[seed] else (1.01, 1.2),
         )
         for seed, outcome in enumerate(outcomes)
     ]  # fmt: skip
@@ -101,6 +104,20 @@ def verdicts(ladder, level, method, results, true_rms=0.0, covers=None):
             noise=0.04, **size,
         ))  # fmt: skip
     return rows
+
+
+def crowded_study():
+    """The study with ten more local methods and four more metrics, all as bad as the peers."""
+    made = study()
+    methods = [MethodInfo(f"another method {k}", REGISTRATION, LOCAL, "peerlib", "2") for k in range(10)]
+    meters = [MethodInfo(f"another library {k}", METRICS, "", "peerlib", "2") for k in range(4)]
+    peers = [cell for cell in made.registrations if cell.method == "peer"]
+    values = [cell for cell in made.metrics if cell.method == "Open3D"]
+    return study(
+        methods=(*made.methods, *methods, *meters),
+        registrations=(*made.registrations, *(replace(c, method=m.name) for m in methods for c in peers)),
+        metrics=(*made.metrics, *(replace(c, method=m.name) for m in meters for c in values)),
+    )
 
 
 def study(**changes):

@@ -88,6 +88,7 @@ def stress(
     from pcbench.io import read_cloud
     from pcbench.studies.stress.results import StressSettings
     from pcbench.studies.stress.study import GivenClouds, run_stress
+    from pcbench.studies.stress.words import answer, caveats
 
     clouds = None
     if reference is not None:
@@ -108,10 +109,11 @@ def stress(
     with steps(quiet) as step:
         outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
     if not quiet:
+        for sentence in (*answer(outcome.study), *caveats(outcome.study)):
+            click.echo(sentence)
+        click.echo()
         click.echo(outcome.table)
         click.echo()
-        for sentence in outcome.study.sentences:
-            click.echo(sentence)
-        click.echo(f"report: {out}")
+        click.echo(f"report: {out}/ has stress.md (all sentences, tables and charts), stress.csv and stress.json")
     if outcome.without_figures:
         warn(outcome.without_figures)

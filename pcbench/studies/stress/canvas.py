@@ -14,7 +14,7 @@ DPI = 110
 GREY = "#777777"
 SUCCESS_LABELS = {
     REGISTRATION: "right poses [% of runs]",
-    METRICS: "right, or explained by floor or interval [% of runs]",
+    METRICS: "right or explained [% of runs]",
     VERDICTS: "right verdicts [% of runs]",
 }
 _LETTERS_PER_INCH = 13.0  # at the size of legends
@@ -82,8 +82,8 @@ def legend(figure: Any, axes: Iterable[Any], *, note: str = "") -> None:
 
 
 def panel_legend(axis: Any) -> None:
-    """Draw the legend of one panel below it."""
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False, fontsize=9)
+    """Draw the legend of one panel to its right."""
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9)
 
 
 def plain_log_ticks(axis: Any, which: str = "x") -> None:
@@ -103,13 +103,15 @@ def success(tally: Tally, subject: str) -> Rate:
     return tally.rate(*SUCCESS[subject])
 
 
-def draw_rate(axis: Any, x: float, rate: Rate, style: RowStyle, *, size: float = 5.0, filled: bool = True) -> None:
-    """Draw a share in percent at x, with its Wilson interval."""
-    low, high = rate.interval
+def draw_rate(
+    axis: Any, x: float, rate: Rate, style: RowStyle, *, size: float = 5.0, filled: bool = True, bars: bool = True
+) -> None:
+    """Draw a share in percent at x, with its Wilson interval as a bar, if `bars`; wrong results make it hollow."""
     y = 100 * rate.share
+    low, high = rate.interval if bars else (rate.share, rate.share)
     axis.errorbar(
         x, y, [[max(0.0, y - 100 * low)], [max(0.0, 100 * high - y)]], color=style.color, marker=style.marker,
-        markersize=size, markerfacecolor=style.color if filled else "white", elinewidth=0.9, capsize=2,
+        markersize=size, markerfacecolor=style.color if filled else "white", elinewidth=0.9, capsize=2 if bars else 0,
         linestyle="none",
     )  # fmt: skip
 
@@ -124,11 +126,6 @@ def percent_axis(axis: Any) -> None:
 def level_labels(ladder: LadderInfo) -> list[str]:
     """Return the levels of a ladder as tick labels without unit; large numbers are abbreviated."""
     return [_short(level) for level in ladder.levels]
-
-
-def axis_title(title: str, unit: str) -> str:
-    """Return a quantity with its unit in brackets, if it has one."""
-    return f"{title} [{unit}]" if unit else title
 
 
 def _short(value: float) -> str:

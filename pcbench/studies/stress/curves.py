@@ -11,7 +11,6 @@ from pcbench.studies.stress.canvas import (
     GREY,
     SUCCESS_LABELS,
     RowStyle,
-    axis_title,
     canvas,
     draw_rate,
     legend,
@@ -40,10 +39,11 @@ from pcbench.studies.stress.results import (
     VerdictCell,
     grouped,
 )
-from pcbench.studies.stress.words import percent
+from pcbench.studies.stress.words import axis_title, percent
 
 _SCOPE_TITLES = {LOCAL: "from a given start", GLOBAL: "without a start"}
 _MAX_PANEL_COLUMNS = 3
+_MAX_BARRED_ROWS = 4  # rows of a panel with intervals of all of them; otherwise of ours alone
 _MAX_PROFILE_FACTOR = 1000.0
 _NOMINAL = 95.0  # coverage of intervals, in percent
 _DODGE = 0.5  # width over which the markers of a level are spread, in levels
@@ -80,7 +80,7 @@ def recall_chart(study: StressStudy) -> Any | None:
             _draw_preset_ticks(line[1], {preset.offset for preset in PRESETS})
         _draw_preset_ticks(line[2], {preset.angle_deg for preset in PRESETS})
     presets = "; ".join(f"{p.name} {p.offset:g} m, {p.angle_deg:g} deg" for p in PRESETS)
-    legend(figure, axes.ravel(), note=f"dotted: success criteria of benchmarks ({presets})")
+    legend(figure, axes.ravel(), note=f"vertical lines: success criteria of benchmarks ({presets})")
     return figure
 
 
@@ -90,18 +90,22 @@ def severity_charts(study: StressStudy, subject: str) -> Iterator[tuple[str, Any
     styles = row_styles(rows)
     ladders = [ladder for ladder in study.ladders_of(subject) if not ladder.is_map and not ladder.is_list]
     for kind in dict.fromkeys(ladder.kind for ladder in ladders):
-        group = [ladder for ladder in ladders if ladder.kind == kind]
-        columns = min(len(group), _MAX_PANEL_COLUMNS)
-        lines = -(-len(group) // columns)
-        figure, axes = canvas(lines, columns, (5.4, 3.5), extra=0.9)
-        for axis, ladder in zip(axes.ravel(), group, strict=False):
-            _draw_ladder(axis, ladder, rows, styles)
+        panels = [panel for ladder in ladders if ladder.kind == kind for panel in _panels(ladder, rows)]
+        scopes = {scope for _, scope, _ in panels}
+        columns = min(len(panels), len(scopes) if len(scopes) > 1 else _MAX_PANEL_COLUMNS)
+        lines = -(-len(panels) // columns)
+        figure, axes = canvas(lines, columns, (5.4 if columns > len(scopes) else 7.0, 3.5), extra=0.9)
+        for axis, (ladder, scope, group) in zip(axes.ravel(), panels, strict=False):
+            _draw_ladder(axis, ladder, group, styles)
+            if len(scopes) > 1:
+                axis.set_title(_SCOPE_TITLES[scope], fontsize=10, loc="left")
             percent_axis(axis)
-        for axis in axes.ravel()[len(group) :]:
+        for axis in axes.ravel()[len(panels) :]:
             axis.axis("off")
         figure.supylabel(SUCCESS_LABELS[subject], fontsize=10)
-        note = "bars: 95 % Wilson intervals; hollow: some runs of the level are wrong with confidence"
-        legend(figure, axes.ravel(), note=note)
+        crowded = any(len(group) > _MAX_BARRED_ROWS for _, _, group in panels)
+        bars = "bars: 95 % Wilson intervals" + (" of pcbench's methods" if crowded else "")
+        legend(figure, axes.ravel(), note=f"{bars}; hollow: some runs of the level are wrong with confidence")
         yield kind, figure
 
 
@@ -152,8 +156,8 @@ def speed_chart(study: StressStudy) -> Any | None:
             panels.append((subject, rows))
     if not panels:
         return None
-    figure, axes = canvas(1, len(panels), (7.0, 4.8), extra=0.8)
-    for axis, (subject, rows) in zip(axes[0], panels, strict=True):
+    figure, axes = canvas(len(panels), 1, (10.0, 3.8), extra=0.2)
+    for axis, (subject, rows) in zip(axes[:, 0], panels, strict=True):
         styles = row_styles(rows)
         for row in rows:
             tally = Tally.of(row.cells)
@@ -190,7 +194,7 @@ def coverage_chart(study: StressStudy) -> Any | None:
     styles = row_styles([row for _, rows in panels for row in rows])
     for axis, (subject, rows) in zip(axes[0], panels, strict=True):
         for number, row in enumerate(rows):
-            groups = row.by_ladder()
+            groups = row.by_ladder
             shift = _DODGE * ((number + 0.5) / len(rows) - 0.5)
             style = styles[row.name]
             for at, ladder in enumerate(ladders[subject]):
@@ -286,13 +290,22 @@ def _draw_preset_ticks(axis: Any, values: set[float]) -> None:
     axis.set_title(axis.get_title(), fontsize=10, pad=14)
 
 
+def _panels(ladder: LadderInfo, rows: Sequence[StressRow]) -> Iterator[tuple[LadderInfo, str, list[StressRow]]]:
+    """Yield the panels of a ladder, one per scope: the ladder, the scope and the rows that ran it."""
+    present = [row for row in rows if ladder.name in row.by_ladder]
+    for scope in (LOCAL, GLOBAL, ""):
+        group = [row for row in present if row.method.scope == scope]
+        if group:
+            yield ladder, scope, group
+
+
 def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow], styles: dict[str, RowStyle]) -> None:
     """Draw success by level; levels are equally spaced, and methods spread within a level."""
-    present = [row for row in rows if ladder.name in row.by_ladder()]
-    for number, row in enumerate(present):
+    for number, row in enumerate(rows):
         style = styles[row.name]
-        by_level = grouped(row.by_ladder()[ladder.name], lambda cell: cell.level)
-        shift = _DODGE * ((number + 0.5) / len(present) - 0.5)
+        bars = row.method.is_ours or len(rows) <= _MAX_BARRED_ROWS
+        by_level = grouped(row.by_ladder[ladder.name], lambda cell: cell.level)
+        shift = _DODGE * ((number + 0.5) / len(rows) - 0.5)
         places = [
             (at + shift, Tally.of(by_level[level])) for at, level in enumerate(ladder.levels) if level in by_level
         ]
@@ -300,7 +313,7 @@ def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow], style
         axis.plot([at for at, _ in places], shares, **style.line_style())
         for at, tally in places:
             solid = not tally.rate(*CONFIDENT[row.subject]).count
-            draw_rate(axis, at, success(tally, row.subject), style, filled=solid)
+            draw_rate(axis, at, success(tally, row.subject), style, filled=solid, bars=bars)
         axis.plot([], [], marker=style.marker, label=row.name, **style.line_style())
     axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
     axis.set_xlabel(axis_title(ladder.title, ladder.unit))
@@ -332,4 +345,4 @@ def _coverage(cells: Sequence[Cell]) -> Rate:
 
 
 def _any_coverage(rows: Sequence[StressRow], ladder: LadderInfo) -> bool:
-    return any(_coverage(row.by_ladder().get(ladder.name, ())).total for row in rows)
+    return any(_coverage(row.by_ladder.get(ladder.name, ())).total for row in rows)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.studies.stress.canvas import axis_title, canvas, level_labels, success
-from pcbench.studies.stress.limits import CONFIDENT, stress_rows
+from pcbench.studies.stress.canvas import canvas, level_labels, success
+from pcbench.studies.stress.limits import CONFIDENT, ladder_success, stress_rows
 from pcbench.studies.stress.results import (
     CRASH,
     FALSE_ALARM,
@@ -25,6 +25,7 @@ from pcbench.studies.stress.results import (
     Tally,
     grouped,
 )
+from pcbench.studies.stress.words import axis_title
 
 _OUTCOME_COLORS = {
     RIGHT: "#009e73",
@@ -56,7 +57,7 @@ _DARK_SHARE = 0.55  # failures beyond which the text of a cell is white
 
 def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
     """Return the share of right poses over both coordinates of a map: one panel per method."""
-    rows = [row for row in stress_rows(study, REGISTRATION) if ladder.name in row.by_ladder()]
+    rows = [row for row in stress_rows(study, REGISTRATION) if ladder.name in row.by_ladder]
     if not rows:
         return None
     columns = min(len(rows), _MAX_MAP_COLUMNS)
@@ -64,7 +65,7 @@ def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
     figure, axes = canvas(lines, columns, (3.9, 3.5), extra=0.7)
     drawn = None
     for axis, row in zip(axes.ravel(), rows, strict=False):
-        groups = grouped(row.by_ladder()[ladder.name], lambda cell: (cell.level, cell.second))
+        groups = grouped(row.by_ladder[ladder.name], lambda cell: (cell.level, cell.second))
         shares = np.full((len(ladder.second_levels), len(ladder.levels)), np.nan)
         for (level, second), cells in groups.items():
             if second is None:
@@ -123,7 +124,10 @@ def outcome_chart(study: StressStudy, subject: str) -> Any | None:
 
 
 def matrix_chart(study: StressStudy, subject: str) -> Any | None:
-    """Return the failure matrix: the share of failed runs by row and ladder, and how many are wrong with confidence."""
+    """Return the failure matrix: the share of failed runs by row and ladder, and how many are wrong with confidence.
+
+    On degenerate surfaces a run that says so has not failed.
+    """
     rows, ladders = stress_rows(study, subject), study.ladders_of(subject)
     if not rows or not ladders:
         return None
@@ -131,12 +135,12 @@ def matrix_chart(study: StressStudy, subject: str) -> Any | None:
     axis = axes[0, 0]
     failed = np.full((len(rows), len(ladders)), np.nan)
     for line, row in enumerate(rows):
-        groups = row.by_ladder()
+        groups = row.by_ladder
         for column, ladder in enumerate(ladders):
             if ladder.name not in groups:
                 continue
             tally = Tally.of(groups[ladder.name])
-            share = 1 - success(tally, subject).share
+            share = 1 - ladder_success(tally, ladder, subject).share
             failed[line, column] = 100 * share
             confident = tally.rate(*CONFIDENT[subject])
             text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from pcbench.studies.stress.results import (
     CRASH,
@@ -22,6 +23,7 @@ from pcbench.studies.stress.results import (
     LadderInfo,
     MethodInfo,
     MetricCell,
+    Rate,
     StressStudy,
     Tally,
     grouped,
@@ -57,8 +59,9 @@ class StressRow:
     method: MethodInfo
     cells: tuple[Cell, ...]
 
+    @cached_property
     def by_ladder(self) -> dict[str, list[Cell]]:
-        """Return the cells by the name of their ladder."""
+        """The cells by the name of their ladder."""
         return grouped(self.cells, lambda cell: cell.ladder)
 
 
@@ -128,7 +131,7 @@ def stress_rows(study: StressStudy, subject: str) -> list[StressRow]:
 
 def safe_ranges(study: StressStudy, row: StressRow) -> list[SafeRange]:
     """Return the safe range of a row on each ladder; maps and lists of cases have none."""
-    groups = row.by_ladder()
+    groups = row.by_ladder
     return [
         _safe_range(ladder, row.subject, groups[ladder.name])
         for ladder in study.ladders_of(row.subject)
@@ -138,12 +141,20 @@ def safe_ranges(study: StressStudy, row: StressRow) -> list[SafeRange]:
 
 def safe_starts(study: StressStudy, row: StressRow) -> list[SafeStart]:
     """Return the safe rectangle of a row on each map."""
-    groups = row.by_ladder()
+    groups = row.by_ladder
     return [
         _safe_start(ladder, row.subject, groups[ladder.name])
         for ladder in study.ladders_of(row.subject)
         if ladder.is_map and ladder.name in groups
     ]
+
+
+def ladder_success(tally: Tally, ladder: LadderInfo, subject: str) -> Rate:
+    """Return the share of a ladder's runs that succeed; for a list of cases, of those that are right or say so.
+
+    Cases may have no right result: then a method has to say so.
+    """
+    return tally.rate(*SUCCESS[subject], *(SAID_SO[subject] if ladder.is_list else ()))
 
 
 def is_safe(tally: Tally, subject: str) -> bool:

@@ -27,7 +27,7 @@ from pcbench.studies.stress.words import (
     registration_sentences,
     verdict_sentences,
 )
-from pcbench.studies.stress.worst import COLORS_NOTE, failure_title
+from pcbench.studies.stress.worst import failure_title
 
 _SENTENCES: dict[str, Callable[[StressStudy], Iterator[str]]] = {
     REGISTRATION: registration_sentences,
@@ -93,12 +93,13 @@ def _worst_section(study: StressStudy, figures: Sequence[str]) -> Iterator[str]:
     if not study.worst:
         return
     yield "## The worst silent failures"
+    yield "Wrong poses without a warning that the pose may be wrong, those with the largest relative errors."
     for number, failure in enumerate(study.worst, 1):
         title = failure_title(study, failure)
         name = f"worst_{number}.png"
         yield f"{number}. {title}."
         if name in figures:
-            yield f"![{title}; {COLORS_NOTE}](figures/{name})"
+            yield f"![{title}](figures/{name})"
 
 
 def _images(figures: Sequence[str], stems: Sequence[str]) -> Iterator[str]:

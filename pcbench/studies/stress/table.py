@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pcbench.report.words import columns, pad
-from pcbench.studies.stress.limits import CONFIDENT, SafeRange, StressRow, safe_ranges, safe_starts, stress_rows
+from pcbench.studies.stress.limits import (
+    CONFIDENT,
+    SafeRange,
+    StressRow,
+    ladder_success,
+    safe_ranges,
+    safe_starts,
+    stress_rows,
+)
 from pcbench.studies.stress.results import (
     OUTCOMES,
     PRESETS,
     REGISTRATION,
     SUBJECTS,
+    LadderInfo,
     Rate,
     RegistrationCell,
     StressStudy,
     Tally,
 )
-from pcbench.studies.stress.words import percent, rate_text
+from pcbench.studies.stress.words import axis_title, percent, rate_text
 
 _DASH = "–"
 _METRE = "m"
@@ -48,8 +57,7 @@ def limits_table(study: StressStudy, subject: str) -> list[list[str]]:
     limits = [_limit_cells(study, row) for row in rows]
     table = [["", *(row.name for row in rows)]]
     for ladder in study.ladders_of(subject):
-        title = f"{ladder.title}, {ladder.second_title}" if ladder.is_map else ladder.title
-        table.append([title, *(texts.get(ladder.name, "") for texts in limits)])
+        table.append([_ladder_title(ladder), *(texts.get(ladder.name, "") for texts in limits)])
     return table
 
 
@@ -104,14 +112,12 @@ def _limit_cells(study: StressStudy, row: StressRow) -> dict[str, str]:
     for start in safe_starts(study, row):
         ladder = start.ladder
         texts[ladder.name] = (
-            "none"
-            if start.level is None or start.second is None
-            else f"{ladder.level_text(start.level)}, {start.second:g} {ladder.second_unit}".rstrip()
+            "none" if start.level is None or start.second is None else f"{start.level:g}, {start.second:g}"
         )
-    for name, cells in row.by_ladder().items():
+    for name, cells in row.by_ladder.items():
         tally = Tally.of(cells)
         if name not in texts:
-            texts[name] = f"{percent(tally.pose_right.share)} right"
+            texts[name] = f"{percent(ladder_success(tally, study.ladder(name), row.subject).share)} right or said"
         if (confident := tally.rate(*CONFIDENT[row.subject])).count:
             texts[name] += f" !{confident.count}"
     return texts
@@ -120,4 +126,10 @@ def _limit_cells(study: StressStudy, row: StressRow) -> dict[str, str]:
 def _limit_cell(found: SafeRange) -> str:
     if found.level is None:
         return "none"
-    return "all" if found.is_complete else found.ladder.level_text(found.level)
+    return "all" if found.is_complete else f"{found.level:g}"
+
+
+def _ladder_title(ladder: LadderInfo) -> str:
+    """Return the title of a ladder with the units of its levels."""
+    first = axis_title(ladder.title, ladder.unit)
+    return f"{first}, {axis_title(ladder.second_title, ladder.second_unit)}" if ladder.is_map else first

@@ -48,8 +48,8 @@ from pcbench.studies.stress.results import (
 )
 
 # Ladders whose limits describe a method best, if they were run.
-_HEADLINES = ("start-rotation", "start-offset", "overlap", "gaussian", "background", "density")
-_MAX_HEADLINES = 6
+_HEADLINES = ("start-rotation", "start-offset", "overlap", "noise-gaussian", "background")
+_MAX_HEADLINES = 5
 _MAX_BREAKS = 4  # ladders named as those under which a method breaks first
 _MAX_PLACES = 4  # ladders named as those where wrong results occur
 _NOMINAL_COVERAGE = 0.95
@@ -141,6 +141,11 @@ def rate_text(rate: Rate) -> str:
         return "–"
     low, high = rate.interval
     return f"{percent(rate.share)} [{_percent_number(low)}, {_percent_number(high)}]"
+
+
+def axis_title(title: str, unit: str) -> str:
+    """Return a quantity with its unit in brackets, if it has one."""
+    return f"{title} [{unit}]" if unit else title
 
 
 def limit_text(found: SafeRange) -> str:
@@ -291,11 +296,12 @@ def _coverage_sentence(row: StressRow) -> Iterator[str]:
     if not covered.total:
         return
     low, high = covered.interval
-    judgement = "too narrow" if high < _NOMINAL_COVERAGE else "too wide" if low > _NOMINAL_COVERAGE else "as stated"
+    stated = _NOMINAL_COVERAGE
+    judgement = "less often than stated" if high < stated else "more often than stated" if low > stated else "as stated"
     what = "true size" if row.subject == VERDICTS else "exact value"
     yield (
         f"{row.name}: the 95 % interval contains the {what} in {rate_text(covered)} of"
-        f" {pluralize(covered.total, 'interval')}: {judgement}."
+        f" {pluralize(covered.total, 'interval')}, {judgement}."
     )
 
 

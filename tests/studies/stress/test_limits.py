@@ -73,4 +73,4 @@ def test_rows_are_ours_first_and_one_per_metric():
 def test_lists_and_maps_have_no_safe_range():
     made = study()
     names = {found.ladder.name for found in safe_ranges(made, stress_rows(made, REGISTRATION)[0])}
-    assert names == {"start-rotation", "overlap", "gaussian"}
+    assert names == {"start-rotation", "overlap", "noise-gaussian"}

@@ -10,13 +10,13 @@ from pcbench.studies.stress.table import limits_table, outcome_table, preset_tab
 def test_limits_show_the_last_safe_level_and_confident_errors():
     assert limits_table(study(), REGISTRATION) == [
         ["", "icp", "global", "peer"],
-        ["rotation of the start", "15 deg !1", "", "15 deg !5"],
-        ["rotation of the start, offset of the start", "20 deg, 5 % of the extent", "", "20 deg, 5 % of the extent"],
-        ["overlap", "60 %", "60 %", "60 %"],
-        ["Gaussian noise", "all", "all", "all"],
-        ["degenerate surface", "25 % right !1", "", "25 % right !1"],
+        ["rotation of the start [deg]", "15 !1", "", "15 !5"],
+        ["rotation of the start [deg], offset of the start [% of the extent]", "20, 5", "", "20, 5"],
+        ["overlap [%]", "60", "60", "60"],
+        ["Gaussian noise [spacings]", "all", "all", "all"],
+        ["degenerate surface", "75 % right or said !1", "", "75 % right or said !1"],
     ]
-    assert limits_table(study(), METRICS)[1] == ["Gaussian noise", "1 spacings !1", "none !8"]
+    assert limits_table(study(), METRICS)[1] == ["Gaussian noise [spacings]", "1 !1", "none !8"]
 
 
 def test_outcomes_are_shares_of_the_runs_with_time_and_memory():
