@@ -65,7 +65,7 @@ def failure_title(study: StressStudy, failure: SilentFailure) -> str:
         level += f", {cell.second:g} {ladder.second_unit}".rstrip()
     parts = [f"{cell.method}: {level}", f"{cell.scene}, seed {cell.seed}"]
     if cell.error_rms is not None and cell.angle_error_deg is not None:
-        parts.append(f"{length(cell.error_rms, unit)} RMS and {_angle(cell.angle_error_deg)} deg off")
+        parts.append(f"{length(cell.error_rms, unit)} RMS and {_angle(cell.angle_error_deg)} deg off, not doubted")
     return "; ".join(parts)
 
 

@@ -117,7 +117,7 @@ def test_titles_labels_and_legends_do_not_overlap(chart, made):
 
 def test_pictures_of_silent_failures_say_what_failed(tmp_path):
     failure = silent_failure(tmp_path)
-    title = "icp: rotation of the start 90 deg; city, seed 2; 90 m RMS and 54 deg off"
+    title = "icp: rotation of the start 90 deg; city, seed 2; 90 m RMS and 54 deg off, not doubted"
     assert failure_title(study(), failure) == title
     (tmp_path / "worst_1.npz").write_bytes(b"no archive")
     with pytest.raises(InputError, match="damaged"):
