@@ -27,6 +27,7 @@ from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.methods import METHODS, check_names
 from pcbench.studies.stress.metrics import METRIC_METHODS
+from pcbench.studies.stress.page import page
 from pcbench.studies.stress.results import (
     DOCUMENT,
     METRICS,
@@ -57,7 +58,7 @@ from pcbench.studies.stress.scenes import (
 )
 from pcbench.studies.stress.table import stress_table
 from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
-from pcbench.studies.stress.words import page, sentences
+from pcbench.studies.stress.words import sentences
 
 KIND = StudyKind("stress", DOCUMENT, SCHEMA)
 CSV, PAGE, TABLE = "stress.csv", "stress.md", "stress.txt"
@@ -84,7 +85,7 @@ class StressOutcome:
 
 @dataclass(frozen=True)
 class StressPlan:
-    """What to run.
+    """Plan of a study: ladders and methods.
 
     Attributes:
         ladders: ladders.
@@ -141,8 +142,8 @@ def run_stress(
 ) -> StressOutcome:
     """Run the study and write stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
 
-    The records of all runs stay in its folder `runs`; a later run with the same settings goes on where this one
-    stopped.
+    The records of all runs stay in its folder `runs`; a later run with the same settings resumes from
+    them.
 
     Args:
         out: output folder.
@@ -187,15 +188,20 @@ def run_stress(
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))
         study = replace(study, sentences=sentences(study))
-        without_figures = None
+        without_figures, drawn = None, list[str]()
         if figures:
             step("drawing charts")
             try:
-                draw_charts(study, out)
+                drawn = draw_charts(study, out)
             except MissingExtra as error:
                 without_figures = record_error(error)
         table = stress_table(study)
-        pages = {CSV: csv_text(study), TABLE: f"{table}\n", PAGE: page(study), DOCUMENT: to_json(document(study))}
+        pages = {
+            CSV: csv_text(study),
+            TABLE: f"{table}\n",
+            PAGE: page(study, drawn),
+            DOCUMENT: to_json(document(study)),
+        }
         write_pages(out, pages)
     return StressOutcome(study, table, without_figures)
 
@@ -256,7 +262,7 @@ def _study(
 
 
 def _scene_infos(runs: Iterable[RunPlan], pair: StressPair | None, unit: str | None) -> list[SceneInfo]:
-    """Return the scenes of the runs; surfaces of their own are not listed."""
+    """Return the scenes of the runs; degenerate surfaces are not listed."""
     first: dict[str, RunPlan] = {}
     for run in runs:
         first.setdefault(run.scene, run)

@@ -31,7 +31,7 @@ class Ladder:
         subjects: subjects that it is run for.
         level_names: names of the levels of a list of cases.
         sets_start: whether it sets the start pose; any other ladder starts from a small displacement.
-        sets_shape: whether it replaces the scene by a surface of its own.
+        sets_shape: whether it replaces the scene by another surface.
         second_title, second_unit, second_levels: second coordinate of a map.
         perturb_map: for a map, function of pair, level, second coordinate and random generator.
         scopes: scopes of the registration methods that it is run for.
