@@ -90,11 +90,12 @@ def verdicts(ladder, level, method, results, true_rms=0.0, covers=None):
     """Verdict cells of a level; each result is an outcome and a failure."""
     rows = []
     for seed, (outcome, failure) in enumerate(results):
-        size = {}
+        bent = outcome == RIGHT if true_rms > 0 else outcome == WRONG
+        size = {"verdict": "undecided" if outcome == WITHHELD else "non-affine" if bent else "none"}
         if outcome == RIGHT and true_rms > 0:
-            size = {"rms": 1.1 * true_rms}
+            size["rms"] = 1.1 * true_rms
             if covers is not None:
-                size["interval"] = (0.9 * true_rms, 1.2 * true_rms) if covers[seed] else (1.05 * true_rms, 1.2 * true_rms)
+                size["interval"] = ((0.9 if covers[seed] else 1.05) * true_rms, 1.2 * true_rms)
         rows.append(VerdictCell(
             "city", ladder.name, level, None, method, seed, outcome, cpu_s=1.0, failure=failure, true_rms=true_rms,
             noise=0.04, **size,

@@ -112,8 +112,6 @@ def stress(
         click.echo()
         for sentence in outcome.study.sentences:
             click.echo(sentence)
-        for method in outcome.study.missing:
-            click.echo(f"{method.name} was left out: {method.reason}")
         click.echo(f"report: {out}")
     if outcome.without_figures:
         warn(outcome.without_figures)

@@ -188,7 +188,8 @@ def run_stress(
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))
         study = replace(study, sentences=sentences(study))
-        without_figures, drawn = None, list[str]()
+        without_figures = None
+        drawn: list[str] = []
         if figures:
             step("drawing charts")
             try:

@@ -110,7 +110,7 @@ def verdict_sentences(study: StressStudy) -> Iterator[str]:
             *_share_part("withholds its verdict on", withheld, "right pose"),
         ]
         if parts:
-            yield f"{row.name} {join_words(parts)}."
+            yield f"{row.name} {'; it '.join(parts)}."
         if places := _places(study, cells, (WRONG,)):
             yield f"{row.name} is wrong with confidence under {places}."
         yield from _size_sentence(row)
@@ -271,7 +271,7 @@ def _alarm_sentence(row: StressRow) -> Iterator[str]:
         other = "another local method" if row.method.scope == LOCAL else "another global method"
         parts.append(f"refuses {pluralize(refused, 'pose')} that {other} found")
     if parts:
-        yield f"{row.name} {join_words(parts)}."
+        yield f"{row.name} {'; it '.join(parts)}."
 
 
 def _abort_sentence(study: StressStudy, row: StressRow) -> Iterator[str]:

@@ -45,7 +45,9 @@ def test_quick_study_answers_each_subject(outcome):
     assert cells["density", 1].pose_is_right
     # The half-turn building is nearly symmetric: an ICP that starts half a turn away ends there.
     assert cells["degenerate", 5.0].angle_error_deg == pytest.approx(180, abs=5)
-    assert {cell.outcome for cell in study.verdicts if cell.method == "deform"} == {"right"}
+    # Nothing is deformed; at one point of sixteen, 94 points are too few for a verdict.
+    verdicts = {cell.level: cell for cell in study.verdicts if cell.method == "deform"}
+    assert (verdicts[1].outcome, verdicts[16].outcome) == ("right", "withheld")
     assert study.sentences and all(sentence.endswith((".", ":")) for sentence in study.sentences)
     assert outcome.without_figures is None
 
@@ -103,7 +105,7 @@ def test_a_given_pair_is_stressed_about_the_pose_that_was_found(tmp_path):
     assert np.sqrt(np.square(found.points - pair.points).sum(axis=1).mean()) < 0.2 * pair.spacing
     settings = StressSettings(quick=True, only="start-rotation,warp", methods=("icp", "deform"))
     study = run_stress(tmp_path / "out", settings, clouds, figures=False).study
-    assert [cell.outcome for cell in study.registrations][0] == "right" and not study.cells(VERDICTS)
+    assert study.registrations[0].outcome == "right" and not study.cells(VERDICTS)
     assert {cell.scene for cell in study.cells(REGISTRATION)} == {"given"}
     assert study.scenes[0].unit == "m" and study.scenes[0].noise is None
 
