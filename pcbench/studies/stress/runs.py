@@ -101,7 +101,8 @@ def run_all(
         }
         try:
             while waiting:
-                step(Step(f"{done} of {len(plans)} runs", _RUN_S, _RUN_S * (len(plans) - done)))
+                left = _RUN_S * (len(plans) - done) / cpu_count()
+                step(Step(f"{done} of {len(plans)} runs", left / len(waiting), left - left / len(waiting)))
                 finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in finished:
                     future.result()

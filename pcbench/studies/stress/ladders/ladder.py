@@ -103,11 +103,6 @@ def turned(pair: StressPair, angle_deg: float, offset: FloatArray) -> StressPair
     return _moved(pair, rotation(np.array([0.0, 0.0, 1.0]), np.radians(angle_deg)), offset, 1.0)
 
 
-def at_random_pose(pair: StressPair, rng: np.random.Generator) -> StressPair:
-    """Return the pair with a start of 45 to 180 degrees, and up to half an extent away."""
-    return displaced(pair, float(rng.uniform(45, 180)), float(rng.uniform(0, 0.5)) * pair.extent, rng)
-
-
 def rotation(axis: FloatArray, angle: float) -> FloatArray:
     """Return the rotation matrix of a unit axis and an angle in radians (Rodrigues' formula)."""
     x, y, z = axis
