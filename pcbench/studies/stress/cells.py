@@ -74,7 +74,7 @@ class RunPlan:
 
     @property
     def pair(self) -> tuple[str, str, str, float, float | None, int]:
-        """What determines its pair of clouds: the runs of all methods with the same value share it."""
+        """Identifier of its pair of clouds, which the runs of all methods share."""
         return (self.subject, self.scene, self.ladder, self.level, self.second, self.seed)
 
     @property

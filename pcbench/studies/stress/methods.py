@@ -1,7 +1,7 @@
 """Registration methods behind one call: ours, and those of other libraries if they are installed.
 
 Other libraries run coarse to fine with the parameters of their examples, scaled to the scene: voxels of one spacing of
-the reference, and maximum correspondence distances of 10, 3 and 1 % of the extent. They report no doubt of their own; a
+the reference, and maximum correspondence distances of 10, 3 and 1 % of the extent. They report no doubt: a
 result counts as doubtful if it has not converged, or matches less than 30 % of the candidate (KISS-Matcher: fewer than
 5 inliers, the rule of its example).
 """
@@ -60,7 +60,7 @@ class RegistrationMethod:
     Attributes:
         name: name in cells, tables and charts.
         scope: `local` or `global`.
-        modules: modules that it needs; the first is of its own library, none for ours.
+        modules: modules that it needs; none for ours.
         quick: whether it is fast enough for the quick plan.
         run: function of reference (N, 3), candidate (M, 3) and seed.
     """

@@ -80,11 +80,8 @@ def judge(value: MeasuredValue, exact: float) -> str:
         return SAID
     if abs(value.value - exact) <= MAX_METRIC_ERROR * exact:
         return RIGHT
-    if value.interval is not None and value.interval[0] <= exact <= value.interval[1]:
-        return SAID
-    if value.floor is not None and value.value - value.floor <= exact <= value.value:
-        return SAID
-    return SILENT
+    low, high = value.interval or (value.value, value.value)
+    return SAID if low - (value.floor or 0.0) <= exact <= high else SILENT
 
 
 def _ours(pair: StressPair, seed: int) -> dict[str, MeasuredValue]:

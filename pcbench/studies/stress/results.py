@@ -57,6 +57,9 @@ SCOPES = (LOCAL, GLOBAL)
 MAX_METRIC_ERROR = 0.1
 """Relative error up to which the value of a metric is right."""
 
+MAX_FLOOR_SHARE = 0.3
+"""Floor over value up to which point spacing hardly contributes to the value: less than 5 % of an RMS."""
+
 MIN_COUNTED_SIZE = 0.25
 """RMS over the noise from which a deformation counts as one."""
 
@@ -280,9 +283,8 @@ class RegistrationCell(Cell):
 class MetricCell(Cell):
     """Result of one metric.
 
-    A value within 10 % of the exact one is right. Any other is said if its interval contains the exact value, or if the
-    exact value is smaller by at most the sampling floor, which states how much the point spacing may add; otherwise it
-    is silent.
+    A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below it
+    by at most the sampling floor, which states how much the point spacing may add; otherwise it is silent.
 
     Attributes:
         metric: name of the metric, such as `RMS off the surface`.
@@ -305,8 +307,13 @@ class MetricCell(Cell):
 
     @property
     def covers(self) -> bool | None:
-        """Whether the interval contains the exact value; None without an interval."""
-        return None if self.interval is None else self.interval[0] <= self.exact <= self.interval[1]
+        """Whether the interval contains the exact value; None without an interval.
+
+        It is None also where the floor exceeds 30 % of the value: an interval covers random errors, not the spacing.
+        """
+        if self.interval is None or self.value is None or (self.floor or 0.0) > MAX_FLOOR_SHARE * self.value:
+            return None
+        return self.interval[0] <= self.exact <= self.interval[1]
 
 
 @dataclass(frozen=True)

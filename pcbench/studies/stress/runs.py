@@ -38,9 +38,9 @@ from pcbench.systems import cpu_count, signal_name
 _RECORDS, _WORK = "runs", "work"
 _CHILD = "pcbench.studies.stress.child"
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
-# Modules of pcbench that no result of a run depends on.
-_OUTSIDE = ("cli", "plugins", "report", "studies/bench", "studies/bend", "studies/gao", "studies/views")
-_PAGES = ("table", "words", "charts", "study", "limits")
+# Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
+_INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
+_OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BATCH_RUNS = 40  # of a child process, whose start takes seconds
 _RUN_S = 1.0  # rough duration of a run, for progress bars
@@ -48,7 +48,7 @@ _RUN_S = 1.0  # rough duration of a run, for progress bars
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What all runs of a study share.
+    """Settings that all runs of a study share.
 
     Attributes:
         out: folder of the study.
@@ -101,7 +101,8 @@ def run_all(
         }
         try:
             while waiting:
-                step(Step(f"{done} of {len(plans)} runs", _RUN_S, _RUN_S * (len(plans) - done)))
+                left = _RUN_S * (len(plans) - done) / cpu_count()
+                step(Step(f"{done} of {len(plans)} runs", left / len(waiting), left - left / len(waiting)))
                 finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in finished:
                     future.result()
@@ -121,9 +122,9 @@ def code_digest() -> str:
 def _matters(name: str) -> bool:
     parts = Path(name).with_suffix("").parts
     inside = "/".join(parts[1:]) if parts and parts[0] == "pcbench" else "/".join(parts)
-    if any(inside.startswith(f"{outside}/") for outside in _OUTSIDE):
-        return False
-    return not (inside.startswith("studies/stress/") and parts[-1] in _PAGES)
+    if inside.startswith("studies/stress/"):
+        return parts[3] in _OWN_MODULES
+    return not any(inside.startswith(f"{folder}/") for folder in _INDEPENDENT_FOLDERS)
 
 
 def _batches(plans: Iterable[RunPlan]) -> Iterator[list[RunPlan]]:

@@ -85,7 +85,7 @@ class StressOutcome:
 
 @dataclass(frozen=True)
 class StressPlan:
-    """What to run.
+    """Plan of a study: ladders and methods.
 
     Attributes:
         ladders: ladders.
@@ -142,8 +142,8 @@ def run_stress(
 ) -> StressOutcome:
     """Run the study and write stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
 
-    The records of all runs stay in its folder `runs`; a later run with the same settings goes on where this one
-    stopped.
+    The records of all runs stay in its folder `runs`; a later run with the same settings resumes from
+    them.
 
     Args:
         out: output folder.
@@ -263,7 +263,7 @@ def _study(
 
 
 def _scene_infos(runs: Iterable[RunPlan], pair: StressPair | None, unit: str | None) -> list[SceneInfo]:
-    """Return the scenes of the runs; surfaces of their own are not listed."""
+    """Return the scenes of the runs; degenerate surfaces are not listed."""
     first: dict[str, RunPlan] = {}
     for run in runs:
         first.setdefault(run.scene, run)

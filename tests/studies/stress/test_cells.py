@@ -141,7 +141,7 @@ def test_metrics_are_judged_by_the_exact_surface():
         (1.2, None, None, SILENT),
         (1.2, None, (0.9, 1.5), SAID),
         (1.2, 0.3, (1.1, 1.3), SAID),
-        (1.2, 0.1, (1.1, 1.3), SILENT),
+        (1.2, 0.05, (1.1, 1.3), SILENT),
         (0.5, 0.6, (0.4, 0.6), SILENT),
         (None, None, None, SAID),
     ],

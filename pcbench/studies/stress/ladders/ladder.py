@@ -31,7 +31,7 @@ class Ladder:
         subjects: subjects that it is run for.
         level_names: names of the levels of a list of cases.
         sets_start: whether it sets the start pose; any other ladder starts from a small displacement.
-        sets_shape: whether it replaces the scene by a surface of its own.
+        sets_shape: whether it replaces the scene by another surface.
         second_title, second_unit, second_levels: second coordinate of a map.
         perturb_map: for a map, function of pair, level, second coordinate and random generator.
         scopes: scopes of the registration methods that it is run for.
@@ -101,11 +101,6 @@ def displaced(
 def turned(pair: StressPair, angle_deg: float, offset: FloatArray) -> StressPair:
     """Turn the start of a pair about the vertical through the candidate's centroid, and move it by an offset (3,)."""
     return _moved(pair, rotation(np.array([0.0, 0.0, 1.0]), np.radians(angle_deg)), offset, 1.0)
-
-
-def at_random_pose(pair: StressPair, rng: np.random.Generator) -> StressPair:
-    """Return the pair with a start of 45 to 180 degrees, and up to half an extent away."""
-    return displaced(pair, float(rng.uniform(45, 180)), float(rng.uniform(0, 0.5)) * pair.extent, rng)
 
 
 def rotation(axis: FloatArray, angle: float) -> FloatArray:

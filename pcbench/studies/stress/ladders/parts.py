@@ -66,7 +66,7 @@ def _without_ground(pair: StressPair, level: float, rng: np.random.Generator) ->
 
 
 def _thinned(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
-    """Keep one of so many points of the candidate."""
+    """Keep one of `level` points of the candidate."""
     count = max(_MIN_POINTS, round(len(pair.points) / level))
     return pair.select(np.sort(rng.permutation(len(pair.points))[:count]))
 
@@ -81,7 +81,7 @@ def _falling_density(pair: StressPair, level: float, rng: np.random.Generator) -
 
 
 def _duplicated(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
-    """Repeat a tenth of the points so many times, exactly."""
+    """Add `level` exact copies of a tenth of the points."""
     chosen = rng.permutation(len(pair.points))[: len(pair.points) // 10]
     rows = np.concatenate([np.arange(len(pair.points)), np.repeat(chosen, int(level))])
     return pair.select(rows)
