@@ -283,8 +283,8 @@ class RegistrationCell(Cell):
 class MetricCell(Cell):
     """Result of one metric.
 
-    A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below it
-    by at most the sampling floor, which states how much the point spacing may add; otherwise it is silent.
+    A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below
+    it by at most the sampling floor, which states how much the point spacing may add; otherwise it is silent.
 
     Attributes:
         metric: name of the metric, such as `RMS off the surface`.
