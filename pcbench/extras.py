@@ -19,15 +19,18 @@ class _Library(NamedTuple):
 LIBRARIES = {
     "PIL": _Library("pillow", "sfm"),
     "cuda": _Library("cuda-core", "cuda"),
+    "fricp_cpp": _Library("fricp-cpp", ""),
     "flip_evaluator": _Library("flip-evaluator", ""),
     "kiss_matcher": _Library("kiss-matcher", "global"),
     "lazrs": _Library("lazrs", "las"),
     "matplotlib": _Library("matplotlib", "plot"),
     "open3d": _Library("open3d", "open3d"),
+    "point_cloud_utils": _Library("point-cloud-utils", ""),
     "pycolmap": _Library("pycolmap", "sfm"),
     "pye57": _Library("pye57", "e57"),
     "pyproj": _Library("pyproj", "las"),
     "pyvista": _Library("pyvista", "plot"),
+    "small_gicp": _Library("small_gicp", ""),
     "torch": _Library("torch", "splat"),
     "trimesh": _Library("trimesh", "mesh"),
 }

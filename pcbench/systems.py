@@ -124,6 +124,20 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _rss_unit()
 
 
+def reset_peak_memory() -> int | None:
+    """Reset the peak resident memory of this process, and return its memory in bytes; None if the system cannot."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return None
+    return _status_bytes("VmRSS")
+
+
+def peak_memory_since_reset() -> int | None:
+    """Return the peak resident memory of this process since `reset_peak_memory` in bytes; None if unknown."""
+    return _status_bytes("VmHWM")
+
+
 def peak_memory_with_children() -> int:
     """Return the peak resident memory of this process or of one of its ended children in bytes; 0 if unknown.
 
@@ -133,12 +147,17 @@ def peak_memory_with_children() -> int:
         import resource
     except ImportError:
         return _peak_working_set()
-    own = peak_memory()
-    status = Path("/proc/self/status")
-    if status.is_file():
-        line = next((line for line in status.read_text().splitlines() if line.startswith("VmHWM:")), None)
-        own = int(line.split()[1]) * 1024 if line else own
+    own = _status_bytes("VmHWM") or peak_memory()
     return max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _rss_unit())
+
+
+def _status_bytes(name: str) -> int | None:
+    """Return an entry of Linux's /proc/self/status in bytes; None if there is none."""
+    status = Path("/proc/self/status")
+    if not status.is_file():
+        return None
+    line = next((line for line in status.read_text().splitlines() if line.startswith(f"{name}:")), None)
+    return int(line.split()[1]) * 1024 if line else None
 
 
 def _rss_unit() -> int:

@@ -1,0 +1,119 @@
+"""The command `pcbench stress`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcbench.cli.messages import steps, warn
+from pcbench.cli.options import (
+    FILE,
+    POSITIVE,
+    is_given,
+    no_figures_option,
+    quiet_option,
+    register_option,
+    seed_option,
+    split_names,
+)
+
+
+@click.command(short_help="Find where registration, metrics and verdicts break.")
+@click.argument("reference", type=FILE, required=False)
+@click.argument("candidate", type=FILE, required=False)
+@click.option(
+    "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
+)
+@click.option("--quick", is_flag=True, help="Run a few ladders with up to three levels on one scene: about a minute.")
+@click.option(
+    "--only",
+    metavar="TEXT",
+    help="Run only ladders whose name, kind or subject contains TEXT; several texts with commas.",
+)
+@click.option(
+    "--methods",
+    multiple=True,
+    metavar="NAME,NAME,...",
+    help="Methods to run, such as icp,global; may be repeated.  [default: all that are installed]",
+)
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 1000),
+    help="Number of seeds: each gives other samples, noise and starts.",
+)
+@register_option(
+    help="Method that finds the true pose of REFERENCE and CANDIDATE, as in `register`. The study ends with an error if"
+    " that pose is doubtful."
+)
+@click.option(
+    "--time-limit",
+    default=120.0,
+    show_default=True,
+    type=POSITIVE,
+    metavar="SECONDS",
+    help="Time limit of each run; a run that exceeds it counts as a time-out.",
+)
+@no_figures_option("charts")
+@seed_option("First random seed.")
+@quiet_option
+@click.pass_context
+def stress(
+    context: click.Context,
+    reference: Path | None,
+    candidate: Path | None,
+    out: Path,
+    quick: bool,
+    only: str | None,
+    methods: tuple[str, ...],
+    seeds: int,
+    register: str,
+    time_limit: float,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Perturb pairs of clouds step by step, and find where each method breaks and whether it says so.
+
+    Registration methods of pcbench and of other installed libraries run on ladders of starts, noise, outliers, overlap,
+    density and degenerate shapes; metrics and verdicts on deformation run on noise, density and known deformations.
+    The built-in scenes have exact truth. With REFERENCE and CANDIDATE, registrations of this pair are stressed instead.
+
+    \b
+    Example: pcbench stress --quick --out stress/
+             pcbench stress ref.ply cloud.ply --only start,overlap --out stress/
+    """
+    from pcbench.io import read_cloud
+    from pcbench.studies.stress.results import StressSettings
+    from pcbench.studies.stress.study import GivenClouds, run_stress
+    from pcbench.studies.stress.words import answer, caveats
+
+    clouds = None
+    if reference is not None:
+        if candidate is None:
+            raise click.UsageError("expected REFERENCE and CANDIDATE, or neither: got one cloud")
+        clouds = GivenClouds(read_cloud(reference), read_cloud(candidate))
+    elif is_given(context, "register"):
+        raise click.UsageError("--register applies only to a given pair: REFERENCE and CANDIDATE")
+    settings = StressSettings(
+        quick=quick,
+        seeds=seeds,
+        seed=seed,
+        only=only,
+        methods=split_names(methods),
+        register=register,
+        time_limit_s=time_limit,
+    )
+    with steps(quiet) as step:
+        outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
+    if not quiet:
+        for sentence in (*answer(outcome.study), *caveats(outcome.study)):
+            click.echo(sentence)
+        click.echo()
+        click.echo(outcome.table)
+        click.echo()
+        click.echo(f"report: {out}/ has stress.md (all sentences, tables and charts), stress.csv and stress.json")
+    if outcome.without_figures:
+        warn(outcome.without_figures)

@@ -1,0 +1,1 @@
+"""The stress study: perturb pairs of clouds step by step, and find where each method breaks and whether it says so."""

@@ -1,0 +1,78 @@
+"""All charts and pictures of the stress study, as files of its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pcbench.extras import require
+from pcbench.io.files import atomic_write
+from pcbench.studies.stress.curves import (
+    coverage_chart,
+    profile_chart,
+    recall_chart,
+    severity_charts,
+    size_chart,
+    speed_chart,
+)
+from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart
+from pcbench.studies.stress.results import SUBJECTS, StressStudy
+from pcbench.studies.stress.worst import draw_worst
+
+FIGURES = "figures"
+
+
+def draw_charts(study: StressStudy, folder: Path) -> list[str]:
+    """Draw all charts of a study, and pictures of its worst silent failures, into `figures/` of its folder.
+
+    Args:
+        study: the study.
+        folder: folder of the study, which also has the clouds of the silent failures.
+
+    Returns:
+        The names of the written files. Charts without data are not written, and those of an earlier run are deleted.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+        OSError: a file cannot be written.
+    """
+    require("matplotlib.figure")
+    figures = folder / FIGURES
+    figures.mkdir(exist_ok=True)
+    names = []
+    for name, figure in _charts(study):
+        with atomic_write(figures / f"{name}.png") as file:
+            figure.savefig(file, format="png")
+        names.append(f"{name}.png")
+    for number, failure in enumerate(study.worst, 1):
+        name = f"worst_{number}.png"
+        draw_worst(study, failure, folder, figures / name)
+        names.append(name)
+    for former in figures.glob("*.png"):
+        if former.name not in names:
+            former.unlink()
+    return names
+
+
+def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the figure of each chart that has data."""
+    for subject in SUBJECTS:
+        yield from _named(f"outcomes_{subject}", outcome_chart(study, subject))
+        yield from _named(f"matrix_{subject}", matrix_chart(study, subject))
+    yield from _named("recall", recall_chart(study))
+    for ladder in study.ladders:
+        if ladder.is_map:
+            yield from _named(f"basin_{ladder.name}", basin_chart(study, ladder))
+    yield from _named("profiles", profile_chart(study))
+    yield from _named("speed", speed_chart(study))
+    yield from _named("sizes", size_chart(study))
+    yield from _named("coverage", coverage_chart(study))
+    for subject in SUBJECTS:
+        for kind, figure in severity_charts(study, subject):
+            yield f"severity_{subject}_{kind}", figure
+
+
+def _named(name: str, figure: Any | None) -> Iterator[tuple[str, Any]]:
+    if figure is not None:
+        yield name, figure

@@ -1,0 +1,155 @@
+"""Maps, bars and matrices of the stress study."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pcbench.studies.stress.canvas import canvas, level_labels, success
+from pcbench.studies.stress.limits import CONFIDENT, ladder_success, stress_rows
+from pcbench.studies.stress.results import (
+    CRASH,
+    FALSE_ALARM,
+    OUTCOMES,
+    REFUSED,
+    REGISTRATION,
+    RIGHT,
+    SAID,
+    SILENT,
+    TIME_OUT,
+    WITHHELD,
+    WRONG,
+    LadderInfo,
+    StressStudy,
+    Tally,
+    grouped,
+)
+from pcbench.studies.stress.words import axis_title
+
+_OUTCOME_COLORS = {
+    RIGHT: "#009e73",
+    FALSE_ALARM: "#9fd9c4",
+    REFUSED: "#f0e442",
+    SAID: "#56b4e9",
+    WITHHELD: "#56b4e9",
+    SILENT: "#d55e00",
+    WRONG: "#d55e00",
+    CRASH: "#333333",
+    TIME_OUT: "#999999",
+}
+_OUTCOME_NAMES = {
+    RIGHT: "right",
+    FALSE_ALARM: "right, but doubted",
+    REFUSED: "refused, though findable",
+    SAID: "wrong and said so",
+    SILENT: "silently wrong",
+    WRONG: "wrong with confidence",
+    WITHHELD: "withheld",
+    CRASH: "crash",
+    TIME_OUT: "time-out",
+}
+_METRIC_SAID = "off, but explained by floor or interval"
+_MAX_MAP_COLUMNS = 4
+_MIN_LABEL_SHARE = 0.04  # of a bar's length, for a number inside it
+_DARK_SHARE = 0.55  # failures beyond which the text of a cell is white
+
+
+def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
+    """Return the share of right poses over both coordinates of a map: one panel per method."""
+    rows = [row for row in stress_rows(study, REGISTRATION) if ladder.name in row.by_ladder]
+    if not rows:
+        return None
+    columns = min(len(rows), _MAX_MAP_COLUMNS)
+    lines = -(-len(rows) // columns)
+    figure, axes = canvas(lines, columns, (3.9, 3.5), extra=0.7)
+    drawn = None
+    for axis, row in zip(axes.ravel(), rows, strict=False):
+        groups = grouped(row.by_ladder[ladder.name], lambda cell: (cell.level, cell.second))
+        shares = np.full((len(ladder.second_levels), len(ladder.levels)), np.nan)
+        for (level, second), cells in groups.items():
+            if second is None:
+                continue
+            at = (ladder.second_levels.index(second), ladder.levels.index(level))
+            tally = Tally.of(cells)
+            shares[at] = 100 * success(tally, REGISTRATION).share
+            silent = tally.rate(*CONFIDENT[REGISTRATION]).count
+            text = f"{shares[at]:.0f}" + (f"\n!{silent}" if silent else "")
+            color = "black" if shares[at] > 50 else "white"
+            axis.text(at[1], at[0], text, ha="center", va="center", fontsize=8, color=color)
+        drawn = axis.imshow(shares, cmap="viridis", vmin=0, vmax=100, origin="lower", aspect="auto")
+        axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
+        axis.set_yticks(range(len(ladder.second_levels)), [f"{value:g}" for value in ladder.second_levels])
+        axis.set_title(row.name, fontsize=10)
+    for axis in axes.ravel()[len(rows) :]:
+        axis.axis("off")
+    figure.supxlabel(axis_title(ladder.title, ladder.unit), fontsize=10)
+    figure.supylabel(axis_title(ladder.second_title, ladder.second_unit), fontsize=10)
+    figure.suptitle("Right poses by start (!n: n runs are silently wrong)", fontsize=11)
+    figure.colorbar(drawn, ax=list(axes.ravel()), label="right poses [% of runs]", aspect=30)
+    return figure
+
+
+def outcome_chart(study: StressStudy, subject: str) -> Any | None:
+    """Return the outcomes of each row as bars: right, said, silent and the others."""
+    from matplotlib.patches import Patch
+
+    rows = stress_rows(study, subject)
+    if not rows:
+        return None
+    figure, axes = canvas(1, 1, (11.0, 0.9 + 0.42 * len(rows)), extra=0.8)
+    axis = axes[0, 0]
+    used = {cell.outcome for row in rows for cell in row.cells}
+    for at, row in enumerate(rows):
+        tally = Tally.of(row.cells)
+        left = 0.0
+        for outcome in OUTCOMES[subject]:
+            share = tally.rate(outcome).share
+            axis.barh(at, 100 * share, left=100 * left, height=0.7, color=_OUTCOME_COLORS[outcome])
+            if share >= _MIN_LABEL_SHARE:
+                color = "white" if outcome in (RIGHT, SILENT, WRONG, CRASH) else "black"
+                place = 100 * (left + 0.5 * share)
+                axis.text(place, at, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
+            left += share
+    labels = [f"{row.name} ({len(row.cells):,} runs)" for row in rows]
+    axis.set_yticks(range(len(rows)), labels, fontsize=9)
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_xlim(0, 100)
+    axis.set_xlabel("share of the runs [%]")
+    axis.set_title(f"Outcomes: {subject}", fontsize=11, loc="left")
+    names = {**_OUTCOME_NAMES, SAID: _OUTCOME_NAMES[SAID] if subject == REGISTRATION else _METRIC_SAID}
+    handles = [Patch(color=_OUTCOME_COLORS[o], label=names[o]) for o in OUTCOMES[subject] if o in used]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def matrix_chart(study: StressStudy, subject: str) -> Any | None:
+    """Return the failure matrix: the share of failed runs by row and ladder, and how many are wrong with confidence.
+
+    On degenerate surfaces a run that says so has not failed.
+    """
+    rows, ladders = stress_rows(study, subject), study.ladders_of(subject)
+    if not rows or not ladders:
+        return None
+    figure, axes = canvas(1, 1, (4.6 + 0.62 * len(ladders), 1.0 + 0.42 * len(rows)), extra=2.2)
+    axis = axes[0, 0]
+    failed = np.full((len(rows), len(ladders)), np.nan)
+    for line, row in enumerate(rows):
+        groups = row.by_ladder
+        for column, ladder in enumerate(ladders):
+            if ladder.name not in groups:
+                continue
+            tally = Tally.of(groups[ladder.name])
+            share = 1 - ladder_success(tally, ladder, subject).share
+            failed[line, column] = 100 * share
+            confident = tally.rate(*CONFIDENT[subject])
+            text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")
+            color = "white" if share > _DARK_SHARE else "black"
+            axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=0.9)
+    drawn = axis.imshow(failed, cmap="YlOrRd", vmin=0, vmax=100, aspect="auto")
+    titles = [f"{ladder.title},\n{ladder.second_title}" if ladder.is_map else ladder.title for ladder in ladders]
+    axis.set_xticks(range(len(ladders)), titles, rotation=40, ha="right", rotation_mode="anchor", fontsize=9)
+    axis.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=9)
+    axis.set_title(f"Failures: {subject} (!n: n % are wrong with confidence)", fontsize=11, loc="left")
+    figure.colorbar(drawn, ax=axis, label="failed runs [%]", aspect=15, pad=0.01)
+    return figure

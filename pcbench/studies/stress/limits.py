@@ -1,0 +1,198 @@
+"""Limits of methods: the level of each ladder up to which a method is safe, and the outcomes beyond it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from pcbench.studies.stress.results import (
+    CRASH,
+    FALSE_ALARM,
+    METRICS,
+    REFUSED,
+    REGISTRATION,
+    RIGHT,
+    SAID,
+    SILENT,
+    TIME_OUT,
+    VERDICTS,
+    WITHHELD,
+    WRONG,
+    Cell,
+    LadderInfo,
+    MethodInfo,
+    MetricCell,
+    Rate,
+    StressStudy,
+    Tally,
+    grouped,
+)
+
+MIN_SAFE_SHARE = 0.9
+"""Smallest share of successes at each level of a safe range."""
+
+# Outcomes in four groups, by subject. A metric succeeds too if its floor or its interval explains its error.
+SUCCESS: Mapping[str, tuple[str, ...]] = {
+    REGISTRATION: (RIGHT, FALSE_ALARM),
+    METRICS: (RIGHT, SAID),
+    VERDICTS: (RIGHT,),
+}
+SAID_SO: Mapping[str, tuple[str, ...]] = {REGISTRATION: (SAID, REFUSED), METRICS: (), VERDICTS: (WITHHELD,)}
+CONFIDENT: Mapping[str, tuple[str, ...]] = {REGISTRATION: (SILENT,), METRICS: (SILENT,), VERDICTS: (WRONG,)}
+ABORTED = (CRASH, TIME_OUT)
+
+
+@dataclass(frozen=True)
+class StressRow:
+    """A row of tables and charts: a method, or for metrics a method and one of its metrics.
+
+    Attributes:
+        name: name of the row.
+        subject: subject, of `SUBJECTS`.
+        method: the method.
+        cells: its cells.
+    """
+
+    name: str
+    subject: str
+    method: MethodInfo
+    cells: tuple[Cell, ...]
+
+    @cached_property
+    def by_ladder(self) -> dict[str, list[Cell]]:
+        """The cells by the name of their ladder."""
+        return grouped(self.cells, lambda cell: cell.ladder)
+
+
+@dataclass(frozen=True)
+class SafeRange:
+    """The levels of a ladder up to which a row is safe.
+
+    A level is safe if at least 90 % of its runs succeed, none is wrong with confidence, and all easier levels are safe.
+
+    Attributes:
+        ladder: the ladder.
+        safe_levels: number of safe levels.
+        within: outcomes at the safe levels.
+        beyond: outcomes at the others.
+    """
+
+    ladder: LadderInfo
+    safe_levels: int
+    within: Tally
+    beyond: Tally
+
+    @property
+    def level(self) -> float | None:
+        """The last safe level; None if the first is not safe."""
+        return self.ladder.levels[self.safe_levels - 1] if self.safe_levels else None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all levels are safe."""
+        return self.safe_levels == len(self.ladder.levels)
+
+    @property
+    def share(self) -> float:
+        """Share of the levels that are safe."""
+        return self.safe_levels / len(self.ladder.levels)
+
+
+@dataclass(frozen=True)
+class SafeStart:
+    """The largest safe rectangle of a map, from its easiest corner.
+
+    Attributes:
+        ladder: the map.
+        level: last safe level; None if the easiest corner is not safe.
+        second: last safe second coordinate.
+        within: outcomes inside.
+        beyond: outcomes outside.
+    """
+
+    ladder: LadderInfo
+    level: float | None
+    second: float | None
+    within: Tally
+    beyond: Tally
+
+
+def stress_rows(study: StressStudy, subject: str) -> list[StressRow]:
+    """Return the rows of a subject, ours first."""
+    rows = []
+    for method in study.methods_of(subject):
+        cells = [cell for cell in study.cells(subject) if cell.method == method.name]
+        for metric, group in grouped(cells, _metric).items():
+            name = f"{method.name}, {metric}" if metric else method.name
+            rows.append(StressRow(name, subject, method, tuple(group)))
+    return rows
+
+
+def safe_ranges(study: StressStudy, row: StressRow) -> list[SafeRange]:
+    """Return the safe range of a row on each ladder; maps and lists of cases have none."""
+    groups = row.by_ladder
+    return [
+        _safe_range(ladder, row.subject, groups[ladder.name])
+        for ladder in study.ladders_of(row.subject)
+        if not ladder.is_map and not ladder.is_list and ladder.name in groups
+    ]
+
+
+def safe_starts(study: StressStudy, row: StressRow) -> list[SafeStart]:
+    """Return the safe rectangle of a row on each map."""
+    groups = row.by_ladder
+    return [
+        _safe_start(ladder, row.subject, groups[ladder.name])
+        for ladder in study.ladders_of(row.subject)
+        if ladder.is_map and ladder.name in groups
+    ]
+
+
+def ladder_success(tally: Tally, ladder: LadderInfo, subject: str) -> Rate:
+    """Return the share of a ladder's runs that succeed; for a list of cases, of those that are right or say so.
+
+    Cases may have no right result: then a method has to say so.
+    """
+    return tally.rate(*SUCCESS[subject], *(SAID_SO[subject] if ladder.is_list else ()))
+
+
+def is_safe(tally: Tally, subject: str) -> bool:
+    """Whether enough runs succeed and none is wrong with confidence."""
+    good, confident = tally.rate(*SUCCESS[subject]), tally.rate(*CONFIDENT[subject])
+    return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
+
+
+def _metric(cell: Cell) -> str:
+    return cell.metric if isinstance(cell, MetricCell) else ""
+
+
+def _safe_range(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> SafeRange:
+    by_level = grouped(cells, lambda cell: cell.level)
+    safe = 0
+    for level in ladder.levels:
+        if not is_safe(Tally.of(by_level.get(level, ())), subject):
+            break
+        safe += 1
+    levels = ladder.levels[:safe]
+    within, beyond = ([c for c in cells if (c.level in levels) is inside] for inside in (True, False))
+    return SafeRange(ladder, safe, Tally.of(within), Tally.of(beyond))
+
+
+def _safe_start(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> SafeStart:
+    by_place = grouped(cells, lambda cell: (cell.level, cell.second))
+    safe = {place for place, group in by_place.items() if is_safe(Tally.of(group), subject)}
+    best = (0, 0)
+    width = len(ladder.second_levels)
+    for rows in range(1, len(ladder.levels) + 1):
+        level = ladder.levels[rows - 1]
+        unsafe = (n for n, second in enumerate(ladder.second_levels) if (level, second) not in safe)
+        width = min(width, next(unsafe, len(ladder.second_levels)))
+        # Equal areas: the rectangle nearer to a square has the larger smaller side.
+        best = max(best, (rows, width), key=lambda size: (size[0] * size[1], min(size)))
+    rows, width = best
+    inner = {(level, second) for level in ladder.levels[:rows] for second in ladder.second_levels[:width]}
+    within, beyond = ([c for c in cells if ((c.level, c.second) in inner) is inside] for inside in (True, False))
+    last = ladder.levels[rows - 1] if inner else None
+    second = ladder.second_levels[width - 1] if inner else None
+    return SafeStart(ladder, last, second, Tally.of(within), Tally.of(beyond))

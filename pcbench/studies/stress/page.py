@@ -1,0 +1,134 @@
+"""The page of the stress study: the answer first, then sentences, tables and pictures by subject."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from pcbench.measure.wording import pluralize
+from pcbench.report.markup import markdown_table
+from pcbench.studies.stress.results import (
+    METRICS,
+    REGISTRATION,
+    SUBJECTS,
+    VERDICTS,
+    StressStudy,
+)
+from pcbench.studies.stress.table import (
+    LIMITS_LEGEND,
+    OUTCOMES_LEGEND,
+    limits_table,
+    outcome_table,
+    preset_table,
+)
+from pcbench.studies.stress.words import (
+    answer,
+    caveats,
+    metric_sentences,
+    registration_sentences,
+    verdict_sentences,
+)
+from pcbench.studies.stress.worst import failure_title
+
+_SENTENCES: dict[str, Callable[[StressStudy], Iterator[str]]] = {
+    REGISTRATION: registration_sentences,
+    METRICS: metric_sentences,
+    VERDICTS: verdict_sentences,
+}
+_TITLES = {
+    REGISTRATION: "Registration",
+    METRICS: "Metrics and their intervals",
+    VERDICTS: "Verdicts on deformation",
+}
+_CAPTIONS = {
+    "outcomes_": "Outcomes of each method",
+    "matrix_": "Failed runs by method and perturbation",
+    "recall": "Recall against the pose error",
+    "basin_": "Right poses by rotation and offset of the start",
+    "profiles": "Performance profiles",
+    "speed": "Success and errors with confidence beside CPU seconds",
+    "sizes": "Detected deformations, and measured sizes",
+    "coverage": "Coverage of the 95 % intervals",
+    "severity_": "Success against severity",
+}
+_PICTURES = {
+    REGISTRATION: ("outcomes_registration", "matrix_registration", "recall", "basin_", "profiles", "speed"),
+    METRICS: ("outcomes_metrics", "matrix_metrics", "coverage"),
+    VERDICTS: ("outcomes_verdicts", "matrix_verdicts", "sizes"),
+}
+
+
+def page(study: StressStudy, figures: Sequence[str] = ()) -> str:
+    """Return the text of stress.md.
+
+    Args:
+        study: the study.
+        figures: names of the pictures in `figures/`, as `draw_charts` returns them.
+    """
+    parts = ["# Where registration, metrics and verdicts break", _bullets(answer(study)), _setup(study)]
+    for subject in SUBJECTS:
+        if study.cells(subject):
+            parts += _section(study, subject, figures)
+    parts += _worst_section(study, figures)
+    if notes := list(caveats(study)):
+        parts += ["## Limits of these results", _bullets(notes)]
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _section(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[str]:
+    yield f"## {_TITLES[subject]}"
+    yield from _images(figures, _PICTURES[subject][:1])
+    yield markdown_table(outcome_table(study, subject), 1)
+    yield f"Outcomes: {OUTCOMES_LEGEND}."
+    yield _bullets(_SENTENCES[subject](study))
+    yield "### Safe levels"
+    yield markdown_table(limits_table(study, subject), 1)
+    yield f"Each cell is the {LIMITS_LEGEND}."
+    if subject == REGISTRATION and (presets := preset_table(study)):
+        yield "### Recall by the criteria of benchmarks"
+        yield markdown_table(presets, 1)
+    yield from _images(figures, (*_PICTURES[subject][1:], f"severity_{subject}_"))
+
+
+def _worst_section(study: StressStudy, figures: Sequence[str]) -> Iterator[str]:
+    if not study.worst:
+        return
+    yield "## The worst silent failures"
+    yield "Wrong poses without a warning that the pose may be wrong, those with the largest relative errors."
+    for number, failure in enumerate(study.worst, 1):
+        title = failure_title(study, failure)
+        name = f"worst_{number}.png"
+        yield f"{number}. {title}."
+        if name in figures:
+            yield f"![{title}](figures/{name})"
+
+
+def _images(figures: Sequence[str], stems: Sequence[str]) -> Iterator[str]:
+    """Yield the pictures whose names begin with given stems, with their captions."""
+    for stem in stems:
+        for name in figures:
+            if name.startswith(stem):
+                caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
+                kind = name.removesuffix(".png").rpartition("_")[2]
+                yield f"![{caption}{f' ({kind})' if stem.startswith('severity_') else ''}](figures/{name})"
+
+
+def _setup(study: StressStudy) -> str:
+    """Return the size of the study in sentences."""
+    runs = sum(len(study.cells(subject)) for subject in SUBJECTS)
+    scenes = "; ".join(
+        f"{scene.name}: {scene.points[0]:,} and {scene.points[1]:,} points, extent"
+        f" {scene.extent:.3g} {scene.unit}, spacing {scene.spacing:.3g} {scene.unit}".rstrip()
+        for scene in study.scenes
+    )
+    counts = ", ".join(pluralize(count, noun) for count, noun in (
+        (len(study.registrations), "registration"), (len(study.metrics), "metric value"),
+        (len(study.verdicts), "verdict"),
+    ) if count)  # fmt: skip
+    return (
+        f"{pluralize(runs, 'result')} ({counts}) on {pluralize(len(study.ladders), 'ladder')} of perturbations."
+        f" Scenes (reference and candidate): {scenes}. Shares have 95 % Wilson intervals in brackets."
+    )
+
+
+def _bullets(sentences: Iterator[str] | Sequence[str]) -> str:
+    return "\n".join(f"- {sentence}" for sentence in sentences)

@@ -1,0 +1,193 @@
+"""Run the cells of a plan in child processes, as many at a time as there are CPUs, and read their records.
+
+A crash of a native library or a run that hangs ends its child only: it becomes an outcome, and a new child goes on
+with the next run. Records of earlier runs are reused if nothing that they depend on has changed.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pcbench.children import run_module
+from pcbench.errors import InputError
+from pcbench.extras import installed_versions
+from pcbench.plugins.code import digest_files, plugin_files
+from pcbench.progress import Step
+from pcbench.studies.folder import read_record, write_record
+from pcbench.studies.stress.cells import RunPlan, RunResult, failed_run
+from pcbench.studies.stress.child import MISSING_LIBRARY
+from pcbench.studies.stress.methods import METHODS
+from pcbench.studies.stress.metrics import METRIC_METHODS
+from pcbench.studies.stress.results import (
+    CRASH,
+    METRICS,
+    REGISTRATION,
+    TIME_OUT,
+    Cell,
+    metric_cell,
+    registration_cell,
+    verdict_cell,
+)
+from pcbench.systems import cpu_count, signal_name
+
+_RECORDS, _WORK = "runs", "work"
+_CHILD = "pcbench.studies.stress.child"
+_TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
+# Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
+_INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
+_OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_BATCH_RUNS = 40  # of a child process, whose start takes seconds
+_RUN_S = 1.0  # rough duration of a run, for progress bars
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Settings that all runs of a study share.
+
+    Attributes:
+        out: folder of the study.
+        time_limit_s: time limit of a run, in seconds.
+        given: file of the given pair; None for built-in scenes.
+        given_digest: SHA-256 of the given pair.
+    """
+
+    out: Path
+    time_limit_s: float
+    given: Path | None = None
+    given_digest: str = ""
+
+    def record(self, plan: RunPlan) -> Path:
+        """Return the path of a run's record."""
+        return self.out / _RECORDS / f"{plan.stem}.json"
+
+    def key(self, plan: RunPlan, code: str) -> dict[str, Any]:
+        """Return all inputs that a run's result depends on."""
+        library = _library(plan)
+        return {
+            "plan": asdict(plan),
+            "code": code,
+            "library": installed_versions([library]).get(library, ""),
+            "given": self.given_digest,
+            "time_limit_s": self.time_limit_s,
+        }
+
+
+def run_all(
+    plans: Sequence[RunPlan], settings: RunSettings, step: Callable[[str], None] = lambda _: None
+) -> list[RunResult]:
+    """Run all plans that have no record yet, and return the results of all.
+
+    Raises:
+        InputError: an optional library is installed but cannot be loaded.
+        OSError: a record cannot be written.
+    """
+    (settings.out / _RECORDS).mkdir(exist_ok=True)
+    (settings.out / _WORK).mkdir(exist_ok=True)
+    code = code_digest()
+    keys = {plan: settings.key(plan, code) for plan in plans}
+    missing = [plan for plan in plans if read_record(settings.record(plan), keys[plan]) is None]
+    batches = list(_batches(missing))
+    done = len(plans) - len(missing)
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        waiting: dict[Future[None], int] = {
+            pool.submit(_run_batch, f"batch_{number}", batch, settings, keys): len(batch)
+            for number, batch in enumerate(batches)
+        }
+        try:
+            while waiting:
+                left = _RUN_S * (len(plans) - done) / cpu_count()
+                step(Step(f"{done} of {len(plans)} runs", left / len(waiting), left - left / len(waiting)))
+                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                    done += waiting.pop(future)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    shutil.rmtree(settings.out / _WORK, ignore_errors=True)
+    return [_read(settings.record(plan), keys[plan], plan) for plan in plans]
+
+
+def code_digest() -> str:
+    """Return the SHA-256 of the code of pcbench that results of runs depend on."""
+    files = [(name, path) for name, path in plugin_files("pcbench") if _matters(name)]
+    return digest_files(files)
+
+
+def _matters(name: str) -> bool:
+    parts = Path(name).with_suffix("").parts
+    inside = "/".join(parts[1:]) if parts and parts[0] == "pcbench" else "/".join(parts)
+    if inside.startswith("studies/stress/"):
+        return parts[3] in _OWN_MODULES
+    return not any(inside.startswith(f"{folder}/") for folder in _INDEPENDENT_FOLDERS)
+
+
+def _batches(plans: Iterable[RunPlan]) -> Iterator[list[RunPlan]]:
+    """Yield the runs of one child process each: of one subject, and all runs of a pair in the same process."""
+    batch: list[RunPlan] = []
+    for plan in plans:
+        if batch and (plan.subject != batch[-1].subject or (len(batch) >= _BATCH_RUNS and plan.pair != batch[-1].pair)):
+            yield batch
+            batch = []
+        batch.append(plan)
+    if batch:
+        yield batch
+
+
+def _library(plan: RunPlan) -> str:
+    if plan.subject == REGISTRATION:
+        return METHODS[plan.method].library
+    return METRIC_METHODS[plan.method].library if plan.subject == METRICS else "pcbench"
+
+
+def _run_batch(
+    name: str, batch: Iterable[RunPlan], settings: RunSettings, keys: Mapping[RunPlan, Mapping[str, Any]]
+) -> None:
+    """Run a batch in one child process; after a crash or a time-out, the rest in a new one."""
+    left = list(batch)
+    file = settings.out / _WORK / f"{name}.json"
+    at = file.with_suffix(".at")
+    while left:
+        rows = [
+            {"plan": asdict(plan), "record": str(settings.record(plan).absolute()), "key": keys[plan]} for plan in left
+        ]
+        given = None if settings.given is None else str(settings.given.absolute())
+        values = {"given": given, "time_limit_s": settings.time_limit_s, "runs": rows}
+        file.write_text(json.dumps(values), encoding="utf-8")
+        at.unlink(missing_ok=True)
+        ended = run_module(_CHILD, str(file.absolute()), environment=_ONE_THREAD)
+        if ended.code == 0:
+            break
+        if ended.code == MISSING_LIBRARY:
+            raise InputError(ended.last_error_line)
+        if not at.is_file():
+            raise InputError(f"the process of the runs did not start: {ended.last_error_line or 'no message'}")
+        number = int(at.read_text(encoding="utf-8"))
+        plan = left[number]
+        if _TIMED_OUT in ended.errors:
+            result = failed_run(plan, TIME_OUT, f"stopped after {settings.time_limit_s:g} s")
+        else:
+            text = signal_name(-ended.code) if ended.code < 0 else ended.last_error_line
+            result = failed_run(plan, CRASH, text or f"exit code {ended.code}")
+        write_record(settings.record(plan), keys[plan], result.values())
+        left = left[number + 1 :]
+    file.unlink(missing_ok=True)
+    at.unlink(missing_ok=True)
+
+
+def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult:
+    values = read_record(path, key)
+    if values is None:
+        raise InputError(f"{path}: the record of a run is missing or damaged: run the study again")
+    convert: Callable[[Mapping[str, Any]], Cell] = {
+        REGISTRATION: registration_cell,
+        METRICS: metric_cell,
+    }.get(plan.subject, verdict_cell)
+    return RunResult(tuple(convert(row) for row in values["cells"]), values["pose"])

@@ -1,0 +1,321 @@
+"""`pcbench stress`: find out where registration, metrics and verdicts break, and whether they say so.
+
+Each ladder of perturbations is climbed from nothing to certain failure, on pairs with a known truth, by our methods and
+by those of other libraries. Wrong with confidence and withheld although right are counted apart.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcbench.errors import InputError, MissingExtra, record_error
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
+from pcbench.io.files import atomic_write, digest
+from pcbench.report import to_json
+from pcbench.report.document import provenance
+from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
+from pcbench.studies.stress.cells import RunPlan, RunResult, build_pair, plan_runs, save_pair, settle_refusals
+from pcbench.studies.stress.charts import draw_charts
+from pcbench.studies.stress.ladders import Ladder, selected
+from pcbench.studies.stress.methods import METHODS, check_names
+from pcbench.studies.stress.metrics import METRIC_METHODS
+from pcbench.studies.stress.page import page
+from pcbench.studies.stress.results import (
+    DOCUMENT,
+    METRICS,
+    REGISTRATION,
+    SCHEMA,
+    SILENT,
+    VERDICTS,
+    MethodInfo,
+    MetricCell,
+    MissingMethod,
+    RegistrationCell,
+    SceneInfo,
+    SilentFailure,
+    StressSettings,
+    StressStudy,
+    VerdictCell,
+    document,
+)
+from pcbench.studies.stress.runs import RunSettings, run_all
+from pcbench.studies.stress.scenes import (
+    GIVEN,
+    POINTS,
+    QUICK_POINTS,
+    SCENES,
+    StressPair,
+    given_pair,
+    scene_pair,
+)
+from pcbench.studies.stress.table import stress_table
+from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
+from pcbench.studies.stress.words import sentences
+
+KIND = StudyKind("stress", DOCUMENT, SCHEMA)
+CSV, PAGE, TABLE = "stress.csv", "stress.md", "stress.txt"
+_WORST = 3  # number of silent failures to draw
+_PICTURE_POINTS = 20_000  # of each cloud in a picture
+
+
+@dataclass(frozen=True, eq=False)
+class GivenClouds:
+    """A pair of clouds to stress instead of the built-in scenes."""
+
+    reference: Cloud
+    candidate: Cloud
+
+
+@dataclass(frozen=True)
+class StressOutcome:
+    """A study, its table as text, and why requested charts are missing, or None."""
+
+    study: StressStudy
+    table: str
+    without_figures: str | None
+
+
+@dataclass(frozen=True)
+class StressPlan:
+    """Plan of a study: ladders and methods.
+
+    Attributes:
+        ladders: ladders.
+        methods: names of the methods by subject.
+        missing: methods that are left out, with the reason.
+        points: number of points of the reference of a built-in scene.
+    """
+
+    ladders: tuple[Ladder, ...]
+    methods: Mapping[str, tuple[str, ...]]
+    missing: tuple[MissingMethod, ...]
+    points: int
+
+    @classmethod
+    def of(cls, settings: StressSettings) -> StressPlan:
+        """Return the plan of settings, without methods that are not installed.
+
+        Raises:
+            InputError: there is no such ladder or method, or none of the named methods is installed.
+        """
+        ladders = selected(settings.only, quick=settings.quick)
+        check_names(settings.methods, (*METHODS, *METRIC_METHODS, *VERDICT_METHODS))
+        missing: dict[str, MissingMethod] = {}
+        methods: dict[str, tuple[str, ...]] = {}
+        for subject, known in ((REGISTRATION, METHODS), (METRICS, METRIC_METHODS)):
+            names = [name for name in known if name in settings.methods or not settings.methods]
+            if settings.quick and subject == REGISTRATION and not settings.methods:
+                names = [name for name in names if METHODS[name].quick]
+            found = {name: known[name].missing() for name in names}
+            missing |= {name: why for name, why in found.items() if why is not None}
+            methods[subject] = tuple(name for name in names if found[name] is None)
+        asked = not settings.methods or any(name in VERDICT_METHODS for name in settings.methods)
+        methods[VERDICTS] = (DEFORM,) if asked else ()
+        if not any(methods.values()):
+            raise InputError(next(iter(missing.values())).reason)
+        return cls(ladders, methods, tuple(missing.values()), QUICK_POINTS if settings.quick else POINTS)
+
+    def infos(self) -> tuple[MethodInfo, ...]:
+        """Return the descriptions of the methods."""
+        registrations = [METHODS[name].info() for name in self.methods[REGISTRATION]]
+        metrics = [METRIC_METHODS[name].info() for name in self.methods[METRICS]]
+        verdicts = [method.info() for method in VERDICT_METHODS.values()] if self.methods[VERDICTS] else []
+        return (*registrations, *metrics, *verdicts)
+
+
+def run_stress(
+    out: Path,
+    settings: StressSettings,
+    clouds: GivenClouds | None = None,
+    *,
+    plan: StressPlan | None = None,
+    figures: bool = True,
+    step: Callable[[str], None] = lambda _: None,
+) -> StressOutcome:
+    """Run the study and write stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
+
+    The records of all runs stay in its folder `runs`; a later run with the same settings resumes from
+    them.
+
+    Args:
+        out: output folder.
+        settings: settings of the study.
+        clouds: pair of clouds to stress; None for the built-in scenes.
+        plan: plan of the study; by default that of the settings.
+        figures: whether to draw charts.
+        step: progress callback.
+
+    Raises:
+        InputError: a setting is not usable, the given pair has no pose without doubt, or `out` holds something else,
+            or another run is writing there.
+        OSError: a file cannot be written.
+    """
+    check_folder(out, KIND)
+    plan = StressPlan.of(settings) if plan is None else plan
+    pair = None
+    if clouds is not None:
+        step("registering the given pair")
+        pair = given_pair(clouds.reference, clouds.candidate, settings.register)
+    runs = list(
+        plan_runs(
+            plan.ladders,
+            plan.methods,
+            quick=settings.quick,
+            seeds=range(settings.seed, settings.seed + settings.seeds),
+            points=plan.points,
+            given=pair is not None,
+        )
+    )
+    if not runs:
+        raise InputError(
+            "expected ladders for registrations: metrics and verdicts need scenes with an exact surface, so a given"
+            " pair is not used for them"
+            if pair is not None
+            else "expected methods for these ladders, got none: see --methods"
+        )
+    with study_folder(out, KIND, settings):
+        run_settings = _run_settings(out, settings, pair)
+        results = run_all(runs, run_settings, step)
+        step("writing the results")
+        study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
+        study = replace(study, worst=_save_worst(out, study, runs, results, pair))
+        study = replace(study, sentences=sentences(study))
+        without_figures = None
+        drawn: list[str] = []
+        if figures:
+            step("drawing charts")
+            try:
+                drawn = draw_charts(study, out)
+            except MissingExtra as error:
+                without_figures = record_error(error)
+        table = stress_table(study)
+        pages = {
+            CSV: csv_text(study),
+            TABLE: f"{table}\n",
+            PAGE: page(study, drawn),
+            DOCUMENT: to_json(document(study)),
+        }
+        write_pages(out, pages)
+    return StressOutcome(study, table, without_figures)
+
+
+def csv_text(study: StressStudy) -> str:
+    """Return all cells as CSV, one line each; columns that a subject lacks are empty."""
+    kinds = {REGISTRATION: RegistrationCell, METRICS: MetricCell, VERDICTS: VerdictCell}
+    names = list(dict.fromkeys(field.name for kind in kinds.values() for field in fields(kind)))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ["subject", *names], restval="", lineterminator="\n")
+    writer.writeheader()
+    for subject in kinds:
+        for cell in study.cells(subject):
+            values = {field.name: _csv_value(getattr(cell, field.name)) for field in fields(cell)}
+            writer.writerow({"subject": subject, **values})
+    return text.getvalue()
+
+
+def _csv_value(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    return "" if value != value else str(value)
+
+
+def _run_settings(out: Path, settings: StressSettings, pair: StressPair | None) -> RunSettings:
+    if pair is None:
+        return RunSettings(out, settings.time_limit_s)
+    file = out / "given.npz"
+    save_pair(file, pair)
+    return RunSettings(out, settings.time_limit_s, file, digest(file))
+
+
+def _study(
+    settings: StressSettings,
+    plan: StressPlan,
+    pair: StressPair | None,
+    runs: Sequence[RunPlan],
+    results: Sequence[RunResult],
+    unit: str | None,
+) -> StressStudy:
+    by_subject: dict[str, list[Any]] = {REGISTRATION: [], METRICS: [], VERDICTS: []}
+    for run, result in zip(runs, results, strict=True):
+        by_subject[run.subject] += result.cells
+    used = {run.ladder for run in runs}
+    return StressStudy(
+        settings=settings,
+        scenes=tuple(_scene_infos(runs, pair, unit)),
+        ladders=tuple(ladder.info(quick=settings.quick) for ladder in plan.ladders if ladder.name in used),
+        methods=plan.infos(),
+        missing=plan.missing,
+        registrations=tuple(settle_refusals(by_subject[REGISTRATION])),
+        metrics=tuple(by_subject[METRICS]),
+        verdicts=tuple(by_subject[VERDICTS]),
+        provenance=provenance(settings.seed),
+    )
+
+
+def _scene_infos(runs: Iterable[RunPlan], pair: StressPair | None, unit: str | None) -> list[SceneInfo]:
+    """Return the scenes of the runs; degenerate surfaces are not listed."""
+    first: dict[str, RunPlan] = {}
+    for run in runs:
+        first.setdefault(run.scene, run)
+    infos = []
+    for name, run in first.items():
+        if name == GIVEN and pair is not None:
+            infos.append(pair.info(name, unit or ""))
+        elif name in SCENES:
+            infos.append(scene_pair(name, run.seed, run.points).info(name))
+    return infos
+
+
+def _save_worst(
+    out: Path,
+    study: StressStudy,
+    runs: Sequence[RunPlan],
+    results: Sequence[RunResult],
+    pair: StressPair | None,
+) -> tuple[SilentFailure, ...]:
+    """Save the clouds of the silent failures with the largest errors: at first one of each method and ladder."""
+    registrations = [(run, result) for run, result in zip(runs, results, strict=True) if run.subject == REGISTRATION]
+    silent: list[tuple[RegistrationCell, RunPlan, list[list[float]]]] = [
+        (cell, run, result.pose)
+        for cell, (run, result) in zip(study.registrations, registrations, strict=True)
+        if cell.outcome == SILENT and result.pose is not None
+    ]
+    silent.sort(key=lambda found: -(found[0].error or 0.0))
+    chosen: list[tuple[RegistrationCell, RunPlan, list[list[float]]]] = []
+    seen: set[str] = set()
+    for again in (False, True):
+        for cell, run, pose in silent:
+            is_new = again or cell.ladder not in seen
+            if len(chosen) < _WORST and is_new and not any(cell is other for other, _, _ in chosen):
+                chosen.append((cell, run, pose))
+                seen.add(cell.ladder)
+    failures = []
+    for number in range(1, _WORST + 1):
+        (out / f"worst_{number}.npz").unlink(missing_ok=True)
+    for number, (cell, run, pose) in enumerate(chosen, 1):
+        perturbed = build_pair(run, pair)
+        found = Similarity.from_matrix(pose).apply(perturbed.candidate)
+        file = f"worst_{number}.npz"
+        rng = np.random.default_rng(0)
+        fixed, moving = (
+            np.sort(rng.permutation(len(points))[:_PICTURE_POINTS]) for points in (perturbed.reference, found)
+        )
+        with atomic_write(out / file) as stream:
+            np.savez_compressed(
+                stream,
+                reference=perturbed.reference[fixed],
+                found=found[moving],
+                true=perturbed.points[moving],
+            )
+        failures.append(SilentFailure(cell, file))
+    return tuple(failures)

@@ -1,0 +1,95 @@
+"""Pictures of the worst silent failures: the candidate under the found pose, coloured by its error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.report.colors import Range
+from pcbench.report.figures import Figures
+from pcbench.report.plot.panels import compose
+from pcbench.report.plot.splats import splat
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
+from pcbench.report.words import length
+from pcbench.studies.stress.results import SilentFailure, StressStudy
+
+_REFERENCE_COLOR = (88, 92, 100)
+_ERROR_LABEL = "displacement from the true pose"
+
+
+def draw_worst(study: StressStudy, failure: SilentFailure, folder: Path, path: Path) -> None:
+    """Draw a silent failure in three views.
+
+    Args:
+        study: the study.
+        failure: the failure.
+        folder: folder of the study, with the clouds of the failure.
+        path: picture to write.
+
+    Raises:
+        InputError: the file of the clouds is damaged.
+        MissingExtra: matplotlib is not installed.
+        OSError: the file of the clouds cannot be read, or the picture cannot be written.
+    """
+    reference, found, true = read_clouds(folder / failure.file)
+    look = Figures()
+    frame = Frame.of(_box(reference, found), [reference, found])
+    errors = np.linalg.norm(found - true, axis=1)
+    scale = Range(0.0, max(float(errors.max()), 1e-12), "grey: reference; coloured: candidate under the found pose")
+    points = np.concatenate([reference, found]) - frame.box.center
+    greys = np.broadcast_to(np.array(_REFERENCE_COLOR, np.uint8), reference.shape)
+    colors = np.concatenate([greys, scale.colors(errors)])
+    ground = look.ground("dark")
+    behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
+
+    def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
+        return splat(points, colors, view, window, pixels, behind)
+
+    unit = next((scene.unit for scene in study.scenes if scene.name == failure.cell.scene), "m") or "units"
+    title = failure_title(study, failure)
+    compose(image, frame, title, unit, path, look, scale=scale, label=f"{_ERROR_LABEL} [{unit}]")
+
+
+def failure_title(study: StressStudy, failure: SilentFailure) -> str:
+    """Return a failure in one line: method, perturbation, scene, seed and errors."""
+    cell = failure.cell
+    ladder = study.ladder(cell.ladder)
+    unit = next((scene.unit for scene in study.scenes if scene.name == cell.scene), "m")
+    level = ladder.level_text(cell.level) if ladder.is_list else f"{ladder.title} {ladder.level_text(cell.level)}"
+    if cell.second is not None:
+        level += f", {cell.second:g} {ladder.second_unit}".rstrip()
+    parts = [f"{cell.method}: {level}", f"{cell.scene}, seed {cell.seed}"]
+    if cell.error_rms is not None and cell.angle_error_deg is not None:
+        parts.append(f"{length(cell.error_rms, unit)} RMS and {_angle(cell.angle_error_deg)} deg off, not doubted")
+    return "; ".join(parts)
+
+
+def _angle(angle_deg: float) -> str:
+    return f"{angle_deg:.0f}" if angle_deg >= 10 else f"{angle_deg:.2g}"
+
+
+def read_clouds(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the reference, and the candidate under the found and the true pose.
+
+    Raises:
+        InputError: the file is damaged.
+        OSError: the file cannot be read.
+    """
+    try:
+        with np.load(path) as arrays:
+            reference, found, true = (np.asarray(arrays[name], np.float64) for name in ("reference", "found", "true"))
+    except (KeyError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
+    if found.shape != true.shape:
+        raise InputError(f"{path}: the file is damaged: {len(found)} found and {len(true)} true points")
+    return reference, found, true
+
+
+def _box(reference: FloatArray, found: FloatArray) -> AxisBox:
+    """Return the box of the reference, enlarged for the candidate, at most by a quarter on each side."""
+    return AxisBox.around(reference).widen([AxisBox.around(found)])

@@ -1,0 +1,86 @@
+"""Runs in child processes: crashes and time-outs are outcomes, and records are reused."""
+
+from dataclasses import replace
+
+import pytest
+from wording import check_error
+
+from pcbench.studies.stress import runs
+from pcbench.studies.stress.cells import RunPlan
+from pcbench.studies.stress.results import CRASH, METRICS, REGISTRATION, RIGHT, TIME_OUT, VERDICTS
+
+# A child whose methods misbehave on some levels of the ladder.
+CHILD = """
+import os, sys, time
+from dataclasses import replace
+from pcbench.errors import MissingExtra
+from pcbench.studies.stress import child
+from pcbench.studies.stress.methods import METHODS
+
+def misbehave(reference, candidate, seed):
+    count = len(candidate)
+    if count > 1000:
+        return METHODS["similarity"].run(reference, candidate, seed)
+    if count > 700:
+        os.abort()
+    if count > 400:
+        time.sleep(60)
+    if count > 220:
+        raise ValueError("no pose")
+    raise MissingExtra("a library", "open3d")
+
+METHODS["icp"] = replace(METHODS["icp"], run=misbehave)
+child.main(sys.argv[1])
+"""
+PLANS = [RunPlan(REGISTRATION, "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "misbehaving_child.py").write_text(CHILD)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
+    monkeypatch.setattr(runs, "_CHILD", "misbehaving_child")
+    (tmp_path / "out").mkdir()
+    return runs.RunSettings(tmp_path / "out", time_limit_s=4.0)
+
+
+def test_crashes_and_time_outs_are_outcomes_and_the_next_runs_go_on(settings, monkeypatch):
+    results = runs.run_all(PLANS, settings)
+    found = [(result.cells[0].outcome, result.cells[0].message) for result in results]
+    assert found == [
+        (RIGHT, ""),
+        (CRASH, "SIGABRT"),
+        (TIME_OUT, "stopped after 4 s"),
+        (CRASH, "ValueError: no pose"),
+    ]
+    assert results[0].pose is not None and results[0].cells[0].cpu_s > 0
+    assert not (settings.out / "work").exists()
+
+    def fail(*_, **__):
+        raise AssertionError("a child was started although all runs have records")
+
+    monkeypatch.setattr(runs, "run_module", fail)
+    again = runs.run_all(PLANS, settings)
+    assert [result.cells for result in again] == [result.cells for result in results]
+    with pytest.raises(AssertionError, match="a child was started"):  # a record holds for its settings only
+        runs.run_all(PLANS, replace(settings, time_limit_s=5.0))
+
+
+def test_a_library_that_cannot_be_loaded_ends_the_study(settings):
+    plan = replace(PLANS[0], level=7.0)
+    with check_error():
+        runs.run_all([plan], settings)
+    assert not settings.record(plan).exists()
+
+
+def test_metrics_and_verdicts_have_records_too(tmp_path):
+    settings = runs.RunSettings(tmp_path, time_limit_s=60.0)
+    plans = [
+        RunPlan(METRICS, "object", "density", 1.0, None, "pcbench", 0, 3000),
+        RunPlan(VERDICTS, "object", "density", 1.0, None, "deform", 0, 3000),
+    ]
+    metrics, verdicts = runs.run_all(plans, settings)
+    assert len(metrics.cells) == 2 and len(verdicts.cells) == 3
+    assert all(cell.value > 0 and cell.exact > 0 for cell in metrics.cells)
+    assert {cell.pose_is_right for cell in verdicts.cells} == {True}

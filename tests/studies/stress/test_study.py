@@ -1,0 +1,173 @@
+"""`pcbench stress`: a complete small study, its files, and the errors of its command."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from optional import import_or_skip
+from wording import check_error, check_text
+
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.io import write_cloud
+from pcbench.studies.stress.ladders import displaced
+from pcbench.studies.stress.results import REGISTRATION, SILENT, SUBJECTS, VERDICTS, StressSettings, read_study
+from pcbench.studies.stress.scenes import given_pair, scene_pair
+from pcbench.studies.stress.study import GivenClouds, StressPlan, run_stress
+
+SETTINGS = StressSettings(quick=True, only="start-rotation,density,degenerate", methods=("icp", "pcbench", "deform"))
+
+
+def small_plan(settings):
+    return replace(StressPlan.of(settings), points=3000)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    import_or_skip("matplotlib")
+    return tmp_path_factory.mktemp("stress") / "out"
+
+
+@pytest.fixture(scope="module")
+def outcome(folder):
+    return run_stress(folder, SETTINGS, plan=small_plan(SETTINGS))
+
+
+def test_quick_study_answers_each_subject(outcome):
+    study = outcome.study
+    assert {ladder.name for ladder in study.ladders} == {"start-rotation", "density", "degenerate"}
+    for subject in SUBJECTS:
+        assert study.cells(subject), subject
+    cells = {(cell.ladder, cell.level): cell for cell in study.registrations}
+    assert cells["start-rotation", 5].pose_is_right and not cells["start-rotation", 90].pose_is_right
+    assert cells["density", 1].pose_is_right
+    # The half-turn building is nearly symmetric: an ICP that starts half a turn away ends there.
+    assert cells["degenerate", 5.0].angle_error_deg == pytest.approx(180, abs=5)
+    # Nothing is deformed; at one point of sixteen, 94 points are too few for a verdict.
+    verdicts = {cell.level: cell for cell in study.verdicts if cell.method == "deform"}
+    assert (verdicts[1].outcome, verdicts[16].outcome) == ("right", "withheld")
+    assert study.sentences and all(sentence.endswith((".", ":")) for sentence in study.sentences)
+    assert outcome.without_figures is None
+
+
+def test_files_of_a_study(outcome, folder):
+    assert read_study(folder) == replace(outcome.study, provenance=None)
+    rows = list(csv.DictReader((folder / "stress.csv").open()))
+    assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in SUBJECTS)
+    assert {row["subject"] for row in rows} == set(SUBJECTS) and rows[0]["outcome"]
+    page = (folder / "stress.md").read_text()
+    assert all(sentence in page for sentence in outcome.study.sentences)
+    for name in (line.split("](")[1].rstrip(")") for line in page.splitlines() if line.startswith("![")):
+        assert (folder / name).stat().st_size > 1000, name
+    assert (folder / "stress.txt").read_text().strip() == outcome.table.strip()
+    assert any((folder / "figures").glob("*.png"))
+
+
+def test_worst_silent_failures_are_saved_with_their_clouds(outcome, folder):
+    silent = [cell for cell in outcome.study.registrations if cell.outcome == SILENT]
+    assert len(outcome.study.worst) == min(3, len(silent)) > 0
+    for failure in outcome.study.worst:
+        assert failure.cell in silent
+        with np.load(folder / failure.file) as arrays:
+            off = np.sqrt(np.square(arrays["found"] - arrays["true"]).sum(axis=1).mean())
+            assert off == pytest.approx(failure.cell.error_rms, rel=0.05)
+
+
+def test_a_second_run_reuses_all_records_and_gives_the_same(outcome, folder, monkeypatch):
+    def fail(*_, **__):
+        raise AssertionError("a child was started although all runs have records")
+
+    monkeypatch.setattr("pcbench.studies.stress.runs.run_module", fail)
+    again = run_stress(folder, SETTINGS, plan=small_plan(SETTINGS), figures=False)
+    assert replace(again.study, provenance=None) == replace(outcome.study, provenance=None)
+    assert again.table == outcome.table
+
+
+def test_the_same_settings_give_the_same_numbers_in_another_folder(outcome, tmp_path):
+    settings = replace(SETTINGS, only="density", methods=("icp",))
+    again = run_stress(tmp_path / "out", settings, plan=small_plan(settings), figures=False)
+    same = [cell for cell in outcome.study.registrations if cell.ladder == "density"]
+    assert len(again.study.registrations) == len(same) == 2
+    for one, other in zip(again.study.registrations, same, strict=True):
+        assert replace(one, cpu_s=None, memory_bytes=None) == replace(other, cpu_s=None, memory_bytes=None)
+
+
+def moved_pair(seed=0):
+    pair = displaced(scene_pair("city", seed, 6000), 3.0, 2.0, np.random.default_rng(seed))
+    return pair, GivenClouds(Cloud(pair.reference, unit="m"), Cloud(pair.candidate, unit="m"))
+
+
+def test_a_given_pair_is_stressed_about_the_pose_that_was_found(tmp_path):
+    pair, clouds = moved_pair()
+    found = given_pair(clouds.reference, clouds.candidate, "icp")
+    assert np.sqrt(np.square(found.points - pair.points).sum(axis=1).mean()) < 0.2 * pair.spacing
+    settings = StressSettings(quick=True, only="start-rotation,warp", methods=("icp", "deform"))
+    study = run_stress(tmp_path / "out", settings, clouds, figures=False).study
+    assert study.registrations[0].outcome == "right" and not study.cells(VERDICTS)
+    assert {cell.scene for cell in study.cells(REGISTRATION)} == {"given"}
+    assert study.scenes[0].unit == "m" and study.scenes[0].noise is None
+
+
+def test_a_pair_without_a_certain_pose_is_refused(tmp_path):
+    _, clouds = moved_pair()
+    other = Cloud(scene_pair("terrain", 0, 6000).points)
+    with check_error(InputError, masked=True):
+        run_stress(tmp_path / "out", SETTINGS, GivenClouds(clouds.reference, other))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        StressSettings(methods=("ICP",)),
+        StressSettings(only="nothing"),
+        StressSettings(only="warp", methods=("icp",)),
+    ],
+)
+def test_settings_that_leave_nothing_to_run(settings, tmp_path):
+    with check_error():
+        run_stress(tmp_path / "out", settings)
+
+
+def test_methods_of_missing_libraries_are_named(monkeypatch):
+    monkeypatch.setattr("pcbench.studies.stress.methods.find_spec", lambda _: None)
+    plan = StressPlan.of(StressSettings(methods=("icp", "small_gicp GICP", "global")))
+    assert plan.methods[REGISTRATION] == ("icp",)
+    for method in plan.missing:
+        check_text(f"{method.name}: {method.reason}")
+    assert [method.name for method in plan.missing] == ["global", "small_gicp GICP"]
+    with check_error():
+        StressPlan.of(StressSettings(methods=("small_gicp GICP",)))
+
+
+def test_quick_plan_leaves_out_slow_methods():
+    names = StressPlan.of(StressSettings(quick=True)).methods[REGISTRATION]
+    assert "icp" in names and "global-similarity" not in names
+    asked = StressPlan.of(StressSettings(quick=True, methods=("icp-point",)))
+    assert asked.methods[REGISTRATION] == ("icp-point",) and asked.methods[VERDICTS] == ()
+
+
+def test_command(run, tmp_path):
+    out = tmp_path / "out"
+    code, printed, _ = run(
+        "stress", "--quick", "--only", "density", "--methods", "icp-point", "--no-figures", "--out", out
+    )
+    assert code == 0 and f"report: {out}" in printed
+    values = json.loads((out / "stress.json").read_text())
+    assert values["settings"]["methods"] == ["icp-point"] and len(values["registrations"]) == 2
+    assert not (out / "figures").exists()
+
+
+def test_errors_of_the_command(run, tmp_path):
+    cloud = tmp_path / "a.ply"
+    write_cloud(cloud, Cloud(np.random.default_rng(0).normal(size=(100, 3))))
+    for arguments in (
+        (cloud, "--out", tmp_path / "out"),
+        ("--register", "icp", "--out", tmp_path / "out"),
+        ("--only", "none", "--out", tmp_path / "out"),
+    ):
+        code, _, error = run("stress", *arguments)
+        assert code == 2
+        check_text(error)
