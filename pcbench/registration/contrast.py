@@ -133,11 +133,11 @@ def contrast(
 
 def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:
     """Return the standard deviation of the candidate's (N, 3) noise beyond the reference's at the same N positions."""
-    candidate_noise, reference_noise = _roughness(candidate), _roughness(reference)
+    candidate_noise, reference_noise = roughness(candidate), roughness(reference)
     return float(np.sqrt(max(0.0, candidate_noise**2 - reference_noise**2)))
 
 
-def _roughness(points: FloatArray) -> float:
+def roughness(points: FloatArray) -> float:
     """Return the robust standard deviation of points from the tangent planes of their closest points."""
     surface = Surface(Index(points))
     subset = points[:: max(1, len(points) // _MAX_POSITIONS)]

@@ -22,6 +22,7 @@ from pcbench.registration.contrast import (
     SURE_CONTRAST,
     Contrast,
     contrast,
+    roughness,
 )
 from pcbench.registration.degeneracy import Observability, observability
 from pcbench.registration.icp_stages import MAX_RANDOM_SAMPLE
@@ -42,6 +43,7 @@ MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
 _MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
+_ROUGHNESS_SAMPLE = 3_000  # candidate points for its roughness: sparse enough to include blur
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
@@ -139,6 +141,7 @@ def with_doubt(
     *,
     with_scale: bool,
     pose_is_given: bool = False,
+    from_any_pose: bool = False,
 ) -> Quality:
     """Complete the quality of a pose with a warning if the pose may be wrong, or the candidate is blurred.
 
@@ -152,6 +155,8 @@ def with_doubt(
         quality: result of `assess`.
         with_scale: whether the scale was solved for.
         pose_is_given: whether the pose was given by the user.
+        from_any_pose: whether the pose is the best of many. A part of a regular city may slide onto another part, and
+            restarts then return; but the residuals are larger than the candidate is rough.
     """
     share = quality.contrast
     is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
@@ -167,6 +172,14 @@ def with_doubt(
             " displacement costs the reference itself"
         )
         return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if from_any_pose:
+        own_roughness = T.scale * roughness(random_sample[:_ROUGHNESS_SAMPLE])
+        if quality.rmse > own_roughness:
+            text = (
+                f"{name} may be wrong: its residuals of {quality.rmse:.3g} RMS exceed the candidate's own roughness of"
+                f" {own_roughness:.3g}"
+            )
+            return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if quality.unobservable.shape[1]:
         return quality  # restarts would slide along the unobservable motions
     tolerance = max(target.spacing, quality.rmse)
@@ -224,7 +237,7 @@ def assess_given(
     origin: FloatArray,
     text: str,
     *,
-    pose_is_given: bool = True,
+    from_any_pose: bool = False,
 ) -> Fit:
     """Assess a given pose in the same way as a fitted one.
 
@@ -234,7 +247,7 @@ def assess_given(
         T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
         text: method text for the error message.
-        pose_is_given: whether the pose was given by the user.
+        from_any_pose: whether the pose was found among all poses, instead of given by the user.
 
     Raises:
         RegistrationError: the bounding boxes do not overlap.
@@ -258,7 +271,16 @@ def assess_given(
     random_sample, with_scale = random_rows(points, MAX_RANDOM_SAMPLE), T_local.scale != 1
     quality = assess(target, sample, random_sample, T_local, plane=True, with_scale=with_scale)
     return Fit(
-        T_local, with_doubt(target, random_sample, T_local, quality, with_scale=False, pose_is_given=pose_is_given)
+        T_local,
+        with_doubt(
+            target,
+            random_sample,
+            T_local,
+            quality,
+            with_scale=False,
+            pose_is_given=not from_any_pose,
+            from_any_pose=from_any_pose,
+        ),
     )
 
 

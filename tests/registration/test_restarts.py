@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from deformation_cases import correlated_noise
 from registrations import codes
-from wording import check_text
+from wording import check_error, check_text
 
 from pcbench import Similarity
+from pcbench.errors import RegistrationError
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import random_rows
 from pcbench.geometry.cloud import Cloud
@@ -14,6 +15,7 @@ from pcbench.registration import Target, local_origin, quality, register
 from pcbench.registration.restarts import MIN_RETURNED_SHARE, returned_share
 from pcbench.registration.result import BLURRED, DOUBTFUL_POSE
 from pcbench.scenes.synthetic import city
+from pcbench.studies.stress.cells import RunPlan, build_pair
 
 
 def sample_city(count, seed):
@@ -94,3 +96,12 @@ def test_random_rows_are_distinct_and_reproducible():
         rows = random_rows(points, count)
         assert len(np.unique(rows, axis=0)) == len(rows) == min(count, 10)
         np.testing.assert_array_equal(rows, random_rows(points, count))
+
+
+@pytest.mark.skipif(bool(problem := import_problem("kiss_matcher")), reason=str(problem))
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_part_of_a_city_does_not_slide_onto_another(seed):
+    """Streets and terrain repeat: at the wrong place the part lies on the reference, but its houses do not fit."""
+    pair = build_pair(RunPlan("registration", "city", "overlap", 40.0, None, "global", seed, 8000))
+    with check_error(RegistrationError, masked=True):
+        register(pair.reference, pair.candidate, "global")
