@@ -7,6 +7,7 @@ with the next run. Records of earlier runs are reused if nothing that they depen
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
@@ -110,6 +111,7 @@ def run_all(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+    shutil.rmtree(settings.out / _WORK, ignore_errors=True)
     return [_read(settings.record(plan), keys[plan], plan) for plan in plans]
 
 
