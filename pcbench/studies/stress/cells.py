@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.deformation.result import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
@@ -159,6 +160,8 @@ def build_pair(plan: RunPlan, given: StressPair | None = None) -> StressPair:
 def run_cell(plan: RunPlan, pair: StressPair) -> RunResult:
     """Run a method on a pair and judge its result; an exception of the method is a crash.
 
+    Numbers are rounded to six digits: further ones depend on the order in which threads add.
+
     Raises:
         MissingExtra: an optional library cannot be loaded.
     """
@@ -180,17 +183,19 @@ def run_cell(plan: RunPlan, pair: StressPair) -> RunResult:
     try:
         if plan.subject == REGISTRATION:
             found = METHODS[plan.method].run(pair.reference, pair.candidate, plan.seed)
-            return _registration(plan, pair, found, cost())
-        if plan.subject == METRICS:
+            result = _registration(plan, pair, found, cost())
+        elif plan.subject == METRICS:
             measured = metrics.METRIC_METHODS[plan.method].run(pair, plan.seed)
-            return RunResult(tuple(_metrics(plan, pair, measured, cost())))
-        verdict = verdicts.run_deform(pair, plan.seed)
-        return RunResult(tuple(_verdicts(pair, verdict, cost())))
+            result = RunResult(tuple(_metrics(plan, pair, measured, cost())))
+        else:
+            verdict = verdicts.run_deform(pair, plan.seed)
+            result = RunResult(tuple(_verdicts(pair, verdict, cost())))
     except MissingExtra:
         raise
     except Exception as error:
         text = " ".join(str(error).split())
         return failed_run(plan, CRASH, f"{type(error).__name__}: {text}")
+    return result._replace(cells=round_to_six_digits(result.cells))
 
 
 def failed_run(plan: RunPlan, outcome: str, message: str) -> RunResult:

@@ -15,7 +15,7 @@ from pcbench.studies.stress.results import (
 )
 from pcbench.studies.stress.table import (
     LIMITS_LEGEND,
-    OUTCOMES_LEGEND,
+    OUTCOMES_LEGENDS,
     limits_table,
     outcome_table,
     preset_table,
@@ -78,11 +78,11 @@ def _section(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterat
     yield f"## {_TITLES[subject]}"
     yield from _images(figures, _PICTURES[subject][:1])
     yield markdown_table(outcome_table(study, subject), 1)
-    yield f"Outcomes: {OUTCOMES_LEGEND}."
+    yield f"Shares of all runs in %; {OUTCOMES_LEGENDS[subject]}."
     yield _bullets(_SENTENCES[subject](study))
     yield "### Safe levels"
     yield markdown_table(limits_table(study, subject), 1)
-    yield f"Each cell is the {LIMITS_LEGEND}."
+    yield f"Each cell: {LIMITS_LEGEND}."
     if subject == REGISTRATION and (presets := preset_table(study)):
         yield "### Recall by the criteria of benchmarks"
         yield markdown_table(presets, 1)

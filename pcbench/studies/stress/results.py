@@ -63,6 +63,7 @@ MAX_FLOOR_SHARE = 0.3
 MIN_COUNTED_SIZE = 0.25
 """RMS over the noise from which a deformation counts as one."""
 
+_SINGULAR_UNITS = {"spacings": "spacing", "copies": "copy"}
 _Z = NormalDist().inv_cdf(0.975)
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -150,7 +151,8 @@ class LadderInfo:
         """Return a level with its unit, or its name."""
         if self.level_names:
             return self.level_names[self.levels.index(level)]
-        return f"{level:g} {self.unit}".rstrip()
+        unit = _SINGULAR_UNITS.get(self.unit, self.unit) if level == 1 else self.unit
+        return f"{level:g} {unit}".rstrip()
 
 
 @dataclass(frozen=True)

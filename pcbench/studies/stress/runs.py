@@ -43,7 +43,7 @@ _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run 
 _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
 _OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_BATCH_RUNS = 40  # of a child process, whose start takes seconds
+_BATCH_RUNS = (8, 40)  # fewest and most runs of a child process, whose start takes seconds
 _RUN_S = 1.0  # rough duration of a run, for progress bars
 
 
@@ -93,7 +93,8 @@ def run_all(
     code = code_digest()
     keys = {plan: settings.key(plan, code) for plan in plans}
     missing = [plan for plan in plans if read_record(settings.record(plan), keys[plan]) is None]
-    batches = list(_batches(missing))
+    smallest, largest = _BATCH_RUNS
+    batches = list(_batches(missing, min(largest, max(smallest, len(missing) // (4 * cpu_count())))))
     done = len(plans) - len(missing)
     with ThreadPoolExecutor(cpu_count()) as pool:
         waiting: dict[Future[None], int] = {
@@ -129,11 +130,11 @@ def _matters(name: str) -> bool:
     return not any(inside.startswith(f"{folder}/") for folder in _INDEPENDENT_FOLDERS)
 
 
-def _batches(plans: Iterable[RunPlan]) -> Iterator[list[RunPlan]]:
-    """Yield the runs of one child process each: of one subject, and all runs of a pair in the same process."""
+def _batches(plans: Iterable[RunPlan], size: int) -> Iterator[list[RunPlan]]:
+    """Yield the runs of one child process each: of one subject, about `size`, all runs of a pair in the same one."""
     batch: list[RunPlan] = []
     for plan in plans:
-        if batch and (plan.subject != batch[-1].subject or (len(batch) >= _BATCH_RUNS and plan.pair != batch[-1].pair)):
+        if batch and (plan.subject != batch[-1].subject or (len(batch) >= size and plan.pair != batch[-1].pair)):
             yield batch
             batch = []
         batch.append(plan)

@@ -15,10 +15,12 @@ from pcbench.studies.stress.limits import (
     stress_rows,
 )
 from pcbench.studies.stress.results import (
+    METRICS,
     OUTCOMES,
     PRESETS,
     REGISTRATION,
     SUBJECTS,
+    VERDICTS,
     LadderInfo,
     Rate,
     RegistrationCell,
@@ -33,10 +35,14 @@ LIMITS_LEGEND = (
     "last safe level of each ladder: at least 90 % of the runs succeed and none is wrong with confidence, up to it;"
     " none: not even the first level is safe; all: every level is safe; !n: n runs are wrong with confidence"
 )
-OUTCOMES_LEGEND = (
-    "shares of all runs in %; false-alarm: right, but doubted; refused: no pose, although another method found one;"
-    " said: wrong and doubted; silent: wrong without a doubt; CPU s: median; MiB: largest peak beyond the loaded clouds"
-)
+_COST_LEGEND = "CPU s: median; MiB: largest peak beyond the loaded clouds"
+OUTCOMES_LEGENDS = {
+    REGISTRATION: "false-alarm: right, but doubted; refused: no pose, although another method found one; said: wrong"
+    f" and doubted; silent: wrong without a doubt; {_COST_LEGEND}",
+    METRICS: "said: wrong, but explained by the floor or the interval; silent: wrong and not explained;"
+    f" {_COST_LEGEND}",
+    VERDICTS: f"withheld: no verdict; wrong: contradicts the truth; {_COST_LEGEND}, each for all rules together",
+}
 
 
 def stress_table(study: StressStudy) -> str:
@@ -48,7 +54,8 @@ def stress_table(study: StressStudy) -> str:
             parts.append(text_table([[f"{subject}: safe up to", *head], *lines]))
             (_, *head), *lines = outcome_table(study, subject)
             parts.append(text_table([[f"{subject}: outcomes in %", *head], *lines]))
-    return "\n\n".join([*parts, f"safe up to: {LIMITS_LEGEND}", f"outcomes: {OUTCOMES_LEGEND}"])
+            parts.append(OUTCOMES_LEGENDS[subject])
+    return "\n\n".join([*parts, f"safe up to: {LIMITS_LEGEND}"])
 
 
 def limits_table(study: StressStudy, subject: str) -> list[list[str]]:

@@ -123,6 +123,11 @@ def caveats(study: StressStudy) -> Iterator[str]:
     """Yield what was not run, and what limits the results."""
     if study.settings.quick:
         yield "These are the results of the quick plan: few levels and seeds; without --quick the limits are finer."
+    if any(not method.is_ours for method in study.methods_of(REGISTRATION)):
+        yield (
+            "Other libraries state no doubt about a pose: it counts as doubtful if the method has not converged or"
+            " matches too few points."
+        )
     by_reason: dict[str, list[str]] = {}
     for missing in study.missing:
         by_reason.setdefault(missing.reason, []).append(missing.name)

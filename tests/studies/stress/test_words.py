@@ -75,7 +75,7 @@ def test_metrics_are_right_explained_or_silently_wrong():
         " explained by its floor or its interval, in 17 % [4.7, 45]; silently wrong in 8.3 % [1.5, 35].",
         "pcbench, RMS off the surface: the 95 % interval contains the exact value in 92 % [65, 99] of 12 intervals, as"
         " stated.",
-        "pcbench, RMS off the surface breaks under Gaussian noise (beyond 1 spacings).",
+        "pcbench, RMS off the surface breaks under Gaussian noise (beyond 1 spacing).",
         "Open3D, RMS off the surface: within 10 % of the exact value in 33 % [14, 61] of 12 runs; further off, but"
         " explained by its floor or its interval, in 0 % [0, 24]; silently wrong in 67 % [39, 86].",
         "Open3D, RMS off the surface breaks under Gaussian noise (safe at no level).",
@@ -122,6 +122,8 @@ def test_what_was_left_out_is_named_with_its_reason():
     left = (MissingMethod("Open3D plane", "no wheel"), MissingMethod("robust ICP", "no wheel"))
     assert list(caveats(study(missing=left, settings=StressSettings(quick=True)))) == [
         "These are the results of the quick plan: few levels and seeds; without --quick the limits are finer.",
+        "Other libraries state no doubt about a pose: it counts as doubtful if the method has not converged or matches"
+        " too few points.",
         "Left out: Open3D plane and robust ICP (no wheel).",
     ]
     assert sentences(study())[-1].startswith("Left out: KISS-Matcher")
