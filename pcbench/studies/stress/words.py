@@ -41,6 +41,7 @@ from pcbench.studies.stress.results import (
     Cell,
     MetricCell,
     Rate,
+    RegistrationCell,
     StressStudy,
     Tally,
     VerdictCell,
@@ -242,7 +243,14 @@ def _silent_sentence(study: StressStudy, row: StressRow) -> str:
     silent = Tally.of(row.cells).rate(SILENT)
     text = f"{row.name} is wrong with confidence in {silent.count} of {pluralize(silent.total, 'run')}"
     places = _places(study, row.cells, (SILENT,))
-    return f"{text}, {rate_text(silent)}" + (f": {places}." if places else ".")
+    text = f"{text}, {rate_text(silent)}" + (f": {places}" if places else "")
+    warned = [cell for cell in row.cells if isinstance(cell, RegistrationCell) and cell.warned]
+    codes = Counter(code for cell in warned if cell.outcome == SILENT for code in cell.codes)
+    if not codes:
+        return f"{text}."
+    count = sum(cell.outcome == SILENT for cell in warned)
+    names = join_words([f"{code} ({number})" for code, number in codes.most_common()])
+    return f"{text}; {count} of them with a warning that does not make the pose doubtful: {names}."
 
 
 def _metric_sentence(row: StressRow) -> str:

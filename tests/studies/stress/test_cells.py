@@ -71,6 +71,15 @@ def test_a_slip_along_a_free_motion_is_said_by_naming_it(monkeypatch, pair):
     assert outcome_of(monkeypatch, replace(pair, free=True), PoseResult(wrong)).outcome == SILENT
 
 
+def test_a_wrong_scale_is_said_by_naming_it(monkeypatch, pair):
+    wrong = Similarity(np.eye(3), np.zeros(3), 1.2) @ pair.T_true
+    named = PoseResult(wrong, False, ("scale-missing",))
+    assert outcome_of(monkeypatch, pair, named).outcome == SILENT  # the scales are equal
+    scaled = LADDERS["scale"].apply(pair, 1.05, None, np.random.default_rng(0))
+    assert outcome_of(monkeypatch, scaled, named).outcome == SAID
+    assert outcome_of(monkeypatch, scaled, PoseResult(wrong, False, ("low-overlap",))).outcome == SILENT
+
+
 def test_errors_of_a_known_displacement(monkeypatch, pair):
     centre = pair.points.mean(axis=0)
     turn = Similarity(rotation(np.array([0, 0, 1.0]), np.radians(10)), np.zeros(3)).about(centre)
