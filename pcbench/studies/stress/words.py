@@ -100,7 +100,7 @@ def verdict_sentences(study: StressStudy) -> Iterator[str]:
         cells = [cell for cell in row.cells if isinstance(cell, VerdictCell)]
         completed = [cell for cell in cells if cell.outcome not in ABORTED]
         deformed = [cell for cell in completed if cell.is_deformed]
-        undeformed = [cell for cell in completed if not cell.is_deformed]
+        undeformed = [cell for cell in completed if cell.true_rms == 0]
         posed = [cell for cell in completed if cell.pose_is_right]
         false_bends, missed = _failures(undeformed, FALSE_BEND), _failures(deformed, MISSED)
         withheld = _failures(posed, WITHHELD_ALTHOUGH_RIGHT)

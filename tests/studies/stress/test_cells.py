@@ -172,7 +172,8 @@ def test_outcomes_of_metrics(value, floor, interval, outcome):
         ("none", None, 0.5, True, (WRONG, MISSED)),
         ("affine", None, 0.2, True, (RIGHT, "")),  # too small to count
         ("non-affine", 0.1, 0.5, True, (RIGHT, "")),
-        ("non-affine", 0.1, 0.2, True, (WRONG, FALSE_BEND)),
+        ("non-affine", 0.1, 0.2, True, (RIGHT, "")),
+        ("non-affine", 0.1, 0.0, True, (WRONG, FALSE_BEND)),
         ("undecided", None, 0.5, True, (WITHHELD, WITHHELD_ALTHOUGH_RIGHT)),
         ("undecided", None, 0.5, False, (WITHHELD, "")),
     ],
