@@ -286,7 +286,7 @@ def _alarm_sentence(row: StressRow) -> Iterator[str]:
     refused = tally.counts.get(REFUSED, 0)
     parts = [*_share_part("doubts", doubted, "right pose")]
     if refused:
-        other = "another local method" if row.method.scope == LOCAL else "another global method"
+        other = "another local method" if row.method.scope == LOCAL else "another method"
         parts.append(f"refuses {pluralize(refused, 'pose')} that {other} found")
     if parts:
         yield f"{row.name} {'; it '.join(parts)}."
