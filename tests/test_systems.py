@@ -158,6 +158,17 @@ def test_memory_and_cpus():
     assert systems.cpu_count() <= (os.cpu_count() or 1)
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems cannot reset the peak")
+def test_peak_memory_after_a_reset_is_that_of_later_allocations():
+    np.ones(20_000_000)  # 160 MB, freed at once
+    start = systems.reset_peak_memory()
+    if start is None:
+        pytest.skip("this system does not let a process reset its peak memory")
+    assert systems.peak_memory_since_reset() < start + 80e6
+    np.ones(20_000_000)
+    assert start + 140e6 < systems.peak_memory_since_reset() < start + 240e6
+
+
 @pytest.mark.parametrize("number, name", [(2, "SIGINT"), (systems.SIGKILL, "SIGKILL"), (500, "signal 500")])
 def test_signal_names(number, name):
     assert systems.signal_name(number) == name

@@ -19,6 +19,7 @@ from pcbench.deformation.result import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
+from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.studies.stress import metrics, verdicts
 from pcbench.studies.stress.ladders import LADDERS, Ladder, displaced
 from pcbench.studies.stress.methods import METHODS, PoseResult
@@ -46,7 +47,7 @@ from pcbench.systems import peak_memory_since_reset, reset_peak_memory
 # Start of all ladders that set none: angle in degrees, offset over the extent. Verdicts start nearer.
 _START_DEG, _START_SHARE = 5.0, 0.02
 _VERDICT_START_DEG, _VERDICT_START_SHARE = 1.0, 0.005
-_UNOBSERVABLE_CODES = {"unobservable", "weakly-observable"}
+_UNOBSERVABLE_CODES = {UNOBSERVABLE, WEAKLY_OBSERVABLE}
 
 
 @dataclass(frozen=True)
@@ -298,7 +299,7 @@ def _registration(plan: RunPlan, pair: StressPair, found: PoseResult, cost: dict
     offset = T.apply(centre[None])[0] - pair.T_true.apply(centre[None])[0]
     cell = RegistrationCell(
         **values,
-        outcome=_pose_outcome(rms <= pair.tolerance, found, free=pair.free),
+        outcome=_pose_outcome(rms <= pair.tolerance, found, pair),
         error=_relative_error(aligned, pair.points),
         error_rms=rms,
         angle_error_deg=float(wrong.motion_at(np.zeros(3)).angle_deg),
@@ -307,12 +308,17 @@ def _registration(plan: RunPlan, pair: StressPair, found: PoseResult, cost: dict
     return RunResult((cell,), T.matrix.tolist())
 
 
-def _pose_outcome(right: bool, found: PoseResult, *, free: bool) -> str:
+def _pose_outcome(right: bool, found: PoseResult, pair: StressPair) -> str:
+    """Return the outcome of a pose; a warning that names what is wrong counts as doubt.
+
+    Where the geometry leaves motions free, the method has to name them. Where the scales differ, a method that does not
+    solve for the scale has to say so.
+    """
     if right:
         return FALSE_ALARM if found.doubtful else RIGHT
-    # Where the geometry leaves motions free, this is what a method has to say.
-    said = found.doubtful or (free and bool(_UNOBSERVABLE_CODES & set(found.codes)))
-    return SAID if said else SILENT
+    codes = set(found.codes)
+    named = (pair.free and codes & _UNOBSERVABLE_CODES) or (pair.T_true.scale != 1 and SCALE_MISSING in codes)
+    return SAID if found.doubtful or named else SILENT
 
 
 def _relative_error(aligned: FloatArray, truth: FloatArray) -> float:

@@ -44,7 +44,7 @@ OUTCOMES: Mapping[str, tuple[str, ...]] = {
 }
 
 # Failures of a verdict.
-FALSE_BEND = "false-bend"  # non-affine, although nothing of the size that counts is deformed
+FALSE_BEND = "false-bend"  # non-affine, although nothing is deformed beyond an affine motion
 MISSED = "missed"  # not non-affine, although the deformation is larger than the limit beside the verdict
 WITHHELD_ALTHOUGH_RIGHT = "withheld-although-right"  # no verdict, although the pose is right
 FAILURES = (FALSE_BEND, MISSED, WITHHELD_ALTHOUGH_RIGHT)
@@ -61,7 +61,7 @@ MAX_FLOOR_SHARE = 0.3
 """Floor over value up to which point spacing hardly contributes to the value: less than 5 % of an RMS."""
 
 MIN_COUNTED_SIZE = 0.25
-"""RMS over the noise from which a deformation counts as one."""
+"""RMS over the noise above which a deformation has to be found; a smaller one may be."""
 
 _SINGULAR_UNITS = {"spacings": "spacing", "copies": "copy"}
 _Z = NormalDist().inv_cdf(0.975)
@@ -349,7 +349,7 @@ class VerdictCell(Cell):
 
     @property
     def is_deformed(self) -> bool:
-        """Whether the true deformation is large enough to count as one."""
+        """Whether the true deformation is so large that it has to be found."""
         return self.true_rms > MIN_COUNTED_SIZE * self.noise
 
     @property

@@ -43,7 +43,7 @@ _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run 
 _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
 _OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_BATCH_RUNS = (8, 40)  # fewest and most runs of a child process, whose start takes seconds
+_BATCH_RUNS = (16, 40)  # fewest and most runs of a child process, whose start takes seconds
 _RUN_S = 1.0  # rough duration of a run, for progress bars
 
 

@@ -41,6 +41,7 @@ from pcbench.studies.stress.results import (
     Cell,
     MetricCell,
     Rate,
+    RegistrationCell,
     StressStudy,
     Tally,
     VerdictCell,
@@ -99,7 +100,7 @@ def verdict_sentences(study: StressStudy) -> Iterator[str]:
         cells = [cell for cell in row.cells if isinstance(cell, VerdictCell)]
         completed = [cell for cell in cells if cell.outcome not in ABORTED]
         deformed = [cell for cell in completed if cell.is_deformed]
-        undeformed = [cell for cell in completed if not cell.is_deformed]
+        undeformed = [cell for cell in completed if cell.true_rms == 0]
         posed = [cell for cell in completed if cell.pose_is_right]
         false_bends, missed = _failures(undeformed, FALSE_BEND), _failures(deformed, MISSED)
         withheld = _failures(posed, WITHHELD_ALTHOUGH_RIGHT)
@@ -242,7 +243,14 @@ def _silent_sentence(study: StressStudy, row: StressRow) -> str:
     silent = Tally.of(row.cells).rate(SILENT)
     text = f"{row.name} is wrong with confidence in {silent.count} of {pluralize(silent.total, 'run')}"
     places = _places(study, row.cells, (SILENT,))
-    return f"{text}, {rate_text(silent)}" + (f": {places}." if places else ".")
+    text = f"{text}, {rate_text(silent)}" + (f": {places}" if places else "")
+    warned = [cell for cell in row.cells if isinstance(cell, RegistrationCell) and cell.warned]
+    codes = Counter(code for cell in warned if cell.outcome == SILENT for code in cell.codes)
+    if not codes:
+        return f"{text}."
+    count = sum(cell.outcome == SILENT for cell in warned)
+    names = join_words([f"{code} ({number})" for code, number in codes.most_common()])
+    return f"{text}; {count} of them with a warning that does not make the pose doubtful: {names}."
 
 
 def _metric_sentence(row: StressRow) -> str:
@@ -278,7 +286,7 @@ def _alarm_sentence(row: StressRow) -> Iterator[str]:
     refused = tally.counts.get(REFUSED, 0)
     parts = [*_share_part("doubts", doubted, "right pose")]
     if refused:
-        other = "another local method" if row.method.scope == LOCAL else "another global method"
+        other = "another local method" if row.method.scope == LOCAL else "another method"
         parts.append(f"refuses {pluralize(refused, 'pose')} that {other} found")
     if parts:
         yield f"{row.name} {'; it '.join(parts)}."

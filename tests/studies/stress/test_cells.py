@@ -71,6 +71,15 @@ def test_a_slip_along_a_free_motion_is_said_by_naming_it(monkeypatch, pair):
     assert outcome_of(monkeypatch, replace(pair, free=True), PoseResult(wrong)).outcome == SILENT
 
 
+def test_a_wrong_scale_is_said_by_naming_it(monkeypatch, pair):
+    wrong = Similarity(np.eye(3), np.zeros(3), 1.2) @ pair.T_true
+    named = PoseResult(wrong, False, ("scale-missing",))
+    assert outcome_of(monkeypatch, pair, named).outcome == SILENT  # the scales are equal
+    scaled = LADDERS["scale"].apply(pair, 1.05, None, np.random.default_rng(0))
+    assert outcome_of(monkeypatch, scaled, named).outcome == SAID
+    assert outcome_of(monkeypatch, scaled, PoseResult(wrong, False, ("low-overlap",))).outcome == SILENT
+
+
 def test_errors_of_a_known_displacement(monkeypatch, pair):
     centre = pair.points.mean(axis=0)
     turn = Similarity(rotation(np.array([0, 0, 1.0]), np.radians(10)), np.zeros(3)).about(centre)
@@ -163,7 +172,8 @@ def test_outcomes_of_metrics(value, floor, interval, outcome):
         ("none", None, 0.5, True, (WRONG, MISSED)),
         ("affine", None, 0.2, True, (RIGHT, "")),  # too small to count
         ("non-affine", 0.1, 0.5, True, (RIGHT, "")),
-        ("non-affine", 0.1, 0.2, True, (WRONG, FALSE_BEND)),
+        ("non-affine", 0.1, 0.2, True, (RIGHT, "")),
+        ("non-affine", 0.1, 0.0, True, (WRONG, FALSE_BEND)),
         ("undecided", None, 0.5, True, (WITHHELD, WITHHELD_ALTHOUGH_RIGHT)),
         ("undecided", None, 0.5, False, (WITHHELD, "")),
     ],

@@ -1,5 +1,7 @@
 """Sentences of the stress study, from studies with known counts."""
 
+from dataclasses import replace
+
 import pytest
 from stress_studies import CASES, OVERLAP, registrations, study
 
@@ -61,6 +63,21 @@ def test_methods_that_are_never_safe_or_never_fail():
         "icp is wrong with confidence in 0 of 6 runs, 0 % [0, 39].",
         "icp doubts 3 of 6 right poses, 50 % [19, 81].",
     ]
+
+
+def test_silent_failures_with_another_warning_are_counted_beside():
+    silent, warned, right = registrations(OVERLAP, 20, "icp", [SILENT, SILENT, RIGHT])
+    warned = replace(warned, warned=True, codes=("low-overlap", "weakly-observable"))
+    right = replace(right, warned=True, codes=("low-overlap",))
+    (found,) = [
+        sentence
+        for sentence in registration_sentences(study(registrations=(silent, warned, right)))
+        if "with confidence" in sentence
+    ]
+    assert found.endswith(
+        ": overlap (2); 1 of them with a warning that does not make the pose doubtful: low-overlap (1) and"
+        " weakly-observable (1)."
+    )
 
 
 def test_lists_of_cases_have_no_limit():
