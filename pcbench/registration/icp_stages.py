@@ -35,7 +35,7 @@ class Start(NamedTuple):
 FAST_START, SLOW_START = Start(0.7, 0.9), Start(0.95, 1.0)
 
 
-class Schedule(NamedTuple):
+class DistanceSchedule(NamedTuple):
     """Maximum correspondence distance of one stage, which narrows from `first` to `final`."""
 
     first: float
@@ -79,17 +79,17 @@ class IcpProblem(NamedTuple):
             )
         return cls(target, coarse_sample, sample, random_rows(points, MAX_RANDOM_SAMPLE), settings)
 
-    def coarse_schedule(self, start: Start) -> Schedule:
+    def coarse_schedule(self, start: Start) -> DistanceSchedule:
         """Return the schedule of the coarse stage."""
         limit = self.settings.max_correspondence_distance
         first = _INITIAL_DISTANCE_SHARE * self.target.extent if limit is None else limit
-        return Schedule(first, min(2 * self.target.coarse_side, limit or np.inf), start)
+        return DistanceSchedule(first, min(2 * self.target.coarse_side, limit or np.inf), start)
 
-    def fine_schedule(self) -> Schedule:
+    def fine_schedule(self) -> DistanceSchedule:
         """Return the schedule of the fine stage."""
         limit = self.settings.max_correspondence_distance or np.inf
         final = max(3 * self.target.spacing, 1e-9 * self.target.extent)
-        return Schedule(min(1.5 * self.target.coarse_side, limit), min(final, limit), FAST_START)
+        return DistanceSchedule(min(1.5 * self.target.coarse_side, limit), min(final, limit), FAST_START)
 
 
 def refine(target: Target, points: FloatArray, settings: IcpSettings, initial: Similarity) -> Similarity:
@@ -139,7 +139,7 @@ def _iterate(
     T: Similarity,
     settings: IcpSettings,
     constrained: FloatArray,
-    schedule: Schedule,
+    schedule: DistanceSchedule,
     extent: float,
 ) -> IcpResult:
     """Iterate Gauss-Newton on re-matched pairs until the update is below the noise of the estimate.
