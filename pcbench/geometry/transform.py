@@ -328,10 +328,15 @@ def read_matrix(path: str | Path) -> Similarity:
     except (InputError, OSError) as error:
         raise InputError(f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or error}") from error
     rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
-    try:
-        values = [[float(word) for word in row] for row in rows if row]
-    except ValueError as error:
-        raise InputError(f"{path}: expected a 4x4 matrix of numbers: {error}") from error
+    values: list[list[float]] = []
+    for row in filter(None, rows):
+        try:
+            values.append([float(word) for word in row])
+        except ValueError:
+            raise InputError(
+                f"{path}: expected a 4x4 matrix of numbers, got the line {' '.join(row)[:40]!r}: give a file as written"
+                " by --matrix"
+            ) from None
     shape = (len(values), len(values[0]) if values else 0)
     if shape not in ((4, 4), (3, 4)) or any(len(row) != 4 for row in values):
         raise InputError(

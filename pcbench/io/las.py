@@ -144,7 +144,9 @@ def _filter_records(
         keep &= np.isin(return_number, _parse_numbers("returns as 'first', 'last' or", returns))
     if not keep.any():
         filters = [
-            f"{name} {value}" for name, value in (("classes", classes), ("returns", returns)) if value is not None
+            f"{name} {_listed(value)}"
+            for name, value in (("classes", classes), ("returns", returns))
+            if value is not None
         ]
         raise InputError(
             f"expected points with {' and '.join(filters)}, got none: the file has {_format_counts('class', present)};"
@@ -153,13 +155,20 @@ def _filter_records(
     return records[keep]
 
 
+def _listed(wanted: str | Collection[int]) -> str:
+    """Return the wanted numbers as text, as on the command line."""
+    if isinstance(wanted, str) or not isinstance(wanted, Collection):
+        return repr(wanted)
+    return ",".join(map(str, wanted)) or "none"
+
+
 def _parse_numbers(what: str, wanted: str | Collection[int]) -> list[int]:
     try:
         numbers = [int(number) for number in (wanted.split(",") if isinstance(wanted, str) else wanted)]
     except (TypeError, ValueError):
         numbers = []
     if not numbers or not all(0 <= number <= 255 for number in numbers):
-        raise InputError(f"expected {what} numbers from 0 to 255, such as 2,6; got {str(wanted)[:40]!r}")
+        raise InputError(f"expected {what} numbers from 0 to 255, such as 2,6; got {_listed(wanted)[:40]}")
     return numbers
 
 

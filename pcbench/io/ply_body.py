@@ -85,9 +85,11 @@ def _tables(body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Se
     start = 0
     for element in header.elements:
         tables[element.name], start = _table(body, start, element, selection[element.name])
-    if start < len(body):
+    if bytes(body[start:]).strip():  # some programs end binary files with a line break
+        left = len(body) - start
         raise InputError(
-            f"expected the end of the file after the last element, got {len(body) - start} more bytes: export it again"
+            f"expected the end of the file after the last element, got {left} more byte{'s' * (left > 1)}: export it"
+            " again"
         )
     return tables
 

@@ -122,7 +122,8 @@ def _positive(values: Any) -> list[float]:
     except (TypeError, ValueError, OverflowError):
         numbers = []
     if not numbers or not all(np.isfinite(v) and v > 0 for v in numbers):
-        raise InputError(f"expected thresholds as positive lengths, in a tuple or list, got {values!r}")
+        got = ", ".join(map(str, values)) if isinstance(values, tuple | list) and values else repr(values)
+        raise InputError(f"expected thresholds as one or more lengths above 0, such as 0.1 and 0.5; got {got}")
     return numbers
 
 

@@ -118,6 +118,14 @@ def _points(values: ArrayLike, name: str) -> FloatArray:
     return points
 
 
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
     """Return the names, the six coordinates per name, and whether a comment states that z is up."""
     try:
@@ -133,9 +141,11 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
         try:
             rows.append([float(word) for word in words[1:]])
         except ValueError:
-            if not rows and number == 1:  # a header line
+            if number == 1 and not any(map(_is_number, words[1:])):  # a header line
                 continue
-            raise InputError(f"{path}: line {number}: expected a name and six numbers, got {line.strip()!r}") from None
+            raise InputError(
+                f"{path}: line {number}: expected a name and six numbers, got {line.strip()!r}: correct the line"
+            ) from None
         if len(words) != 7 or not np.isfinite(rows[-1]).all():
             raise InputError(f"{path}: line {number}: expected a name and six finite numbers, got {line.strip()!r}")
         names.append(words[0])

@@ -175,8 +175,9 @@ def _iterate(
         T = delta @ T
         if settings.with_scale and not _SCALE_RANGE[0] < T.scale < _SCALE_RANGE[1]:
             raise RegistrationError(
-                f"the scale left {_SCALE_RANGE} (got {T.scale:.3g}): `similarity` only refines a scale that is nearly"
-                " right; give an initial one with --register points:FILE or matrix:FILE"
+                f"expected a scale between {_SCALE_RANGE[0]:g} and {_SCALE_RANGE[1]:g}, got {T.scale:.3g}:"
+                " `similarity` only refines a scale that is nearly right; give an initial one with --register"
+                " points:FILE or matrix:FILE"
             )
         tolerance = max(0.05 * pairs.sigma / np.sqrt(total), 1e-12 * extent)
         # Matches keep flipping at the noise level, so lack of progress also ends the iteration.

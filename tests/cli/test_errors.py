@@ -31,7 +31,7 @@ BAD_INPUTS = {
     "no overlap": ("compare ref.ply far.ply", "does not overlap"),
     "no overlap as it is": ("compare ref.ply far.ply --register none", "does not overlap"),
     "bad thresholds": ("compare ref.ply a.ply --thresholds a,b", "--thresholds"),
-    "negative threshold": ("compare ref.ply a.ply --thresholds=-1", "thresholds as positive lengths"),
+    "negative threshold": ("compare ref.ply a.ply --thresholds=-1", "thresholds as one or more lengths above 0"),
     "unknown preset": ("compare ref.ply a.ply --preset x", "unknown preset"),
     "no settings": ("compare --settings no.json", "no.json"),
     "not settings": ("compare --settings ref.ply", "ref.ply"),

@@ -266,3 +266,12 @@ def test_written_header(tmp_path):
         "property double x\nproperty double y\nproperty double z\nproperty short i\n"
     )
     assert len(body) == 2 * 26
+
+
+def test_a_line_break_after_a_binary_body_is_no_data(tmp_path):
+    """Some programs end every file with one."""
+    points = np.arange(12.0).reshape(4, 3)
+    write_cloud(tmp_path / "a.ply", Cloud(points))
+    with (tmp_path / "a.ply").open("ab") as file:
+        file.write(b"\n")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply").points, points)

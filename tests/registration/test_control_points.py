@@ -78,3 +78,13 @@ def test_control_points_without_scale_are_rigid():
 def test_invalid_control_points_are_refused(arguments):
     with check_error():
         ControlPoints(*arguments)
+
+
+def test_a_mistyped_first_line_is_not_a_header(tmp_path):
+    """Its point would be missing without a word."""
+    path = tmp_path / "control.txt"
+    path.write_text("mast -l20 80 24 1 2 3\na 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\n")
+    with check_error():
+        ControlPoints.read(path)
+    path.write_text("name x y z x_ref y_ref z_ref\na 0 0 0 0 0 0\nb 1 0 0 1 0 0\nc 0 1 0 0 1 0\n")
+    assert len(ControlPoints.read(path).names) == 3
