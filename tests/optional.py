@@ -1,6 +1,7 @@
 """Optional libraries: skip tests without one, and simulate machines on which one cannot be loaded.
 
-As a program it lists the libraries of pcbench and its tests that cannot be imported here.
+As a program it lists the libraries of pcbench and its tests that cannot be imported here, except the stress study's
+peers, which no extra installs.
 """
 
 import os
@@ -15,6 +16,7 @@ from pcbench.extras import LIBRARIES, import_problem, require
 NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 SYSTEM_LIBRARIES = ("libusb-1.0.so.0", "libGL.so.1", *_OPENGL)
+_PEERS = ("fricp_cpp", "point_cloud_utils", "small_gicp")  # compared in the stress study if they are installed
 _TEST_LIBRARIES = ("laspy", "pymeshlab", "skimage.metrics", "nbclient")
 
 
@@ -54,5 +56,6 @@ def break_system_libraries(folder, names=SYSTEM_LIBRARIES):
 
 
 if __name__ == "__main__":
-    problems = [line for library in (*LIBRARIES, *_TEST_LIBRARIES) if (line := import_problem(library))]
+    required = (library for library in (*LIBRARIES, *_TEST_LIBRARIES) if library not in _PEERS)
+    problems = [line for library in required if (line := import_problem(library))]
     sys.exit("\n".join(problems) or 0)
