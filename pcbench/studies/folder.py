@@ -85,6 +85,23 @@ def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Ite
         yield
 
 
+@contextmanager
+def study_document(path: Path, schema: str) -> Iterator[dict[str, Any]]:
+    """Read the document of a study; errors of the block that interprets its values mean that the file is damaged.
+
+    Raises:
+        InputError: the file has another schema or is damaged.
+        OSError: the file cannot be read.
+    """
+    values = read_json(path)
+    if not isinstance(values, dict) or values.get("schema") != schema:
+        raise InputError(f"{path}: expected the schema {schema}")
+    try:
+        yield values
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
+
+
 def read_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the values that `write_record` saved for the same inputs, or None."""
     try:

@@ -11,6 +11,7 @@ from pcbench import register
 from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
+from pcbench.studies.stress.methods import Lengths, open3d_features
 
 MAX_DISTANCES = (20.0, 6.0, 2.0)
 VOXEL, FEATURE_VOXEL = 0.5, 2.0
@@ -109,43 +110,10 @@ def register_with_kiss(reference: FloatArray, candidate: FloatArray) -> MethodRe
 
 def feature_method(solver: str) -> Method:
     """Return Open3D's FPFH with RANSAC or FGR and the parameters of its tutorial, then its point-to-plane ICP."""
-    from open3d import geometry, utility
-    from open3d.pipelines import registration as o3d
 
     def run(reference: FloatArray, candidate: FloatArray) -> MethodResult:
-        utility.random.seed(0)
-        v, clouds, features = FEATURE_VOXEL, [], []
-        for points in (candidate, reference):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(v)
-            cloud.estimate_normals(geometry.KDTreeSearchParamHybrid(2 * v, 30))
-            clouds.append(cloud)
-            features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
-        if solver == "FGR":
-            options = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
-            result = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
-        else:
-            checkers = [
-                o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
-            ]
-            result = o3d.registration_ransac_based_on_feature_matching(
-                *clouds,
-                *features,
-                True,
-                1.5 * v,
-                o3d.TransformationEstimationPointToPoint(False),
-                3,
-                checkers,
-                o3d.RANSACConvergenceCriteria(100_000, 0.999),
-            )
-        fine_clouds = []
-        for points in (candidate, reference):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(VOXEL)
-            cloud.estimate_normals(geometry.KDTreeSearchParamKNN(20))
-            fine_clouds.append(cloud)
-        plane = o3d.TransformationEstimationPointToPlane()
-        result = o3d.registration_icp(*fine_clouds, MAX_DISTANCES[-1], result.transformation, plane)
-        return MethodResult(_rigid(result.transformation), result.fitness >= MIN_MATCHED_SHARE)
+        result = open3d_features(reference, candidate, solver, 0, Lengths(VOXEL, FEATURE_VOXEL, MAX_DISTANCES))
+        return MethodResult(result.T_reference_candidate, not result.doubtful)
 
     return run
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.deformation import Bin, Deformation, Growth, Trend
-from pcbench.errors import InputError
 from pcbench.geometry.cameras import Intrinsics
-from pcbench.io.files import read_json
+from pcbench.studies.folder import study_document
 
 SCHEMA = "pcbench.experiment.bend/1"
 DOCUMENT = "experiment.json"
@@ -178,11 +177,7 @@ def read_study(folder: Path) -> BendStudy:
         InputError: the file has another schema or is damaged.
         OSError: the file cannot be read.
     """
-    path = folder / DOCUMENT
-    values = read_json(path)
-    if not isinstance(values, dict) or values.get("schema") != SCHEMA:
-        raise InputError(f"{path}: expected the schema {SCHEMA}")
-    try:
+    with study_document(folder / DOCUMENT, SCHEMA) as values:
         scene = values["scene"]
         return BendStudy(
             SurveyedScene(scene["path"], scene["images"], _lens(scene["lens"]), scene["unit"]),
@@ -191,8 +186,6 @@ def read_study(folder: Path) -> BendStudy:
             tuple(values["sentences"]),
             values["provenance"],
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
 def _field_values(of: Any) -> dict[str, Any]:

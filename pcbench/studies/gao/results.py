@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError
-from pcbench.io.files import read_json
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
+from pcbench.studies.folder import study_document
 from pcbench.studies.gao.plan import MVS
 
 SCHEMA = "pcbench.experiment.gao/1"
@@ -247,14 +246,9 @@ def read_study(folder: Path) -> GaoStudy:
         InputError: the file has another schema or is damaged.
         OSError: the file cannot be read.
     """
-    values: dict[str, Any] = read_json(folder / DOCUMENT)
-    if not isinstance(values, dict) or values.get("schema") != SCHEMA:
-        raise InputError(f"{folder / DOCUMENT}: expected the schema {SCHEMA}")
-    try:
+    with study_document(folder / DOCUMENT, SCHEMA) as values:
         scenes = tuple(_scene(scene) for scene in values["scenes"])
         return GaoStudy(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{folder / DOCUMENT}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
 def _scene(values: dict[str, Any]) -> SceneResult:

@@ -93,7 +93,7 @@ def missing_method(name: str, modules: Iterable[str]) -> MissingMethod | None:
 
 
 @dataclass(frozen=True)
-class _Lengths:
+class Lengths:
     """Parameters of other libraries, in the clouds' unit."""
 
     voxel: float
@@ -101,7 +101,8 @@ class _Lengths:
     max_distances: tuple[float, ...]
 
     @classmethod
-    def of(cls, reference: FloatArray) -> _Lengths:
+    def of(cls, reference: FloatArray) -> Lengths:
+        """Return parameters that are scaled to a reference (N, 3)."""
         spacing, extent = median_spacing(Index(reference)), extent_of(reference)
         shortest = _MIN_SPACINGS * spacing
         distances = tuple(max(shortest, share * extent) for share in _MAX_DISTANCE_SHARES)
@@ -123,7 +124,7 @@ def _ours(method: str) -> Register:
 def _open3d_icp(kind: str) -> Register:
     def run(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
         o3d = require("open3d.pipelines.registration")
-        lengths = _Lengths.of(reference)
+        lengths = Lengths.of(reference)
         fixed, moving = (_open3d_cloud(points, lengths.voxel) for points in (reference, candidate))
         criteria = o3d.ICPConvergenceCriteria(max_iteration=_MAX_ITERATIONS)
         T, result = np.eye(4), None
@@ -140,42 +141,54 @@ def _open3d_icp(kind: str) -> Register:
     return run
 
 
-def _open3d_features(solver: str) -> Register:
-    """Return FPFH features with RANSAC or FGR and the parameters of Open3D's tutorial, then its point-to-plane ICP."""
+def open3d_features(
+    reference: FloatArray, candidate: FloatArray, solver: str, seed: int, lengths: Lengths
+) -> PoseResult:
+    """Register by FPFH features with RANSAC or FGR and the parameters of Open3D's tutorial, then by its ICP.
 
+    Args:
+        reference: (N, 3) points of the reference.
+        candidate: (M, 3) points of the candidate.
+        solver: `RANSAC` or `FGR`.
+        seed: random seed of Open3D.
+        lengths: voxels and maximum correspondence distances.
+    """
+    o3d, utility = require("open3d.pipelines.registration"), require("open3d.utility")
+    geometry = require("open3d.geometry")
+    utility.random.seed(seed)
+    v, clouds, features = lengths.feature_voxel, [], []
+    for points in (candidate, reference):
+        cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(v)
+        cloud.estimate_normals(geometry.KDTreeSearchParamHybrid(2 * v, 30))
+        clouds.append(cloud)
+        features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
+    if solver == "FGR":
+        options = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
+        found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
+    else:
+        checkers = [
+            o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
+        ]
+        found = o3d.registration_ransac_based_on_feature_matching(
+            *clouds,
+            *features,
+            True,
+            1.5 * v,
+            o3d.TransformationEstimationPointToPoint(False),
+            3,
+            checkers,
+            o3d.RANSACConvergenceCriteria(100_000, 0.999),
+        )
+    moving, fixed = (_open3d_cloud(points, lengths.voxel) for points in (candidate, reference))
+    plane = o3d.TransformationEstimationPointToPlane()
+    result = o3d.registration_icp(moving, fixed, lengths.max_distances[-1], found.transformation, plane)
+    return _judged(result.transformation, result.fitness)
+
+
+def _open3d_features(solver: str) -> Register:
     def run(reference: FloatArray, candidate: FloatArray, seed: int) -> PoseResult:
-        o3d, utility = require("open3d.pipelines.registration"), require("open3d.utility")
-        geometry = require("open3d.geometry")
-        utility.random.seed(seed)
-        lengths = _Lengths.of(reference)
-        v, clouds, features = lengths.feature_voxel, [], []
-        for points in (candidate, reference):
-            cloud = geometry.PointCloud(utility.Vector3dVector(points)).voxel_down_sample(v)
-            cloud.estimate_normals(geometry.KDTreeSearchParamHybrid(2 * v, 30))
-            clouds.append(cloud)
-            features.append(o3d.compute_fpfh_feature(cloud, geometry.KDTreeSearchParamHybrid(5 * v, 100)))
-        if solver == "FGR":
-            options = o3d.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * v)
-            found = o3d.registration_fgr_based_on_feature_matching(*clouds, *features, options)
-        else:
-            checkers = [
-                o3d.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                o3d.CorrespondenceCheckerBasedOnDistance(1.5 * v),
-            ]
-            found = o3d.registration_ransac_based_on_feature_matching(
-                *clouds,
-                *features,
-                True,
-                1.5 * v,
-                o3d.TransformationEstimationPointToPoint(False),
-                3,
-                checkers,
-                o3d.RANSACConvergenceCriteria(100_000, 0.999),
-            )
-        moving, fixed = (_open3d_cloud(points, lengths.voxel) for points in (candidate, reference))
-        plane = o3d.TransformationEstimationPointToPlane()
-        result = o3d.registration_icp(moving, fixed, lengths.max_distances[-1], found.transformation, plane)
-        return _judged(result.transformation, result.fitness)
+        return open3d_features(reference, candidate, solver, seed, Lengths.of(reference))
 
     return run
 
@@ -183,7 +196,7 @@ def _open3d_features(solver: str) -> Register:
 def _small_gicp(kind: str) -> Register:
     def run(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
         library = require("small_gicp")
-        lengths = _Lengths.of(reference)
+        lengths = Lengths.of(reference)
         target, tree = library.preprocess_points(reference, lengths.voxel, num_threads=1)
         source, _tree = library.preprocess_points(candidate, lengths.voxel, num_threads=1)
         T, result = np.eye(4), None
@@ -208,7 +221,7 @@ def _small_gicp(kind: str) -> Register:
 def _fricp(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
     library = require("fricp_cpp")
     library.set_num_threads(1)
-    lengths = _Lengths.of(reference)
+    lengths = Lengths.of(reference)
     fixed, moving = (_open3d_cloud(points, lengths.voxel) for points in (reference, candidate))
     found = library.registration_icp(moving, fixed, init=np.eye(4), estimation_method="point_to_plane")
     evaluation = library.evaluate_registration(moving, fixed, lengths.max_distances[-1], found.transformation)
@@ -218,7 +231,7 @@ def _fricp(reference: FloatArray, candidate: FloatArray, _: int) -> PoseResult:
 def _kiss(reference: FloatArray, candidate: FloatArray, seed: int) -> PoseResult:
     """Run KISS-Matcher with its defaults, then Open3D's point-to-plane ICP."""
     library, o3d = require("kiss_matcher"), require("open3d.pipelines.registration")
-    lengths = _Lengths.of(reference)
+    lengths = Lengths.of(reference)
     matcher = library.KISSMatcher(library.KISSMatcherConfig(lengths.feature_voxel))
     solution = matcher.estimate([*candidate.astype(np.float32)], [*reference.astype(np.float32)])
     if matcher.get_num_final_inliers() < _MIN_KISS_INLIERS:

@@ -13,8 +13,7 @@ from pathlib import Path
 from statistics import NormalDist, median
 from typing import Any, TypeVar
 
-from pcbench.errors import InputError
-from pcbench.io.files import read_json
+from pcbench.studies.folder import study_document
 
 SCHEMA = "pcbench.stress/1"
 DOCUMENT = "stress.json"
@@ -529,11 +528,7 @@ def read_study(folder: Path) -> StressStudy:
         InputError: the file has another schema or is damaged.
         OSError: the file cannot be read.
     """
-    path = folder / DOCUMENT
-    values = read_json(path)
-    if not isinstance(values, dict) or values.get("schema") != SCHEMA:
-        raise InputError(f"{path}: expected the schema {SCHEMA}")
-    try:
+    with study_document(folder / DOCUMENT, SCHEMA) as values:
         return StressStudy(
             settings=StressSettings(**_tuples(values["settings"])),
             scenes=tuple(SceneInfo(**_tuples(row)) for row in values["scenes"]),
@@ -547,8 +542,6 @@ def read_study(folder: Path) -> StressStudy:
             sentences=tuple(values["sentences"]),
             provenance=values["provenance"],
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
 
 
 def registration_cell(values: Mapping[str, Any]) -> RegistrationCell:
