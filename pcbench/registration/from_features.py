@@ -98,7 +98,7 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
             start, fit = poses[1], other
     pose = fit.T_local
     # Assess the complete candidate, not only the part that ICP used.
-    quality = assess_given(target, points, _undo_shift(pose, shift), origin, settings.text, from_any_pose=True).quality
+    quality = assess_given(target, points, _undo_shift(pose, shift), origin, settings.text, source="search").quality
     if quality.contrast is None:
         raise _no_pose_error("the best one overlaps it in too few points", settings)
     if (doubt := next((notice for notice in quality.warnings if notice.code == DOUBTFUL_POSE), None)) is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ _MAX_HOVERING_SHARE = 0.1  # share of near points that float beside the surface,
 _MIN_SIGMAS_OFF = 4.0  # floating points are farther off than this many standard deviations of the residuals
 _MIN_NORMAL_COSINE = 0.9  # floating points lie along the normal, and not beyond the end of the surface
 _MAX_SPACINGS_OFF = 10  # distance of the candidate's nearest quarter, above which a warning is given
+
+PoseSource = Literal["icp", "given", "search"]
 
 
 class Quality(NamedTuple):
@@ -140,8 +142,7 @@ def with_doubt(
     quality: Quality,
     *,
     with_scale: bool,
-    pose_is_given: bool = False,
-    from_any_pose: bool = False,
+    source: PoseSource = "icp",
 ) -> Quality:
     """Complete the quality of a pose with a warning if the pose may be wrong, or the candidate is blurred.
 
@@ -154,15 +155,15 @@ def with_doubt(
         T: pose between local coordinates.
         quality: result of `assess`.
         with_scale: whether the scale was solved for.
-        pose_is_given: whether the pose was given by the user.
-        from_any_pose: whether the pose is the best of many. A part of a regular city may slide onto another part, and
-            restarts then return; but the residuals are larger than the candidate is rough.
+        source: where the pose comes from. The best of many poses (`search`) has to pass a further test: a part of a
+            regular city may slide onto another part, and restarts then return; but the residuals are larger than the
+            candidate is rough.
     """
     share = quality.contrast
     is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
     if share is None or (share >= SURE_CONTRAST and not is_weak):
         return quality
-    name = "the given pose" if pose_is_given else "the pose"
+    name = "the given pose" if source == "given" else "the pose"
     at_noise = share
     if MIN_CONTRAST <= share < DOUBTFUL_CONTRAST:
         at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
@@ -172,7 +173,7 @@ def with_doubt(
             " displacement costs the reference itself"
         )
         return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
-    if from_any_pose:
+    if source == "search":
         own_roughness = T.scale * roughness(random_sample[:_ROUGHNESS_SAMPLE])
         if quality.rmse > own_roughness:
             text = (
@@ -237,7 +238,7 @@ def assess_given(
     origin: FloatArray,
     text: str,
     *,
-    from_any_pose: bool = False,
+    source: PoseSource = "given",
 ) -> Fit:
     """Assess a given pose in the same way as a fitted one.
 
@@ -247,7 +248,7 @@ def assess_given(
         T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
         text: method text for the error message.
-        from_any_pose: whether the pose was found among all poses, instead of given by the user.
+        source: `given` by the user, or found by a `search` over all poses.
 
     Raises:
         RegistrationError: the bounding boxes do not overlap.
@@ -270,18 +271,8 @@ def assess_given(
         )
     random_sample, with_scale = random_rows(points, MAX_RANDOM_SAMPLE), T_local.scale != 1
     quality = assess(target, sample, random_sample, T_local, plane=True, with_scale=with_scale)
-    return Fit(
-        T_local,
-        with_doubt(
-            target,
-            random_sample,
-            T_local,
-            quality,
-            with_scale=False,
-            pose_is_given=not from_any_pose,
-            from_any_pose=from_any_pose,
-        ),
-    )
+    quality = with_doubt(target, random_sample, T_local, quality, with_scale=False, source=source)
+    return Fit(T_local, quality)
 
 
 class _SampleMatches(NamedTuple):
