@@ -98,16 +98,16 @@ def effective_count(geometry: Geometry, noise: Noise) -> float:
 
 def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     """RMS of the smallest dome that is detected with power `DETECTION_POWER`; None if domes are not observable."""
-    dome = _Kind.of(geometry, "dome")
-    return None if dome is None else dome.rms * _detectable_factor(geometry, noise, dome)
+    kind = _Kind.of(geometry, "dome")
+    return None if kind is None else kind.rms * _NullDistribution.of(geometry, noise).detectable_factor(kind)
 
 
 def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tuple[DetectableSize, ...]:
     """Return the smallest detectable size of each kind of deformation; negligible sizes are not stated."""
-    sizes = []
+    null, sizes = _NullDistribution.of(geometry, noise), []
     for name in KINDS:
         kind = _Kind.of(geometry, name)
-        factor = 0.0 if kind is None else _detectable_factor(geometry, noise, kind)
+        factor = math.inf if kind is None else null.detectable_factor(kind)
         if kind is None or not math.isfinite(factor):
             sizes.append(DetectableSize(name))
             continue
@@ -135,22 +135,35 @@ class _Kind(NamedTuple):
         return cls(modes, math.sqrt(power / geometry.total), math.sqrt(length))
 
 
-def _detectable_factor(geometry: Geometry, noise: Noise, kind: _Kind) -> float:
-    """Return the factor by which a kind has to be multiplied to be detected; infinite if none is enough."""
-    covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
-    limit = chi_squares_quantile(MAX_P_SIGNIFICANT, np.linalg.eigvalsh(covariance).astype(np.float64))
-    base, scatter = float(np.trace(covariance)), 2 * float((covariance**2).sum())
-    power, along = float(kind.modes @ kind.modes), float(kind.modes @ covariance @ kind.modes)
-    low, high = 0.0, 1.0
-    while base + high * power - _POWER_Z * math.sqrt(scatter + 4 * high * along) < limit:
-        high *= 2
-        if high > 1e300:
-            return math.inf
-    for _ in range(100):
-        middle = (low + high) / 2
-        found = base + middle * power - _POWER_Z * math.sqrt(scatter + 4 * middle * along) >= limit
-        low, high = (low, middle) if found else (middle, high)
-    return math.sqrt(high)
+class _NullDistribution(NamedTuple):
+    """Distribution of the test statistic under noise alone: the covariance of the modes, and the critical value."""
+
+    covariance: FloatArray
+    limit: float
+
+    @classmethod
+    def of(cls, geometry: Geometry, noise: Noise) -> _NullDistribution:
+        covariance = geometry.covariance(geometry.step("affine", "cubic"), noise)
+        weights = np.linalg.eigvalsh(covariance).astype(np.float64)
+        return cls(covariance, chi_squares_quantile(MAX_P_SIGNIFICANT, weights))
+
+    def detectable_factor(self, kind: _Kind) -> float:
+        """Return the factor by which a kind has to be multiplied to be detected; infinite if none is enough."""
+        base, scatter = float(np.trace(self.covariance)), 2 * float((self.covariance**2).sum())
+        power, along = float(kind.modes @ kind.modes), float(kind.modes @ self.covariance @ kind.modes)
+
+        def is_found(square: float) -> bool:
+            return base + square * power - _POWER_Z * math.sqrt(scatter + 4 * square * along) >= self.limit
+
+        low, high = 0.0, 1.0
+        while not is_found(high):
+            high *= 2
+            if high > 1e300:
+                return math.inf
+        for _ in range(100):
+            middle = (low + high) / 2
+            low, high = (low, middle) if is_found(middle) else (middle, high)
+        return math.sqrt(high)
 
 
 def observable_shares(sums: TileSums, tile: IntArray) -> Observable:
