@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
+from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.deformation.size import DETECTION_POWER, MAX_P_SIGNIFICANT
 from pcbench.measure.deviation import M3C2, Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
@@ -288,8 +289,9 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
         yield Quantity("deformation_max", "", text, size.max, section="deformation")
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
-    least = bend.minimum_detectable_rms
-    yield replace(cell, metric="minimum_detectable_rms", definition=text, value=least, second=True)
+    yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
+    text = f"RMS of a dome that is detected and exceeds {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
+    yield replace(cell, metric="detectable_rms", definition=text, value=bend.size_limit, second=True)
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:

@@ -189,7 +189,7 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
         return
     changes = bend.local
     axis.set_title(
-        f"local changes: {changes.tiles_changed} of {changes.tiles_tested} tiles (orange frame; false discovery rate"
+        f"changed tiles: {changes.tiles_changed} of {changes.tiles_tested} (orange; false discovery rate"
         f" {100 * changes.fdr:g} %)",
         fontsize=10,
         loc="left",
