@@ -77,7 +77,7 @@ def regular_status(path: str | os.PathLike[str]) -> os.stat_result:
 
 
 def is_regular_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a regular file of this name exists; False for text that cannot be a file name."""
+    """Return whether a regular file of this name exists; False for text that cannot be a file name."""
     try:
         regular_status(path)
     except (InputError, OSError):
@@ -86,7 +86,7 @@ def is_regular_file(path: str | os.PathLike[str]) -> bool:
 
 
 def has_entry(path: Path) -> bool:
-    """Whether a path exists and is not a folder.
+    """Return whether a path exists and is not a folder.
 
     Unlike `Path.is_file` this includes pipes, devices and broken links, so that callers refuse them instead of ignoring
     them.

@@ -77,7 +77,7 @@ def open_folder(path: Path) -> int | None:
 
 
 def is_owned_by_user(status: os.stat_result) -> bool:
-    """Whether a file belongs to the user of this process; True on systems without users."""
+    """Return whether a file belongs to the user of this process; True on systems without users."""
     return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()
 
 

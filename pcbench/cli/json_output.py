@@ -31,7 +31,7 @@ class JsonOutput:
 
     @property
     def on_stdout(self) -> bool:
-        """Whether the document goes to standard output, which then gets nothing else."""
+        """Return whether the document goes to standard output, which then gets nothing else."""
         return self.target == "-"
 
     @property

@@ -149,7 +149,7 @@ quiet_option = click.option("--quiet", "-q", is_flag=True, help="Print only erro
 
 
 def is_given(context: click.Context, name: str) -> bool:
-    """Whether the user set an option, even to its default."""
+    """Return whether the user set an option, even to its default."""
     return context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
 
 

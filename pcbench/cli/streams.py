@@ -45,7 +45,7 @@ def finish_output() -> None:
 
 
 def is_of_a_stream(error: OSError) -> bool:
-    """Whether an OSError belongs to a standard stream.
+    """Return whether an OSError belongs to a standard stream.
 
     It then has no file name; writers of files add theirs (`scratch.attribute_errors_to`).
     """

@@ -58,7 +58,7 @@ class Side:
 
     @property
     def is_metric(self) -> bool:
-        """Whether the scale is known, from a unit or a coordinate system."""
+        """Return whether the scale is known, from a unit or a coordinate system."""
         return self.cloud.unit is not None or self.cloud.crs is not None
 
     def class_weights(self, rows: IntArray) -> FloatArray:

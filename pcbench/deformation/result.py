@@ -361,7 +361,7 @@ class Deformation:
 
     @property
     def has_moved_part(self) -> bool:
-        """Whether a part of the scene moved by itself, far beyond the noise."""
+        """Return whether a part of the scene moved by itself, far beyond the noise."""
         return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:

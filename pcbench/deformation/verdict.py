@@ -45,12 +45,12 @@ class Evidence(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        """Whether the larger model is needed."""
+        """Return whether the larger model is needed."""
         return self.p <= MAX_P_SIGNIFICANT
 
     @property
     def doubtful(self) -> bool:
-        """Whether the evidence is too weak for a decision."""
+        """Return whether the evidence is too weak for a decision."""
         return MAX_P_SIGNIFICANT < self.p <= _MAX_P_DOUBTFUL
 
 
@@ -92,7 +92,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         return least_significant([compare_models(view, smaller, larger) for view in views])
 
     def exceeds(smaller: str, larger: str, limit: float, *, upper: bool = False) -> bool:
-        """Whether the size of the larger model's part, or the end of its interval, exceeds a limit in each view."""
+        """Return whether the size of the larger model's part, or the end of its interval, exceeds a limit in each view."""
         for view in views:
             step = view.geometry.step(smaller, larger)
             if not step.modes.shape[1]:

@@ -68,7 +68,7 @@ def freeze(array: _Array) -> _Array:
 
 
 def is_frozen(array: NDArray[Any]) -> bool:
-    """Whether neither the array nor any array that it is a view of is writable."""
+    """Return whether neither the array nor any array that it is a view of is writable."""
     part: Any = array
     while isinstance(part, np.ndarray):
         if part.flags.writeable:

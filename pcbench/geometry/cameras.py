@@ -57,7 +57,7 @@ class Intrinsics:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether the lens has no distortion."""
+        """Return whether the lens has no distortion."""
         return not any(self.distortion)
 
     @property

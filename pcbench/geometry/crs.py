@@ -16,7 +16,7 @@ _MAX_LABEL_LENGTH = 100
 
 
 def same_crs(first: str, second: str) -> bool:
-    """Whether two texts name the same CRS. Without pyproj, this is only true of equal texts."""
+    """Return whether two texts name the same CRS. Without pyproj, this is only true of equal texts."""
     if first == second:
         return True
     a, b = _parse_crs(first), _parse_crs(second)
@@ -49,12 +49,12 @@ def crs_label(text: str) -> str:
 
 
 def is_known_crs(text: str | None) -> bool:
-    """Whether pyproj is installed and knows the CRS."""
+    """Return whether pyproj is installed and knows the CRS."""
     return text is not None and _parse_crs(text) is not None
 
 
 def is_projected_crs(text: str | None) -> bool:
-    """Whether the CRS is projected, alone or with a vertical CRS, so that z is a height."""
+    """Return whether the CRS is projected, alone or with a vertical CRS, so that z is a height."""
     crs = None if text is None else _parse_crs(text)
     if crs is None:
         return False

@@ -87,7 +87,7 @@ class Mesh:
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every edge is shared by exactly two faces that traverse it in opposite directions.
+        """Return whether every edge is shared by exactly two faces that traverse it in opposite directions.
 
         A face that repeats a vertex is ignored: it has no interior, and its neighbours meet at its only edge.
         """
@@ -160,7 +160,7 @@ class MeshIndex:
 
     @cached_property
     def supports_signed_distance(self) -> bool:
-        """Whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""
+        """Return whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""
         try:
             return bool(self._pseudo_normals)
         except InputError:

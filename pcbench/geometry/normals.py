@@ -79,7 +79,7 @@ class Surface:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the normals of all points are available."""
+        """Return whether the normals of all points are available."""
         return self._is_complete
 
     def normals(self, rows: IntArray) -> FloatArray:

@@ -61,7 +61,7 @@ def splat_model(cloud: Cloud) -> SplatModel | None:
 
 
 def is_splat_attribute(name: str) -> bool:
-    """Whether an attribute of this name belongs to the splat, as in the PLY files of Kerbl et al. 2023."""
+    """Return whether an attribute of this name belongs to the splat, as in the PLY files of Kerbl et al. 2023."""
     return name == "opacity" or name.startswith(("scale_", "rot_", "f_dc_", "f_rest_"))
 
 

@@ -75,7 +75,7 @@ def read_cloud(
 
 
 def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
-    """Whether an argument is the path of a cloud rather than a cloud or an array."""
+    """Return whether an argument is the path of a cloud rather than a cloud or an array."""
     return isinstance(value, str | os.PathLike)
 
 

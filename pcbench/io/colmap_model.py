@@ -36,7 +36,7 @@ MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # written by `write
 
 
 def is_colmap_model(folder: Path) -> bool:
-    """Whether a folder contains the cameras and images files of a model, text or binary."""
+    """Return whether a folder contains the cameras and images files of a model, text or binary."""
     return any(has_entry(folder / f"cameras{e}") and has_entry(folder / f"images{e}") for e in (".bin", ".txt"))
 
 

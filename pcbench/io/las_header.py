@@ -82,7 +82,7 @@ class LasHeader:
 
     @property
     def is_extended(self) -> bool:
-        """Whether this is one of the point formats 6 to 10, with wider return numbers and classes."""
+        """Return whether this is one of the point formats 6 to 10, with wider return numbers and classes."""
         return self.point_format >= 6
 
     @property

@@ -31,7 +31,7 @@ def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | 
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
+    """Return whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
     path = Path(path)
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in MESHES
@@ -43,7 +43,7 @@ def holds_mesh(path: str | os.PathLike[str]) -> bool:
 
 
 def is_mesh_only(path: str | os.PathLike[str]) -> bool:
-    """Whether the file's format stores meshes but not clouds."""
+    """Return whether the file's format stores meshes but not clouds."""
     suffix = Path(path).suffix.lower()
     return suffix in MESHES and suffix not in CLOUDS
 

@@ -38,7 +38,7 @@ class OpenMvsScene(NamedTuple):
 
 
 def is_openmvs(path: Path) -> bool:
-    """Whether a file is an OpenMVS scene, by its extension."""
+    """Return whether a file is an OpenMVS scene, by its extension."""
     return path.suffix.lower() == ".mvs"
 
 

@@ -62,7 +62,7 @@ def read_ply(path: Path, warn: Warn) -> Fields:
 
 
 def has_faces(path: Path) -> bool:
-    """Whether a PLY file has faces. Only the header is read.
+    """Return whether a PLY file has faces. Only the header is read.
 
     Raises:
         InputError: the file does not start with a PLY header.

@@ -293,7 +293,7 @@ def _merge_duplicates(pair: CroppedPair) -> CroppedPair:
 
 
 def _has_duplicates(points: FloatArray) -> bool:
-    """Whether two points are bitwise equal; false positives are rare (a 64-bit hash per point)."""
+    """Return whether two points are bitwise equal; false positives are rare (a 64-bit hash per point)."""
     bits = (points + 0.0).view(np.uint64)  # + 0.0: the two zeros become one
     key = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
     key ^= (bits[:, 1] + np.uint64(0x7F4A7C15)) * np.uint64(0xC2B2AE3D27D4EB4F)

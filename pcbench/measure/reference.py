@@ -119,7 +119,7 @@ class Reference:
 
     @property
     def has_normals(self) -> bool:
-        """Whether the points have normals or there are enough to estimate them."""
+        """Return whether the points have normals or there are enough to estimate them."""
         return len(self.points) >= 3 or self.surface.is_complete
 
     def summary(self) -> ReferenceSummary:

@@ -273,7 +273,7 @@ class CandidateComparisons:
         raise KeyError(f"no candidate {name!r}: there are {', '.join(c.name for c in self.candidates)}")
 
     def __contains__(self, name: object) -> bool:
-        """Whether a candidate has that name."""
+        """Return whether a candidate has that name."""
         return any(candidate.name == name for candidate in self.candidates)
 
     def __iter__(self) -> Iterator[Candidate]:

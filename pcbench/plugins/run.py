@@ -203,7 +203,7 @@ def record_output(workspace: Path, out: Path) -> None:
 
 
 def is_recorded_output(workspace: Path, out: Path) -> bool:
-    """Whether a file is the unchanged output of an earlier run in the workspace, which may be replaced."""
+    """Return whether a file is the unchanged output of an earlier run in the workspace, which may be replaced."""
     try:
         return (workspace / _OUTPUT_DIGEST_FILE).read_text(encoding="utf-8") == digest(out)
     except (OSError, ValueError):

@@ -75,7 +75,7 @@ def stage_key(folder: Path) -> str | None:
 
 
 def _is_complete(folder: Path, inputs: Mapping[str, Any]) -> bool:
-    """Whether a stage was made from these inputs and its files are unchanged."""
+    """Return whether a stage was made from these inputs and its files are unchanged."""
     try:
         record = json.loads((folder / _RECORD_FILE).read_text(encoding="utf-8"))
         files = [(folder / name, size, known) for name, (size, known) in record["files"].items()]

@@ -84,7 +84,7 @@ class Registration:
 
     @property
     def doubtful(self) -> bool:
-        """Whether any warning says that the pose may be wrong: then no later score can be trusted.
+        """Return whether any warning says that the pose may be wrong: then no later score can be trusted.
 
         Unobservable motions, a missing scale and a small overlap do not make a pose doubtful: they limit how accurately
         a right pose is known. Neither do points beside the surface: outliers and changes cause them under a right pose,

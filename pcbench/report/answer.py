@@ -43,7 +43,7 @@ class _Distance(NamedTuple):
 
     @property
     def is_sampling(self) -> bool:
-        """Whether point spacing explains the distance."""
+        """Return whether point spacing explains the distance."""
         return self.floor is None or self.value <= _MAX_FLOOR_RATIO * self.floor
 
 
@@ -277,7 +277,7 @@ class _Writer:
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
     def _differ(self, a: str, b: str, metric: str) -> bool:
-        """Whether the paired difference of two candidates is significant; True if it is unknown."""
+        """Return whether the paired difference of two candidates is significant; True if it is unknown."""
         for found in self.comparison.differences:
             if found.metric == metric and {found.a, found.b} == {a, b}:
                 return not found.interval.low <= 0 <= found.interval.high

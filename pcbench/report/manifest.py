@@ -50,7 +50,7 @@ _CANDIDATE_PICTURES = (
 
 
 def is_report(folder: Path) -> bool:
-    """Whether the folder has a report, of this version or of an earlier one without a manifest."""
+    """Return whether the folder has a report, of this version or of an earlier one without a manifest."""
     return (
         _listed_files(folder / MANIFEST) is not None
         or str(read_json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
@@ -178,7 +178,7 @@ def _listed_files(manifest: Path) -> set[str] | None:
 
 
 def _is_inside(name: Any) -> bool:
-    """Whether a name is that of a file in a report folder or its `figures`; a manifest may be forged."""
+    """Return whether a name is that of a file in a report folder or its `figures`; a manifest may be forged."""
     if not isinstance(name, str) or "\0" in name:
         return False
     parts = PurePosixPath(name).parts

@@ -65,12 +65,12 @@ def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str
 
 
 def is_open(candidate: Candidate) -> bool:
-    """Whether the geometry leaves a motion of a candidate unconstrained."""
+    """Return whether the geometry leaves a motion of a candidate unconstrained."""
     return any(notice.code == UNOBSERVABLE for notice in candidate.registration.warnings)
 
 
 def overlaps_little(comparison: SourcedComparison, candidate: Candidate) -> bool:
-    """Whether a large part of a candidate lies beyond the reference and is measured nevertheless."""
+    """Return whether a large part of a candidate lies beyond the reference and is measured nevertheless."""
     return comparison.settings.crop == "none" and candidate.registration.overlap < _MIN_OVERLAP
 
 

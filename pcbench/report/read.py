@@ -44,7 +44,7 @@ class ReportedCandidate:
 
     @property
     def has_completeness(self) -> bool:
-        """Whether the report has a completeness map; those of early versions have none."""
+        """Return whether the report has a completeness map; those of early versions have none."""
         return self.completeness_path.is_file()
 
     def completeness(self) -> Cloud | None:

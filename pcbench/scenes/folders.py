@@ -107,7 +107,7 @@ def _openmvs_scene(path: Path) -> Path | None:
 
 
 def is_earth_studio(path: Path) -> bool:
-    """Whether a file is an Earth Studio camera export.
+    """Return whether a file is an Earth Studio camera export.
 
     Raises:
         InputError: the file is not a regular file. The message starts with the path.

@@ -297,7 +297,7 @@ def _intrinsics_error(k: Intrinsics) -> str:
 
 
 def _same_aspect(camera: Size, image: Size) -> bool:
-    """Whether two sizes have the same aspect ratio, up to rounding by one pixel in either size."""
+    """Return whether two sizes have the same aspect ratio, up to rounding by one pixel in either size."""
     scale = image[0] / camera[0]
     return abs(camera[1] * scale - image[1]) <= 1 + scale
 

@@ -65,7 +65,7 @@ class RenderedView:
 
     @property
     def is_test(self) -> bool:
-        """Whether the view was held out."""
+        """Return whether the view was held out."""
         return self.block is not None
 
     def read(self) -> ViewImages:

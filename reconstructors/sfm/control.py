@@ -38,7 +38,7 @@ class ControlPoint(NamedTuple):
 
     @property
     def is_check(self) -> bool:
-        """Whether the point is a check point, marked by a name that ends in *."""
+        """Return whether the point is a check point, marked by a name that ends in *."""
         return self.name.endswith("*")
 
 

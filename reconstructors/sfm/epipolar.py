@@ -32,7 +32,7 @@ class VerifiedPair(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """Whether at least half of the matches agree."""
+        """Return whether at least half of the matches agree."""
         return self.share >= 0.5
 
 
@@ -65,7 +65,7 @@ class Agreement:
 
     @property
     def is_sound(self) -> bool:
-        """Whether hardly any strong pair contradicts the cameras.
+        """Return whether hardly any strong pair contradicts the cameras.
 
         If several do, places that look alike were confused, by the pairs or by the cameras. Matches do not show which.
         """

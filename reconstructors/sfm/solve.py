@@ -46,7 +46,7 @@ class SolvedModel:
 
     @property
     def is_sound(self) -> bool:
-        """Whether hardly any strong pair contradicts the cameras."""
+        """Return whether hardly any strong pair contradicts the cameras."""
         return self.agreement.is_sound
 
     def describe(self) -> str:

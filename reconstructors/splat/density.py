@@ -92,7 +92,7 @@ class Density(Generic[TrainingT]):
         """Change the model through `keep` and `add` of the training; called after each step."""
 
     def is_settled(self, training: TrainingT) -> bool:
-        """Whether the strategy no longer changes the model."""
+        """Return whether the strategy no longer changes the model."""
         return True
 
     def state(self) -> object:
@@ -155,7 +155,7 @@ class Classic(Density[Densifiable]):
             training.optimizer.forget("logits")
 
     def is_settled(self, training: Densifiable) -> bool:
-        """Whether densification has stopped."""
+        """Return whether densification has stopped."""
         return training.step > self.refine_stop_share * training.steps
 
     def _densify(self, training: Densifiable) -> None:

@@ -76,7 +76,7 @@ class PsnrLoss(NamedTuple):
 
     @property
     def is_insignificant(self) -> bool:
-        """Whether the loss is at most one standard error."""
+        """Return whether the loss is at most one standard error."""
         return self.mean <= self.error
 
 
@@ -202,7 +202,7 @@ class Parsimonious(Density["Training"]):
             self._choose(training)
 
     def is_settled(self, training: Training) -> bool:
-        """Whether a model has been selected."""
+        """Return whether a model has been selected."""
         return self.curve is not None
 
     def _evaluate(self, training: Training) -> Budget:

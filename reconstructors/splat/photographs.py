@@ -41,7 +41,7 @@ class Photograph(NamedTuple):
 
     @property
     def has_valid_pixels(self) -> bool:
-        """Whether the mask leaves any pixel."""
+        """Return whether the mask leaves any pixel."""
         return self.valid is None or bool(self.valid.any())
 
     def target(self) -> Tensor:

@@ -222,7 +222,7 @@ class GaussianSplatting:
 
     @property
     def _uses_depths(self) -> bool:
-        """Whether depths supervise the training."""
+        """Return whether depths supervise the training."""
         return self.supervision == "mvs" and self.start == "mvs"
 
     def _initial_reconstruction(self, scene: Scene, workspace: Path) -> Reconstruction:

@@ -47,7 +47,7 @@ class Drawer(NamedTuple):
     documents: tuple[str, ...]
 
     def fits(self, folder: Path) -> bool:
-        """Whether a folder is of this kind."""
+        """Return whether a folder is of this kind."""
         return any((folder / name).is_file() for name in self.documents)
 
 

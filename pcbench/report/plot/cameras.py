@@ -168,7 +168,7 @@ def _rings(positions: FloatArray) -> list[FloatArray]:
 
 
 def _is_closed(ring: FloatArray) -> bool:
-    """Whether the ends of a line (N, 3) are as close as neighbours."""
+    """Return whether the ends of a line (N, 3) are as close as neighbours."""
     longest = np.linalg.norm(np.diff(ring, axis=0), axis=1).max(initial=0)
     return len(ring) > 3 and bool(np.linalg.norm(ring[0] - ring[-1]) < 1.5 * longest)
 
@@ -195,7 +195,7 @@ def _upright_rotation(cameras: list[Camera]) -> tuple[FloatArray, bool]:
 
 
 def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
-    """Whether cameras at positions (N, 3) look in one direction, at right angles to the plane of the positions.
+    """Return whether cameras at positions (N, 3) look in one direction, at right angles to the plane of the positions.
 
     This holds for a nadir survey. A wall photographed from a grid of positions is mistaken for one.
     """

@@ -54,7 +54,7 @@ def _blocks(settings: CitySettings, lines: list[list[Street]], rng: np.random.Ge
 
 
 def _is_rotated_copy(block: Block) -> bool:
-    """Whether a half turn about the origin maps another block to this one; the northern one is the original."""
+    """Return whether a half turn about the origin maps another block to this one; the northern one is the original."""
     x, y = block.low[0] + block.high[0], block.low[1] + block.high[1]
     return y < -1e-6 or (abs(y) <= 1e-6 and x < -1e-6)
 

@@ -321,7 +321,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
 
 
 def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path) -> bool:
-    """Whether a new run with the same inputs would end as the stored one did."""
+    """Return whether a new run with the same inputs would end as the stored one did."""
     # A missing library may be installed by now. A full disk or low memory may have caused a crash.
     if record["status"] in ("refused", "crashed"):
         return False

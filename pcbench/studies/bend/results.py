@@ -76,7 +76,7 @@ class BendVerdict:
 
     @property
     def is_bent(self) -> bool:
-        """Whether the deformation is beyond an affine one and beyond noise."""
+        """Return whether the deformation is beyond an affine one and beyond noise."""
         return self.verdict == "non-affine"
 
     def size_text(self, unit: str = "") -> str:
@@ -156,7 +156,7 @@ class BendStudy:
 
     @property
     def has_measured_bends(self) -> bool:
-        """Whether the deformation of any solution was measured."""
+        """Return whether the deformation of any solution was measured."""
         return bool(measured_bends(self.rows))
 
 

@@ -187,7 +187,7 @@ class SceneResult:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the truth is one of the references."""
+        """Return whether the truth is one of the references."""
         return TRUTH in self.references
 
 

@@ -90,7 +90,7 @@ class SafeRange:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all levels are safe."""
+        """Return whether all levels are safe."""
         return self.safe_levels == len(self.ladder.levels)
 
     @property
@@ -158,7 +158,7 @@ def ladder_success(tally: Tally, ladder: LadderInfo, subject: str) -> Rate:
 
 
 def is_safe(tally: Tally, subject: str) -> bool:
-    """Whether enough runs succeed and none is wrong with confidence."""
+    """Return whether enough runs succeed and none is wrong with confidence."""
     good, confident = tally.rate(*SUCCESS[subject]), tally.rate(*CONFIDENT[subject])
     return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
 

@@ -138,12 +138,12 @@ class LadderInfo:
 
     @property
     def is_map(self) -> bool:
-        """Whether its cells have two coordinates."""
+        """Return whether its cells have two coordinates."""
         return bool(self.second_levels)
 
     @property
     def is_list(self) -> bool:
-        """Whether its levels are cases without an order."""
+        """Return whether its levels are cases without an order."""
         return bool(self.level_names)
 
     def level_text(self, level: float) -> str:
@@ -195,7 +195,7 @@ class MethodInfo:
 
     @property
     def is_ours(self) -> bool:
-        """Whether the method is pcbench's own."""
+        """Return whether the method is pcbench's own."""
         return self.library == "pcbench"
 
 
@@ -270,11 +270,11 @@ class RegistrationCell(Cell):
 
     @property
     def pose_is_right(self) -> bool:
-        """Whether there is a pose within the tolerance."""
+        """Return whether there is a pose within the tolerance."""
         return self.error_rms is not None and self.error_rms <= self.tolerance
 
     def meets(self, preset: Preset) -> bool:
-        """Whether the pose meets a benchmark's criterion; its lengths are metres."""
+        """Return whether the pose meets a benchmark's criterion; its lengths are metres."""
         if self.offset_error is None or self.angle_error_deg is None:
             return False
         return self.offset_error <= preset.offset and self.angle_error_deg <= preset.angle_deg
@@ -308,7 +308,7 @@ class MetricCell(Cell):
 
     @property
     def covers(self) -> bool | None:
-        """Whether the interval contains the exact value; None without an interval.
+        """Return whether the interval contains the exact value; None without an interval.
 
         It is None also where the floor exceeds 30 % of the value: an interval covers random errors, not the spacing.
         """
@@ -348,7 +348,7 @@ class VerdictCell(Cell):
 
     @property
     def is_deformed(self) -> bool:
-        """Whether the true deformation is so large that it has to be found."""
+        """Return whether the true deformation is so large that it has to be found."""
         return self.true_rms > MIN_COUNTED_SIZE * self.noise
 
     @property
@@ -358,7 +358,7 @@ class VerdictCell(Cell):
 
     @property
     def covers(self) -> bool | None:
-        """Whether the interval contains the true RMS; None without an interval."""
+        """Return whether the interval contains the true RMS; None without an interval."""
         return None if self.interval is None else self.interval[0] <= self.true_rms <= self.interval[1]
 
 
