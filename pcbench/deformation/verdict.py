@@ -92,7 +92,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         return least_significant([compare_models(view, smaller, larger) for view in views])
 
     def exceeds(smaller: str, larger: str, limit: float, *, upper: bool = False) -> bool:
-        """Return whether the size of the larger model's part, or the end of its interval, exceeds a limit in each view."""
+        """Return whether the larger model's part, or the end of its interval, exceeds a limit in each view."""
         for view in views:
             step = view.geometry.step(smaller, larger)
             if not step.modes.shape[1]:

@@ -30,7 +30,7 @@ class Configuration:
 
     @property
     def is_reliable(self) -> bool:
-        """Return whether the runs of all seeds were measured. One lucky seed of three does not make a reliable method."""
+        """Return whether all seeds were measured: one lucky seed of three does not make a reliable method."""
         return len(self.measured_rows) == len(self.rows)
 
     def values(self, column: str) -> list[float]:
