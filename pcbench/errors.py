@@ -55,6 +55,17 @@ class Notice:
         return self.text
 
 
+def reason_of(error: BaseException) -> str:
+    """Return why a file cannot be opened and what to do; the error's own text if it has no such reason."""
+    if isinstance(error, FileNotFoundError):
+        return "no such file: check the name and the folder"
+    if isinstance(error, PermissionError):
+        return "no permission: change its permissions, or name another file"
+    if isinstance(error, IsADirectoryError):
+        return "it is a folder: name a file"
+    return getattr(error, "strerror", None) or str(error)
+
+
 def record_error(error: BaseException) -> str:
     """Log an error that becomes part of a result instead of ending the run, and return its message.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.messages import report_error, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     las_options,
@@ -39,6 +40,9 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
     from pcbench.io.files import check_output, estimate_reading_seconds, file_in_setting
     from pcbench.progress import ProgressPlan
 
+    if crop.strip().lower() in ("none", "reference"):
+        expected = "box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE or quantile:q"
+        raise InputError(f"expected --crop {expected}, got {crop!r}")
     check_output(out, [cloud, *filter(None, [file_in_setting(crop)])])
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
@@ -149,7 +153,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
         f" overlap {result.overlap:.1%}, {result.iterations} iterations, {state}, standard error in the"
         f" weakest direction {sigma}"
     )
-    yield from result.residuals.point_lines()
+    yield from result.residuals.point_lines(unit)
     yield from result.residuals.rmse_lines(unit)
     yield "matrix candidate -> reference:"
 
@@ -217,6 +221,20 @@ def info(clouds: tuple[Path, ...]) -> None:
 
     Faces of meshes and Gaussian splats are described too.
     """
+    from pcbench.errors import PcbenchError, reason_of
+
+    failed = False
+    for path in clouds:
+        try:
+            _print_info(path)
+        except (PcbenchError, PermissionError) as error:  # the other files can still be described
+            failed = True
+            report_error(str(error) if isinstance(error, PcbenchError) else f"{path}: {reason_of(error)}")
+    if failed:
+        sys.exit(2)
+
+
+def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_label
@@ -225,50 +243,49 @@ def info(clouds: tuple[Path, ...]) -> None:
     from pcbench.io import read_cloud
     from pcbench.io.files import estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
 
-    for path in clouds:
-        mesh = spacing = None
-        with steps(quiet=False) as show:
-            step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
-            step(f"reading {path}")
-            if is_mesh_only(path):
-                mesh = read_mesh(path, on_warning=warn)
-                cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
-            else:
-                cloud = read_cloud(path, on_warning=warn)
-                if holds_mesh(path):
-                    try:
-                        mesh = read_mesh(path, on_warning=warn)
-                    except InputError as error:  # its points can still be described
-                        warn(error)
-            lower, upper = cloud.bounds
-            if len(cloud) > 1:
-                step("measuring the spacing")
-                index = Index(cloud.points - lower)  # small coordinates lose less to rounding
-                spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
-        click.echo(f"{path}: {len(cloud):,} {'vertices' if mesh is not None else 'points'}")
-        if mesh is not None:
-            click.echo(
-                f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}"
-            )
-        click.echo(f"  from   {_triple(lower)}")
-        click.echo(f"  to     {_triple(upper)}")
-        click.echo(f"  size   {_triple(upper - lower)} {cloud.unit or ''}".rstrip())
-        if spacing is not None:
-            unit = f" {cloud.unit}" if cloud.unit else ""
-            click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
-        click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
-        click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
-        click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
-        attributes = list(cloud.attributes)
-        if (splats := splat_model(cloud)) is not None:
-            degree = "unknown" if splats.sh_degree is None else splats.sh_degree
-            click.echo(f"  {splats.dimensions}D Gaussian splat model, {len(cloud):,} splats, SH degree {degree}")
-            click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
-            attributes = [name for name in attributes if not is_splat_attribute(name)]
-        if attributes:
-            click.echo(f"  attributes {', '.join(attributes)}")
+    mesh = spacing = None
+    with steps(quiet=False) as show:
+        step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
+        step(f"reading {path}")
+        if is_mesh_only(path):
+            mesh = read_mesh(path, on_warning=warn)
+            cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+        else:
+            cloud = read_cloud(path, on_warning=warn)
+            if holds_mesh(path):
+                try:
+                    mesh = read_mesh(path, on_warning=warn)
+                except InputError as error:  # its points can still be described
+                    warn(error)
+        lower, upper = cloud.bounds
+        if len(cloud) > 1:
+            step("measuring the spacing")
+            index = Index(cloud.points - lower)  # small coordinates lose less to rounding
+            spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
+    count = pluralize(len(cloud), "point") if mesh is None else f"{len(cloud):,} vertices"
+    click.echo(f"{path}: {count}")
+    if mesh is not None:
+        click.echo(f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}")
+    unit = f" {cloud.unit}" if cloud.unit else ""
+    click.echo(f"  from   {_triple(lower)}{unit}")
+    click.echo(f"  to     {_triple(upper)}{unit}")
+    click.echo(f"  size   {_triple(upper - lower)}{unit}")
+    if spacing is not None:
+        click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
+    click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
+    click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
+    click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
+    attributes = list(cloud.attributes)
+    if (splats := splat_model(cloud)) is not None:
+        degree = "unknown" if splats.sh_degree is None else splats.sh_degree
+        click.echo(f"  {splats.dimensions}D Gaussian splat model, {len(cloud):,} splats, SH degree {degree}")
+        click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
+        attributes = [name for name in attributes if not is_splat_attribute(name)]
+    if attributes:
+        click.echo(f"  attributes {', '.join(attributes)}")
 
 
 def _triple(values: Any) -> str:

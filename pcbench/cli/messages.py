@@ -29,12 +29,17 @@ def warn_unless(quiet: bool) -> Callable[[str], None]:
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
 
 
-def fail(message: str) -> NoReturn:
-    """End the process with one line on stderr and exit code 2."""
+def report_error(message: str) -> None:
+    """Print an error as one line on stderr."""
     line = " ".join(message.split())
     LOGGER.error("%s", line, exc_info=sys.exc_info()[0] is not None)
     with suppress(OSError):  # stderr has no reader
         click.echo(f"error: {line}", err=True)
+
+
+def fail(message: str) -> NoReturn:
+    """End the process with one line on stderr and exit code 2."""
+    report_error(message)
     sys.exit(2)
 
 

@@ -185,8 +185,15 @@ def split_names(values: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def las_returns(text: str | None) -> str | tuple[int, ...] | None:
-    """Parse the returns of LAS files: first, last, or numbers."""
-    return text if text in (None, "first", "last") else numbers("--returns", text, int)
+    """Parse the returns of LAS files: first, last, or numbers.
+
+    Raises:
+        InputError: the text is none of these.
+    """
+    try:
+        return text if text in (None, "first", "last") else numbers("--returns", text, int)
+    except InputError:
+        raise InputError(f"expected --returns as first, last or numbers such as 1,2, got {text!r}") from None
 
 
 def image_size(text: str) -> tuple[int, int]:

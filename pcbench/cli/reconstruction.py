@@ -151,7 +151,7 @@ def reconstruct(
             click.echo(f"note: {note}")
     if not quiet:
         for line in (
-            *reconstruction.residuals.point_lines(),
+            *reconstruction.residuals.point_lines(reconstruction.cloud.unit),
             *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),
         ):
             click.echo(line)

@@ -128,7 +128,10 @@ def compare(
             *("max_axis", "seed"),
         ]
         if reference is not None or any(is_given(context, name) for name in options):
-            raise click.UsageError("--settings already has the files and the settings: give only options for outputs")
+            raise click.UsageError(
+                "--settings already has the files and the settings: give only options for outputs, and no REFERENCE or"
+                " CANDIDATES"
+            )
         job = ComparisonJob.from_settings_file(settings_file)
         job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
     else:

@@ -230,6 +230,7 @@ def warp(
         pivot = center or ((lower + upper) / 2 if about == "centre" else (0.0, 0.0, 0.0))
         motion = similarity_from_angles(angles, offset, scale, pivot)
         step(f"deforming, writing {out}")
+        unit = f" {data.unit}" if data.unit else ""
         record = write_warped(out, data, make_warp(kind, data.points, rms, motion))
     if not quiet:
-        click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g} RMS beyond affine")
+        click.echo(f"{out}: {len(data):,} points, {kind} of {record['rms_beyond_affine']:.6g}{unit} RMS beyond affine")

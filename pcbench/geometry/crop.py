@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.regions import Mask, Region
 
 
@@ -24,5 +24,11 @@ def points_inside(points: FloatArray, region: Region | None, requested: Region |
     inside = np.ones(len(points), dtype=np.bool_) if region is None else region.contains(points)
     if not inside.any():
         text = requested if isinstance(requested, str) else requested.text
-        raise InputError(f"the crop {text!r} leaves none of {owner} {len(points)} points")
+        extent = ", ".join(
+            f"{axis} {low:,.6g} to {high:,.6g}" for axis, low, high in zip("xyz", *bounds(points), strict=True)
+        )
+        raise InputError(
+            f"the crop {text!r} leaves none of {owner} {len(points):,} points ({extent}): check its numbers, the"
+            " coordinate system and the unit"
+        )
     return inside

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.geometry.regions import AXES, Polygon, Union
 from pcbench.regular_files import read_bytes
@@ -31,7 +31,7 @@ def read_polygon(path: str | Path) -> Polygon | Union:
     try:
         data = read_bytes(path)
     except (InputError, OSError) as error:
-        raise InputError(f"{path}: cannot read a polygon: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot read a polygon: {reason_of(error)}") from error
     try:
         polygon = _polygon_from(data)
     except InputError as error:

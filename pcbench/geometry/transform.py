@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray
 from pcbench.regular_files import read_text
 
@@ -326,7 +326,7 @@ def read_matrix(path: str | Path) -> Similarity:
     try:
         text = read_text(path)
     except (InputError, OSError) as error:
-        raise InputError(f"{path}: cannot read a matrix: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot read a matrix: {reason_of(error)}") from error
     rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
     values: list[list[float]] = []
     for row in filter(None, rows):

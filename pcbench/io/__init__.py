@@ -136,5 +136,6 @@ def _format(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudFor
     form = formats.get(path.name) or formats.get(path.suffix.lower())
     if form is None:
         known = ", ".join(extension for extension in formats if extension.startswith("."))
-        raise InputError(f"expected a file with extension {known}; got {path.suffix.lower() or 'no extension'!r}")
+        got = path.suffix.lower() or "none"
+        raise InputError(f"expected a file with extension {known}; got {got}: rename or convert the file")
     return form

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
@@ -61,7 +61,7 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
         except FileNotFoundError:
             raise InputError(f"{path}: no such file: expected the cameras and images of a COLMAP model") from None
         except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+            raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except (ValueError, OverflowError) as error:

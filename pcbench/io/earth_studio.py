@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84, radii_of_curvature
@@ -59,7 +59,7 @@ def read_earth_studio(path: Path) -> EarthStudio:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: expected an Earth Studio camera export (JSON), got a damaged one: {what}") from None

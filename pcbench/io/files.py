@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, TypedDict, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
 from pcbench.regular_files import open_regular, read_bytes, regular_status
@@ -87,7 +87,7 @@ def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | N
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except MemoryError as error:
         raise InputError(f"{path}: does not fit into memory: crop or downsample the file") from error
     for note in notes:
@@ -198,7 +198,11 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):
         raise InputError(f"{path}: two results would be written to this file: give each its own name")
-    if (path.exists() and not path.is_file()) or not path.absolute().parent.is_dir():
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file name, got a folder: name a file inside it")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: expected a regular file, got a device or a pipe: choose another name")
+    if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: expected a file name in an existing folder: create the folder or choose another one")
 
 

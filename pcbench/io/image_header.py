@@ -13,7 +13,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.exif_gps import gps_from_exif
 from pcbench.regular_files import open_regular
@@ -60,7 +60,7 @@ def read_image_header(path: Path) -> ImageHeader:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
 
 
 def _png(file: BinaryIO) -> ImageHeader:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.regular_files import read_text
@@ -28,7 +28,7 @@ def read_k_matrix(path: Path) -> FloatArray:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except ValueError:
         raise InputError(f"{path}: expected the nine numbers of a 3x3 matrix K, got other text: correct it") from None
     if values.shape != (9,) or not np.isfinite(values).all():

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.cloud import Cloud
@@ -61,7 +61,7 @@ def read_openmvs(path: Path, size_of: Callable[[str], tuple[int, int] | None], w
         with np.errstate(all="ignore"):  # damaged numbers become infinite, and are refused
             return _Reader(path.read_bytes()).scene(size_of, lambda text: warn(f"{path}: {text}"))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

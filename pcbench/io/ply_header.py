@@ -139,6 +139,8 @@ def read_header(file: BinaryIO) -> PlyHeader:
     """
     magic = file.readline(16)
     if magic.rstrip() != b"ply":
+        if magic.startswith(b"LASF"):
+            raise InputError("expected a PLY file, got a LAS file: rename it to .las or .laz")
         raise InputError(f"expected a PLY file that starts with a line 'ply', got {magic!r}: export it again as PLY")
     byte_order: Literal["<", ">"] | None = None
     formats: list[str] = []

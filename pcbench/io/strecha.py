@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.regular_files import read_text
@@ -41,7 +41,7 @@ def read_strecha(path: Path) -> Camera:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: expected 26 numbers (K, distortion, R, C, width and height): {error}") from None
     return Camera(path.name.removesuffix(".camera"), intrinsics, pose)

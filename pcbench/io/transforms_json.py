@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, read_json
@@ -61,7 +61,7 @@ def read_transforms(
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a transforms.json: {error}") from None
     names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.registration.residuals import SurveyResiduals
@@ -131,7 +131,7 @@ def _read_rows(path: str | Path) -> tuple[list[str], list[list[float]], bool]:
     try:
         lines = read_text(path).splitlines()
     except (InputError, OSError) as error:
-        raise InputError(f"{path}: cannot read the pairs: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot read the pairs: {reason_of(error)}") from error
     names, rows = [], []
     z_is_up = any(states_z_is_up(line) for line in lines)
     for number, line in enumerate(lines, 1):

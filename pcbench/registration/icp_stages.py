@@ -62,8 +62,8 @@ class IcpProblem(NamedTuple):
         surface, remedy = target.surface, "use --register points:FILE, matrix:FILE or none"
         if len(points) < MIN_POINTS or len(surface) < MIN_POINTS:
             raise RegistrationError(
-                f"expected at least {MIN_POINTS} points in each cloud for ICP, got {len(points)} and {len(surface)}:"
-                f" {remedy}"
+                f"expected at least {MIN_POINTS} points in each cloud for ICP, got {len(points):,} in the candidate and"
+                f" {len(surface):,} in the reference: {remedy}"
             )
         extent, side = target.extent, target.coarse_side
         if extent < MIN_EXTENT:

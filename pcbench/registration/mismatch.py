@@ -27,16 +27,15 @@ class _UnitRatio(NamedTuple):
     factor: float
     smaller: str  # the smaller unit, which gives larger coordinates
     larger: str
-    question: str
     tolerance: float  # tolerance of the log-ratio: two clouds of the same scene may differ in size by this much
 
 
 _UNIT_RATIOS = (
-    _UnitRatio(1000, "millimetres", "metres", "is one in millimetres?", 0.2),
-    _UnitRatio(304.8, "millimetres", "feet", "is one in millimetres, and one in feet?", 0.2),
-    _UnitRatio(100, "centimetres", "metres", "is one in centimetres?", 0.2),
-    _UnitRatio(1 / 0.0254, "inches", "metres", "is one in inches?", 0.2),
-    _UnitRatio(1 / 0.3048, "feet", "metres", "is one in feet?", 0.05),  # sizes differ this much for other reasons too
+    _UnitRatio(1000, "millimetres", "metres", 0.2),
+    _UnitRatio(304.8, "millimetres", "feet", 0.2),
+    _UnitRatio(100, "centimetres", "metres", 0.2),
+    _UnitRatio(1 / 0.0254, "inches", "metres", 0.2),
+    _UnitRatio(1 / 0.3048, "feet", "metres", 0.05),  # sizes differ this much for other reasons too
 )
 _MAX_LOG_RATIO = 0.05  # for a warning about clouds that do overlap
 
@@ -58,7 +57,11 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
         names = f"(reference {crs_name(reference.crs)}, candidate {crs_name(candidate.crs)})"
         reasons.append(f"the files state different coordinate systems {names}")
     if not reasons and not (first and second) and (suspected := _suspected_units(ratio)) is not None:
-        reasons.append(f"sizes differ by a factor of about {suspected.factor:.4g}: {suspected.question}")
+        larger, other = ("candidate", "reference")[:: 1 if ratio > 1 else -1]
+        reasons.append(
+            f"the {larger} is about {suspected.factor:.4g} times as large as the {other}: is it in {suspected.smaller},"
+            f" and the other in {suspected.larger}?"
+        )
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"

@@ -103,12 +103,13 @@ class SurveyResiduals:
             "z_is_up": self.z_is_up,
         }
 
-    def point_lines(self) -> Iterator[str]:
+    def point_lines(self, unit: str | None = None) -> Iterator[str]:
         """Yield one line per point for printing."""
+        of_unit = f" {unit}" if unit else ""
         for kind, points in (("control", self.control), ("check", self.check)):
             for point in points:
                 yield (
-                    f"{kind} point {point.name}: {point.error:.4g}"
+                    f"{kind} point {point.name}: {point.error:.4g}{of_unit}"
                     f" (dx {point.dx:+.4g}, dy {point.dy:+.4g}, dz {point.dz:+.4g})"
                 )
 

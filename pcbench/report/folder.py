@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
@@ -110,13 +110,20 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     try:
         values = read_json(path)
     except (InputError, OSError) as error:
-        raise InputError(f"{path}: cannot read settings: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot read settings: {reason_of(error)}") from error
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected the settings.json of a report (schema {SETTINGS_SCHEMA})")
     try:
+        for key, kind, name in (("settings", dict, "an object"), ("candidates", list, "a list")):
+            if not isinstance(values[key], kind):
+                raise ValueError(f"expected {key!r} as {name}, got {values[key]!r}")
+        if unknown := [name for name in values["settings"] if name not in Settings.__dataclass_fields__]:
+            raise ValueError(f"unknown setting {unknown[0]!r}")
         settings = restore(values["settings"])
         candidates = {row["name"]: _input_file(row) for row in values["candidates"]}
-        if not candidates or len(candidates) < len(values["candidates"]):
+        if not candidates:
+            raise ValueError("expected at least one candidate, got none")
+        if len(candidates) < len(values["candidates"]):
             raise ValueError("candidates need different names")
         for name in candidates:
             check_name(name)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
@@ -92,7 +92,7 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
     try:
         lines = read_text(path).splitlines() if has_entry(path) else []
     except (InputError, OSError) as error:
-        raise InputError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: cannot be read as text: {reason_of(error)}") from error
     find = ImageNames(images)
     found: dict[str, FloatArray] = {}
     unmatched: list[str] = []

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, reason_of
 from pcbench.io.files import atomic_write
 
 DEPTH, NORMAL, CONFIDENCE = "depth.bin", "normal.bin", "confidence.bin"
@@ -136,7 +136,7 @@ def read_raster(path: Path) -> NDArray[np.float32]:
             file.seek(start)
             values = np.fromfile(file, dtype="<f4").astype(np.float32, copy=False)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
     if channels == 1:
         return values.reshape(height, width)
     return np.ascontiguousarray(np.moveaxis(values.reshape(channels, height, width), 0, 2))

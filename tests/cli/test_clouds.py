@@ -141,3 +141,12 @@ def test_a_terminal_shows_the_steps(files, monkeypatch, command, steps):
     getattr(clouds, command[0]).main(command[1:], standalone_mode=False)
     assert messages == steps
     assert all(step.expected > 0 for step in messages)
+
+
+def test_info_describes_the_files_after_a_bad_one(files, run):
+    (files / "empty.ply").touch()
+    code, out, err = run("info", "none.ply", "empty.ply", "a.ply")
+    assert code == 2
+    assert out.startswith("a.ply: ")
+    assert [line.split(":")[1] for line in err.splitlines()] == [" none.ply", " empty.ply"]
+    check_text(err)

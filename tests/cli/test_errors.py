@@ -33,11 +33,16 @@ BAD_INPUTS = {
     "bad thresholds": ("compare ref.ply a.ply --thresholds a,b", "--thresholds"),
     "negative threshold": ("compare ref.ply a.ply --thresholds=-1", "thresholds as one or more lengths above 0"),
     "unknown preset": ("compare ref.ply a.ply --preset x", "unknown preset"),
-    "no settings": ("compare --settings no.json", "no.json"),
+    "no settings": ("compare --settings no.json", "no.json: cannot read settings: no such file: check the name"),
     "not settings": ("compare --settings ref.ply", "ref.ply"),
     "crop keeps nothing": ("crop a.ply out.ply --crop box:900,900,900,901,901,901", "leaves none"),
     "register far": ("register ref.ply far.ply --out out.ply", "does not overlap"),
     "info of nothing": ("info no.ply", "no.ply"),
+    "crop to nothing": ("crop a.ply out.ply --crop none", "expected --crop box:"),
+    "crop by the reference": ("crop a.ply out.ply --crop reference", "expected --crop box:"),
+    "words as returns": ("convert a.ply out.ply --returns foo", "as first, last or numbers"),
+    "a folder as output": ("crop a.ply . --crop box:0,0,0,9,9,9", "got a folder"),
+    "no control points": ("register ref.ply a.ply --register points:no.txt", "no such file: check the name"),
 }
 
 

@@ -113,7 +113,7 @@ def test_refuses_paths_that_are_not_files(tmp_path):
 def test_unknown_extension_lists_supported_extensions(tmp_path, name):
     (tmp_path / name).write_text("1 2 3")
     for message in (refusal(tmp_path / name), write_refusal(tmp_path / name)):
-        assert ".ply" in message and ".npz" in message and message.endswith(repr(Path(name).suffix or "no extension"))
+        assert ".ply" in message and ".npz" in message and f"; got {Path(name).suffix or 'none'}: " in message
 
 
 def write_refusal(path):

@@ -158,12 +158,12 @@ def test_failures_report_stated_differences_first(scene):
 @pytest.mark.parametrize(
     ("factor", "message"),
     [
-        (1000, "1000: "),
-        (0.001, "1000: "),
-        (100, "100: "),
-        (0.3048, "3.281: "),
-        (1 / 0.0254, "39.37: "),
-        (304.8, "304.8: "),
+        (1000, "the candidate is about 1000 times as large as the reference: is it in millimetres"),
+        (0.001, "the reference is about 1000 times as large as the candidate: is it in millimetres"),
+        (100, "the candidate is about 100 times as large as the reference: is it in centimetres"),
+        (0.3048, "the reference is about 3.281 times as large as the candidate: is it in feet"),
+        (1 / 0.0254, "the candidate is about 39.37 times as large as the reference: is it in inches"),
+        (304.8, "the candidate is about 304.8 times as large as the reference: is it in millimetres"),
     ],
 )
 def test_a_unit_is_suspected_from_sizes_if_none_is_stated(scene, factor, message):

@@ -87,7 +87,7 @@ def test_register_prints_every_point_and_the_rmse(files, capsys):
     register_command([*clouds, "--register", f"points:{files / 'points.txt'}"], standalone_mode=False)
     lines = [line.removeprefix("# ") for line in capsys.readouterr().out.splitlines()]
     (check,) = (line for line in lines if line.startswith("check point p"))
-    assert check.endswith(": 0.13 (dx +0.03, dy +0.04, dz +0.12)")
+    assert check.endswith(": 0.13 m (dx +0.03, dy +0.04, dz +0.12)")
     (rmse,) = (line for line in lines if line.startswith("2 check points: "))
     assert rmse.endswith(" H 0.05 m, Z 0.12 m, 3D 0.13 m")
     check_text("\n".join(lines[:-4]))

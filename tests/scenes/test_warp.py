@@ -137,7 +137,7 @@ def test_command_writes_a_cloud_and_its_record(run):
     options = ("--kind", "dome", "--rms", "0.1", "--rotate", "1,2,30", "--shift", "10,20,3", "--scale", "1.1")
     code, out, err = run("in.ply", "out.ply", *options)
     assert (code, err) == (0, "")
-    assert "0.1 RMS" in out
+    assert "dome of 0.1 m RMS" in out
     check_text(out)
     record = json.loads(Path("out.ply.json").read_text())
     cloud, warped_cloud = read_cloud("in.ply"), read_cloud("out.ply")

@@ -197,7 +197,7 @@ def make_warp(kind: str, points: FloatArray, rms: float, after: Similarity | Non
     rest = _rms(split_affine(points, displacement)[1])
     if not rest > 1e-9 * max(_rms(displacement), 1e-300):
         raise InputError(
-            f"an affine map explains a {kind} of these {len(points)} points completely: use a cloud with more extent"
+            f"an affine map explains a {kind} of this cloud completely: use a cloud with more points and extent"
         )
     return replace(unit, amplitude=rms / rest)
 
