@@ -21,6 +21,14 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "matrix": "matrix:FILE (a known pose)",
 }
 
+_VERDICTS = {  # predicates for one candidate and for several
+    "non-affine": ("is deformed", "are deformed"),
+    "affine": ("is sheared or stretched", "are sheared or stretched"),
+    "similarity": ("has another scale", "have another scale"),
+    "none": ("is not deformed", "are not deformed"),
+    "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
+}
+
 
 class _Distance(NamedTuple):
     """A distance by which candidates are ranked, in the clouds' unit.
@@ -48,12 +56,12 @@ class _Distance(NamedTuple):
 
 
 def answer(comparison: SourcedComparison) -> list[str]:
-    """Return two to four sentences on a comparison. There is no verdict if all registrations are doubtful."""
+    """Return two to four sentences on a comparison, without distances if all registrations are doubtful."""
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
     writer = _Writer(comparison)
     if not trusted:
-        return writer.no_verdict(doubtful)
+        return writer.of_doubtful(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
     return sentences[:_MAX_SENTENCES]
@@ -76,12 +84,14 @@ class _Writer:
         """Return the names of candidates as a list in words."""
         return join_words([self.names[c.name] for c in candidates])
 
-    def no_verdict(self, doubtful: Sequence[Candidate]) -> list[str]:
+    def of_doubtful(self, candidates: Sequence[Candidate]) -> list[str]:
         """Return the sentences for a comparison whose registrations are all doubtful."""
-        tried = {c.registration.method.partition(":")[0].partition("-")[0] for c in doubtful}
+        tried = {c.registration.method.partition(":")[0].partition("-")[0] for c in candidates}
         methods = [text for name, text in _ALTERNATIVE_METHODS.items() if name not in tried]
+        conditional = [self._conditional(c) for c in candidates if c.deformation.conditional_verdict is not None]
         return [
-            f"{self._doubt(doubtful)}, so there is no verdict.",
+            f"{self._doubt(candidates)}.",
+            *([f"{'. '.join(conditional)}."] if conditional else []),
             f"Try --register {', '.join(methods[:-1])} or {methods[-1]}.",
         ]
 
@@ -239,17 +249,9 @@ class _Writer:
 
     def _deformations(self, candidates: Sequence[Candidate]) -> str:
         """Return the verdicts on deformation, deformed candidates first."""
-        verdicts = {
-            "non-affine": ("is deformed", "are deformed"),
-            "affine": ("is sheared or stretched", "are sheared or stretched"),
-            "similarity": ("has another scale", "have another scale"),
-            "none": ("is not deformed", "are not deformed"),
-            "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
-        }
         sentences = []
-        conditional = [c for c in candidates if c.deformation.conditional_verdict is not None]
-        for verdict, (singular, plural) in verdicts.items():
-            chosen = [c for c in candidates if _verdict(c) == verdict and c not in conditional]
+        for verdict, (singular, plural) in _VERDICTS.items():
+            chosen = [c for c in candidates if _verdict(c) == verdict]
             if not chosen:
                 continue
             text = f"{join_words([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
@@ -260,13 +262,15 @@ class _Writer:
             if verdict == "none" and limit is not None:
                 text += f"; a deformation above {self.length(limit)} RMS would have been detected"
             sentences.append(text)
-        for candidate in conditional:
-            result = candidate.deformation.assuming_pose()
-            text = verdicts[result.verdict][0]
-            if result.verdict == "non-affine" and result.amplitude is not None:
-                text += f" by {self.length(result.amplitude.rms)} RMS"
-            sentences.append(f"If its pose is right, {self.names[candidate.name]} {text}")
         return ". ".join(sentences)
+
+    def _conditional(self, candidate: Candidate) -> str:
+        """Return the verdict on deformation of a doubtful candidate, on the condition that its pose is right."""
+        result = candidate.deformation.assuming_pose()
+        text = _VERDICTS[result.verdict][0]
+        if result.verdict == "non-affine" and result.amplitude is not None:
+            text += f" by {self.length(result.amplitude.rms)} RMS"
+        return f"If its pose is right, {self.names[candidate.name]} {text}"
 
     def _with_size(self, candidate: Candidate) -> str:
         result, notes = candidate.deformation, []

@@ -55,6 +55,8 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
         say(f"warning: {warning}", "yellow")
     console.print()
     unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
+    if unit and full:
+        unit += f", mean squares in {comparison.reference.unit}²"
     if full or len(comparison) <= MAX_SIDE_BY_SIDE:
         rows = lines(comparison) if full else main_lines(comparison)
         _print_lines(console, [c.name for c in comparison], unit, list(rows))

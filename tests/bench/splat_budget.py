@@ -87,7 +87,7 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
     seconds -= density.measuring_s
     curve = density.curve
     assert curve is not None
-    print(f"{'N':>9}{'degree':>8}{'judged':>8}{'loss':>14}{'ms a step':>11}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
+    print(f"{'N':>9}{'degree':>8}{'dB':>8}{'dB lost':>14}{'ms per step':>13}{'MB':>7}{'accuracy, m':>13}{'F-score':>9}")
     for budget, score in zip(curve.budgets, density.scores, strict=True):
         loss = PsnrLoss.of(budget, curve.best)
         print(
