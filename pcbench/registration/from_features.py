@@ -133,7 +133,8 @@ def _check_size(target: Target, points: FloatArray) -> None:
     if min(len(points), len(target.surface)) < _MIN_POINTS:
         raise RegistrationError(
             f"expected at least {_MIN_POINTS} points in each cloud to register from any pose, got {len(points):,} in"
-            f" the candidate and {len(target.surface):,} in the reference: use --register points:FILE, matrix:FILE or none"
+            f" the candidate and {len(target.surface):,} in the reference: use --register points:FILE, matrix:FILE or"
+            " none"
         )
     for name, part in (("reference", target.surface.points), ("candidate", points)):
         if len(cells(part, robust_extent(part) / 1000 or 1.0).first) < _MIN_POINTS:
