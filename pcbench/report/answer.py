@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
@@ -19,14 +20,6 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "global": "global (from any pose), global-similarity (also at any scale)",
     "points": "points:FILE (control points)",
     "matrix": "matrix:FILE (a known pose)",
-}
-
-_VERDICTS = {  # predicates for one candidate and for several
-    "non-affine": ("is deformed", "are deformed"),
-    "affine": ("is sheared or stretched", "are sheared or stretched"),
-    "similarity": ("has another scale", "have another scale"),
-    "none": ("is not deformed", "are not deformed"),
-    "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
 }
 
 
@@ -88,10 +81,15 @@ class _Writer:
         """Return the sentences for a comparison whose registrations are all doubtful."""
         tried = {c.registration.method.partition(":")[0].partition("-")[0] for c in candidates}
         methods = [text for name, text in _ALTERNATIVE_METHODS.items() if name not in tried]
-        conditional = [self._conditional(c) for c in candidates if c.deformation.conditional_verdict is not None]
+        assumed = [
+            replace(c, deformation=c.deformation.assuming_pose())
+            for c in candidates
+            if c.deformation.conditional_verdict is not None
+        ]
+        condition = "If these poses are right" if len(candidates) > 1 else "If the pose is right"
         return [
             f"{self._doubt(candidates)}.",
-            *([f"{'. '.join(conditional)}."] if conditional else []),
+            *([f"{condition}: {self._deformations(assumed)}."] if assumed else []),
             f"Try --register {', '.join(methods[:-1])} or {methods[-1]}.",
         ]
 
@@ -114,8 +112,8 @@ class _Writer:
             if several
             else f"registration of {self.name_list(doubtful)} is"
         )
-        numbers = "their numbers" if several else "its numbers"
-        return f"The {whose} doubtful (see the warnings): {numbers} describe a pose that may be wrong"
+        numbers = "their numbers describe poses that" if several else "its numbers describe a pose that"
+        return f"The {whose} doubtful (see the warnings): {numbers} may be wrong"
 
     def of_one(self, candidate: Candidate) -> list[str]:
         """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
@@ -249,8 +247,15 @@ class _Writer:
 
     def _deformations(self, candidates: Sequence[Candidate]) -> str:
         """Return the verdicts on deformation, deformed candidates first."""
+        verdicts = {
+            "non-affine": ("is deformed", "are deformed"),
+            "affine": ("is sheared or stretched", "are sheared or stretched"),
+            "similarity": ("has another scale", "have another scale"),
+            "none": ("is not deformed", "are not deformed"),
+            "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
+        }
         sentences = []
-        for verdict, (singular, plural) in _VERDICTS.items():
+        for verdict, (singular, plural) in verdicts.items():
             chosen = [c for c in candidates if _verdict(c) == verdict]
             if not chosen:
                 continue
@@ -263,14 +268,6 @@ class _Writer:
                 text += f"; a deformation above {self.length(limit)} RMS would have been detected"
             sentences.append(text)
         return ". ".join(sentences)
-
-    def _conditional(self, candidate: Candidate) -> str:
-        """Return the verdict on deformation of a doubtful candidate, on the condition that its pose is right."""
-        result = candidate.deformation.assuming_pose()
-        text = _VERDICTS[result.verdict][0]
-        if result.verdict == "non-affine" and result.amplitude is not None:
-            text += f" by {self.length(result.amplitude.rms)} RMS"
-        return f"If its pose is right, {self.names[candidate.name]} {text}"
 
     def _with_size(self, candidate: Candidate) -> str:
         result, notes = candidate.deformation, []

@@ -147,9 +147,9 @@ def print_cities(root: Path, names: Sequence[str], options: argparse.Namespace) 
 def print_missed_surface(root: Path) -> None:
     """Print the properties of the missing textured surface."""
     city = read_city(root / "city")
-    print(f"\n{'textured surface, by views':28}{'share':>8}{'recall':>10}{'share of missed':>17}")
+    print(f"\n{'textured surface':24}{'share':>8}{'recall (2 px)':>15}{'share of missed':>17}")
     for name, view_recall in recall_by_view(city, read_cloud(root / "city_work" / "cloud.ply").points).items():
-        print(f"{name:28}{view_recall.share:8.1%}{view_recall.recall:10.3f}{view_recall.missed:17.1%}")
+        print(f"{name:24}{view_recall.share:8.1%}{view_recall.recall:15.3f}{view_recall.missed:17.1%}")
 
 
 def main() -> None:

@@ -92,7 +92,7 @@ def compare(inputs: Inputs, count: int, steps: int) -> None:
         loss = PsnrLoss.of(budget, curve.best)
         print(
             f"{budget.gaussians:9,}{budget.degree:8}{budget.mean:8.2f}{f'{loss.mean:.2f} ± {loss.error:.2f}':>14}"
-            f"{budget.step_ms:11.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
+            f"{budget.step_ms:13.1f}{4e-6 * budget.numbers:7.1f}{score.accuracy:13.3f}{score.fscore_seen:9.3f}"
             f"{'  chosen' if budget is curve.selected else ''}"
         )
     rows = [("chosen", selected_training, seconds), ("fixed", *train(inputs, count, steps, Density(), inputs.shown))]
