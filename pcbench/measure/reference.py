@@ -65,7 +65,7 @@ class Reference:
         return cls(
             cloud=cloud,
             origin=origin,
-            target=Target(surface),
+            target=Target(surface, is_sampled=isinstance(given, Mesh)),
             region=region,
             inside=inside,
             rows=rows,

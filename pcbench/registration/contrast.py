@@ -22,8 +22,8 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 
-MIN_CONTRAST = 0.55  # below this contrast a pose is doubtful
-DOUBTFUL_CONTRAST = 0.75  # below it at the scale of the noise, a pose is doubtful
+MIN_CONTRAST = 0.55  # below this contrast all restarts have to return
+DOUBTFUL_CONTRAST = 0.75  # below it at the scale of the noise, likewise
 CONFIDENT_CONTRAST = 0.85  # above it a pose may be right, however far the clouds are apart
 SURE_CONTRAST = 0.93  # below it restarts decide
 BLURRED_CONTRAST = 0.65  # a right pose with less has a blurred or noisy candidate

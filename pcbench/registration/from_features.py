@@ -29,6 +29,7 @@ from pcbench.registration.icp_stages import IcpProblem, refine
 from pcbench.registration.quality import Fit, assess_given
 from pcbench.registration.result import AMBIGUOUS, DOUBTFUL_POSE, NO_CONVERGENCE
 from pcbench.registration.target import Target, local_origin
+from pcbench.registration.turns import symmetry_turns
 
 _FEATURE_CELL_COUNT = 15_000  # cells of the larger cloud for feature matching: about one second
 _COARSE_CELL_FACTOR = 1.6  # coarser cells may find poses that finer cells miss
@@ -209,7 +210,7 @@ class _PoseSearch:
             if poses and self.is_confident(poses[0]):
                 break
         if poses:  # a symmetric cloud looks the same in turned poses
-            symmetric_poses = [poses[0] @ turn for turn in _symmetry_turns(self.candidate.sample)]
+            symmetric_poses = [poses[0] @ turn for turn in symmetry_turns(self.candidate.sample)]
             poses = self.sort_by_evidence(
                 poses + self.refine_all(self.select_promising(symmetric_poses, _MAX_SYMMETRIC))
             )
@@ -363,20 +364,6 @@ def _cell_side(points: FloatArray, count: int) -> float:
     for _ in range(5):
         side *= np.sqrt(len(voxel_downsample(points, side)) / count)
     return float(side)
-
-
-def _symmetry_turns(points: FloatArray) -> list[Similarity]:
-    """Return quarter and half turns about the principal axes of points (N, 3), which include their symmetry axes."""
-    center = points.mean(axis=0)
-    offsets = points - center
-    _, axes = np.linalg.eigh(np.einsum("ni,nj->ij", offsets, offsets))  # no BLAS: independent of the thread count
-    turns = []
-    for axis in axes.T:
-        x, y, z = axis
-        k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        for rotation in (np.eye(3) + k + k @ k, np.eye(3) + 2 * k @ k, np.eye(3) - k + k @ k):
-            turns.append(Similarity(rotation, center - rotation @ center))
-    return turns
 
 
 def _undo_shift(pose: Similarity, shift: FloatArray) -> Similarity:

@@ -108,6 +108,15 @@ def refine(target: Target, points: FloatArray, settings: IcpSettings, initial: S
     return run_both_stages(problem, FAST_START, np.zeros((7 if settings.with_scale else 6, 0))).T @ initial
 
 
+def refine_coarsely(target: Target, points: FloatArray, settings: IcpSettings, initial: Similarity) -> Similarity:
+    """Refine the rotation and translation of a pose by the coarse stage of `refine` alone."""
+    moved = Index(initial.apply(points))
+    rigid = replace(settings, with_scale=False)  # outliers within a large distance shrink the candidate
+    schedule = IcpProblem(target, moved, moved, moved.points, rigid).coarse_schedule(FAST_START)
+    found = _iterate(target.coarse, moved, Similarity.identity(), rigid, np.zeros((6, 0)), schedule, target.extent)
+    return found.T @ initial
+
+
 class IcpResult(NamedTuple):
     """Result of the iterations."""
 

@@ -22,7 +22,7 @@ from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import align
 from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.mismatch import explain_failure, unit_warnings
-from pcbench.registration.quality import assess_given
+from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
 from pcbench.registration.target import Target, local_origin
@@ -86,6 +86,7 @@ def register(
     points = candidate.points - origin
     residuals = SurveyResiduals()
     ratio = robust_extent(points) / (target.extent or np.inf)
+    target = target.for_candidate(points, _approximate_scale(method, start, ratio))
 
     try:
         if isinstance(method, IcpSettings):
@@ -113,6 +114,7 @@ def register(
         T_local=fit.T_local,
         rmse=quality.rmse,
         overlap=quality.overlap,
+        overlap_distance=MAX_SPACINGS_ON_SURFACE * target.spacing,
         iterations=fit.iterations,
         converged=fit.converged,
         information_eigenvalues=quality.eigenvalues,
@@ -123,6 +125,16 @@ def register(
         contrast=quality.contrast,
         returned_share=quality.returned,
     )
+
+
+def _approximate_scale(method: Method, start: Similarity | None, extent_ratio: float) -> float:
+    """Return the scale from candidate to reference before the registration, from a pose or the extents."""
+    if isinstance(method, GivenPose):
+        return method.T_reference_candidate.scale
+    if start is not None:
+        return start.scale
+    is_unknown = isinstance(method, ControlPoints) or (isinstance(method, FeatureSettings) and method.with_scale)
+    return 1 / extent_ratio if is_unknown and 0 < extent_ratio < np.inf else 1.0
 
 
 def parse_method(text: str) -> Method:

@@ -34,15 +34,17 @@ from pcbench.registration.result import (
     FEW_POINTS,
     LOW_OVERLAP,
     OFF_SURFACE,
+    UNOBSERVABLE,
     WEAKLY_OBSERVABLE,
 )
 from pcbench.registration.target import MIN_EXTENT, Target
+from pcbench.registration.turns import closest_turned_pose
 from pcbench.registration.weighted_pairs import MIN_POINTS, WeightedPairs, weigh
 
+MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
 MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface, above which other starts are tried
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
-_MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
 _ROUGHNESS_SAMPLE = 3_000  # candidate points for its roughness: sparse enough to include blur
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
@@ -52,6 +54,9 @@ _FULL_OVERLAP = 0.95  # overlap above which no relevant part is left without a c
 _MAX_HOVERING_SHARE = 0.1  # share of near points that float beside the surface, above which a warning is given
 _MIN_SIGMAS_OFF = 4.0  # floating points are farther off than this many standard deviations of the residuals
 _MIN_NORMAL_COSINE = 0.9  # floating points lie along the normal, and not beyond the end of the surface
+# Share of near points off the surface above which turned poses are tried, and the ratio of mean distances below which
+# one of them fits better.
+_MIN_UNEXPLAINED_SHARE, _MAX_TURNED_RATIO = 0.05, 0.7
 _MAX_SPACINGS_OFF = 10  # distance of the candidate's nearest quarter, above which a warning is given
 
 PoseSource = Literal["icp", "given", "search"]
@@ -147,7 +152,10 @@ def with_doubt(
     """Complete the quality of a pose with a warning if the pose may be wrong, or the candidate is blurred.
 
     Noise and blur lower the contrast of a right pose. So a low contrast is measured again at the scale of the noise. If
-    it is then high, or if the geometry weakly constrains some motion, restarts decide.
+    it is then high, or if the geometry weakly constrains some motion, most of the restarts have to return to the pose.
+    If it stays low, all of them have to, and the geometry has to constrain all motions well. At a nearly symmetric
+    scene the contrast of a turned pose may be high. So if points near the reference do not lie on it, no pose turned by
+    a quarter or a half may fit better.
 
     Args:
         target: reference.
@@ -160,19 +168,33 @@ def with_doubt(
             candidate is rough.
     """
     share = quality.contrast
-    is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
-    if share is None or (share >= SURE_CONTRAST and not is_weak):
+    codes = {notice.code for notice in quality.warnings}
+    is_weak = WEAKLY_OBSERVABLE in codes
+    if share is None:
         return quality
     name = "the given pose" if source == "given" else "the pose"
+    is_determined = not quality.unobservable.shape[1]
+    if source != "search" and is_determined and quality.off_surface > _MIN_UNEXPLAINED_SHARE:
+        turned = closest_turned_pose(target, random_sample, T, with_scale=with_scale)
+        if turned is not None and turned.distance_ratio < _MAX_TURNED_RATIO:
+            text = (
+                f"{name} may be wrong: another one, rotated by {turned.angle_deg:.0f} degrees, reduces the candidate's"
+                f" mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
+            )
+            return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if share >= SURE_CONTRAST and not is_weak:
+        return quality
     at_noise = share
     if MIN_CONTRAST <= share < DOUBTFUL_CONTRAST:
         at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
-    if at_noise < DOUBTFUL_CONTRAST:
-        text = (
-            f"{name} may be wrong: displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same"
-            " displacement costs the reference itself"
-        )
-        return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    low_contrast = Notice(
+        DOUBTFUL_POSE,
+        f"{name} may be wrong: displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same"
+        " displacement costs the reference itself",
+    )
+    is_low = share < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST
+    if is_low and (source == "search" or is_weak or UNOBSERVABLE in codes):
+        return _with_notice(quality, low_contrast)
     if source == "search":
         own_roughness = T.scale * roughness(random_sample[:_ROUGHNESS_SAMPLE])
         if quality.rmse > own_roughness:
@@ -181,14 +203,15 @@ def with_doubt(
                 f" {own_roughness:.3g}"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
-    if quality.unobservable.shape[1]:
+    if not is_determined:
         return quality  # restarts would slide along the unobservable motions
     tolerance = max(target.spacing, quality.rmse)
-    returned = returned_share(target, random_sample, T, tolerance=tolerance, with_scale=with_scale)
+    required = 1.0 if is_low else MIN_RETURNED_SHARE
+    returned = returned_share(target, random_sample, T, tolerance=tolerance, with_scale=with_scale, required=required)
     quality = quality._replace(returned=returned)
-    if returned < MIN_RETURNED_SHARE:
+    if returned < required:
         text = f"{name} may be wrong: only {returned:.0%} of the registrations that start nearby return to it"
-        return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+        return _with_notice(quality, low_contrast if is_low else Notice(DOUBTFUL_POSE, text))
     if share < BLURRED_CONTRAST:
         text = (
             f"the candidate is blurred or noisy: displacing it worsens its fit by {share:.0%} of what the same"
@@ -213,7 +236,7 @@ def _contrast_at_noise(
     surface = Surface(Index(surface.points[voxel_downsample(surface.points, side)]))
     moved = T.apply(random_sample)
     nearest = surface.index.query(moved)
-    max_near = max(_NEAR_EXTENT_SHARE * target.extent, _MAX_SPACINGS_ON_SURFACE * surface.spacing)
+    max_near = max(_NEAR_EXTENT_SHARE * target.extent, MAX_SPACINGS_ON_SURFACE * surface.spacing)
     found = contrast(
         surface,
         moved,
@@ -326,7 +349,7 @@ def _match(target: Target, sample: Index, T: Similarity, hint: IntArray | None) 
     moved, nearest = surface.index.nearest_of_moved(sample, T.matrix, hint)
     distances = nearest.distances
     # The same distance for all methods: if it followed the fit, a worse fit would count more points as overlap.
-    max_on_surface = _MAX_SPACINGS_ON_SURFACE * spacing
+    max_on_surface = MAX_SPACINGS_ON_SURFACE * spacing
     if len(surface) < 3 or target.extent <= MIN_EXTENT:
         return _SampleMatches(target, moved, nearest, max_on_surface, None, None)
     # Observability uses all pairs that the fit may have used: if the density varies, these are farther apart.
@@ -395,8 +418,8 @@ def _warnings(
         warnings.append(Notice(LOW_OVERLAP, f"only {overlap:.0%} of the candidate lies on the reference"))
     if hovering > _MAX_HOVERING_SHARE:
         text = (
-            f"{hovering:.0%} of the candidate near the reference does not lie on it: the alignment may be wrong, or"
-            " there are outliers or changes"
+            f"{hovering:.0%} of the candidate near the reference does not lie on it: there are outliers or changes, or"
+            " the alignment is wrong"
         )
         warnings.append(Notice(OFF_SURFACE, text))
     typical, spacing = matched.nearest_quarter, matched.target.spacing

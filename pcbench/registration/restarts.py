@@ -23,7 +23,15 @@ _DISPLACEMENT = 12.0  # of a start, in units of the tolerance
 _MAX_EXTENT_SHARE = 0.1  # of the extent: the displacement's upper limit
 
 
-def returned_share(target: Target, points: FloatArray, T: Similarity, *, tolerance: float, with_scale: bool) -> float:
+def returned_share(
+    target: Target,
+    points: FloatArray,
+    T: Similarity,
+    *,
+    tolerance: float,
+    with_scale: bool,
+    required: float = MIN_RETURNED_SHARE,
+) -> float:
     """Return the share of ICP runs that return to a pose from starts displaced at random; about 1 at the right pose.
 
     Half of each displacement is a translation and half a rotation. The runs end early when their result is certain.
@@ -34,6 +42,7 @@ def returned_share(target: Target, points: FloatArray, T: Similarity, *, toleran
         T: pose between local coordinates.
         tolerance: RMS distance to the pose at which a run has returned, in the reference's unit.
         with_scale: whether the runs solve for the scale.
+        required: smallest share at a right pose; the runs end once it is reached or out of reach.
     """
     settings = IcpSettings(with_scale=with_scale, max_sample=_SAMPLE_SIZE)
     moved = T.apply(points)
@@ -42,7 +51,7 @@ def returned_share(target: Target, points: FloatArray, T: Similarity, *, toleran
     distance = min(_DISPLACEMENT * tolerance, _MAX_EXTENT_SHARE * target.extent) / np.sqrt(2)
     rng = np.random.default_rng(0)
     returned = failed = 0
-    enough = int(np.ceil(MIN_RETURNED_SHARE * _RESTARTS))
+    enough = int(np.ceil(required * _RESTARTS))
     while returned < enough and failed <= _RESTARTS - enough:
         shift, axis = rng.normal(size=(2, 3))
         rotation = rotation_from_vector(distance / radius * axis / np.linalg.norm(axis))

@@ -42,7 +42,9 @@ class Registration:
         rmse: Tukey-weighted root mean square of the residuals, in the clouds' unit, over an even sample of the
             candidate points on the reference. Residuals are distances to the tangent plane, for `icp-point` to the
             point.
-        overlap: share of the voxel-downsampled candidate that lies on the reference, within 5 of its median spacings.
+        overlap: share of the voxel-downsampled candidate that lies on the reference, within `overlap_distance`.
+        overlap_distance: 5 median spacings of the reference, in the clouds' unit. If the reference is a mesh, 5 times
+            the larger of the candidate's spacing and noise.
         iterations: number of iterations of both stages; 0 if the method does not iterate.
         converged: whether the last update was below the noise; None if the method does not iterate.
         information_eigenvalues: eigenvalues of the information matrix of the inliers' point-to-plane pairs, per pair,
@@ -58,8 +60,8 @@ class Registration:
         contrast: how much a displacement worsens the candidate's fit, over the same for the reference itself: about 1
             at a right pose, whatever the scene. None if the clouds overlap in too few points, or if no motion changes
             the reference's distances significantly.
-        returned_share: share of ICP runs from starts displaced by several spacings that return to the pose. None if the
-            contrast alone decides.
+        returned_share: share of ICP runs from starts displaced by several spacings that return to the pose. None if no
+            restarts were needed.
     """
 
     method: str
@@ -67,6 +69,7 @@ class Registration:
     T_local: Similarity
     rmse: float
     overlap: float
+    overlap_distance: float = 0.0
     iterations: int = 0
     converged: bool | None = None
     information_eigenvalues: tuple[float, ...] = ()

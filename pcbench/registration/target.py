@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, random_rows
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.neighbors import Index
+from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cell_means, robust_extent
+from pcbench.registration.contrast import roughness
 
 MIN_EXTENT = 1e-150  # of a reference: squares of smaller values underflow
 _BLOCK_ROWS = 65_536  # rows compared at a time: fits into the processor's cache
+_MAX_NOISE_SAMPLE = 30_000  # points for a candidate's noise: sparse enough to include blur
+_MAX_CANDIDATE_SPACING = 1 / 500  # of the extent: sparse points are not inaccurate
 
 
 class Target:
@@ -22,10 +26,14 @@ class Target:
 
     Args:
         surface: surface of the reference's points minus `local_origin(reference)`.
+        is_sampled: whether the points are samples of a mesh. Their spacing is arbitrary, so that candidates set the
+            lengths, see `for_candidate`.
     """
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: Surface, *, is_sampled: bool = False) -> None:
         self.surface = surface
+        self.is_sampled = is_sampled
+        self._candidate_spacing = 0.0
         self._checked_reference: Cloud | None = None  # reference that is known to match this target
 
     @classmethod
@@ -43,8 +51,29 @@ class Target:
 
     @property
     def spacing(self) -> float:
-        """Median distance to the nearest other point, in the reference's unit."""
-        return self.surface.spacing
+        """Median distance to the nearest other point, in the reference's unit; see `for_candidate` for a mesh."""
+        return max(self.surface.spacing, self._candidate_spacing)
+
+    def for_candidate(self, points: FloatArray, scale: float = 1.0) -> Target:
+        """Return the target with lengths from a candidate if the reference is a mesh; otherwise this target.
+
+        Five spacings of a million samples of a mesh can be less than a pixel of the photographs that a candidate was
+        made from. Its points would then lie off the mesh although they are right. The spacing becomes that of the
+        candidate, or the noise of the candidate if that is larger.
+
+        Args:
+            points: (N, 3) the candidate's points.
+            scale: approximate scale from the candidate to the reference.
+        """
+        if not self.is_sampled or len(points) < 3:
+            return self
+        spacing = min(median_spacing(Index(points)), _MAX_CANDIDATE_SPACING * self.extent / scale)
+        noise = roughness(random_rows(points, _MAX_NOISE_SAMPLE))
+        adapted = copy.copy(self)
+        adapted.__dict__.pop("coarse_side", None)
+        adapted.__dict__.pop("coarse", None)
+        adapted._candidate_spacing = scale * max(spacing, noise)
+        return adapted
 
     @cached_property
     def coarse_side(self) -> float:

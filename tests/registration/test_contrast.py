@@ -175,6 +175,7 @@ def test_scans_from_two_positions_are_not_doubtful(lines, steps, noise):
         assert DOUBTFUL_POSE in codes(register(reference, candidate + shift, "none"))
 
 
+@pytest.mark.long
 def test_no_trial_fails_silently(monkeypatch, capsys):
     """The benchmark's quick form: generated scenes only, including mirror images."""
     trials, scenes = _import_bench(monkeypatch)

@@ -47,7 +47,7 @@ def random_pose(seed, scale=1.0):
     ("method", "seed", "overlap", "scale"),
     [
         pytest.param("global", 1, 1.0, 1.0, marks=pytest.mark.slow),
-        ("global", 2, 0.3, 1.0),
+        pytest.param("global", 2, 0.3, 1.0, marks=pytest.mark.long),
         ("global-similarity", 4, 1.0, 0.1),
         pytest.param("global-similarity", 5, 0.5, 10.0, marks=pytest.mark.slow),
     ],
@@ -84,6 +84,7 @@ def test_unrelated_clouds_are_refused(method):
         register(reference, random_pose(1).inverse().apply(candidate), method)
 
 
+@pytest.mark.long
 @needs_kiss
 def test_noise_is_refused():
     rng = np.random.default_rng(7)

@@ -25,6 +25,7 @@ from pcbench.registration import (
     register,
 )
 from pcbench.registration.result import NO_CONVERGENCE, UNIT_MISMATCH, UNOBSERVABLE
+from pcbench.scenes.synthetic import city
 
 
 def test_invalid_methods_and_distant_clouds_are_refused(scene):
@@ -188,3 +189,27 @@ def test_different_stated_units_are_a_warning(scene):
     pose = Similarity(np.eye(3), np.zeros(3), 0.3048)
     in_feet = register(Cloud(reference, unit="m"), Cloud(candidate / 0.3048, unit="ft"), pose)
     assert UNIT_MISMATCH not in codes(in_feet)
+
+
+def test_lengths_of_a_mesh_reference_come_from_the_candidate():
+    """Five spacings of a dense sampling are less than the noise: points are on the mesh although they are farther."""
+    town, rng = city(3), np.random.default_rng(5)
+    samples, rough = (town.sample(count, rng)[0] for count in (1_500_000, 100_000))
+    samples, rough = (points[np.abs(points[:, :2]).max(axis=1) < 100] for points in (samples, rough))
+    rough += 1.2 * rng.standard_t(2, rough.shape)  # heavy tails, as of photogrammetry
+    surface = Surface(Index(samples - local_origin(Cloud(samples))))
+    as_cloud, as_mesh = (register(samples, rough, "none", target=Target(surface, is_sampled=s)) for s in (False, True))
+    assert as_cloud.overlap_distance == pytest.approx(5 * surface.spacing)
+    assert as_cloud.overlap < 0.6 < 0.9 < as_mesh.overlap
+    assert not as_mesh.doubtful
+    assert register(samples, rough + [2.0, 0, 0], "none", target=Target(surface, is_sampled=True)).doubtful
+
+
+def test_lengths_from_a_candidate_follow_its_scale(scene):
+    reference, candidate = scene
+    target = Target(Surface(Index(reference - local_origin(Cloud(reference)))), is_sampled=True)
+    points = candidate - local_origin(Cloud(reference))
+    spacing = target.for_candidate(points).spacing
+    assert spacing > target.spacing
+    assert target.for_candidate(1000 * points, scale=1e-3).spacing == pytest.approx(spacing, rel=1e-9)
+    assert target.for_candidate(points[:2]) is target

@@ -64,6 +64,7 @@ def test_a_very_blurred_candidate_is_named_as_such(blurred, monkeypatch):
     check_text(text)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(bool(problem := import_problem("kiss_matcher")), reason=str(problem))
 def test_global_registration_accepts_a_blurred_candidate(blurred):
     reference, candidate = blurred
