@@ -7,6 +7,7 @@ without one: in a volume such as a forest, closest points seem to confirm any as
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,6 +40,8 @@ _MAX_CELLS = 480  # more cells cost time without adding information
 _POSITION_NEIGHBORS = 8  # points averaged for a position
 _ROUGHNESS_RATIO = 4.0  # times the lower quartile of the variation: such a pair has a quarter of the weight
 _MAX_VARIATION = 0.005  # surface variation at which a pair has at most a quarter of the weight: not a plane
+# What reconstructors write for each point: images that show it, length of its track, opacity of a Gaussian.
+_PHOTOGRAMMETRIC_ATTRIBUTES = frozenset(("views", "track_length", "opacity"))
 _CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
 
 
@@ -60,6 +63,11 @@ class Side:
     def is_metric(self) -> bool:
         """Return whether the scale is known, from a unit or a coordinate system."""
         return self.cloud.unit is not None or self.cloud.crs is not None
+
+    @property
+    def is_from_photographs(self) -> bool:
+        """Return whether attributes show that the cloud was reconstructed from photographs."""
+        return not _PHOTOGRAMMETRIC_ATTRIBUTES.isdisjoint(self.cloud.attributes)
 
     def class_weights(self, rows: IntArray) -> FloatArray:
         """Return (M,) weights of points by LAS class; 1 without classes."""
@@ -92,7 +100,8 @@ class Pairs:
         areas: (N,) surface area that each pair represents, in any unit.
         inliers: share of the pairs within the support of Tukey's biweight.
         rough: share of the pairs that are not on a smooth surface.
-        spacing: spacing of the points that define the planes.
+        spacing: median spacing of the points that define the planes.
+        plane_spacing: root mean square of their spacing at the pairs, which is larger where the density varies.
         distance: median distance of the closest points.
     """
 
@@ -108,6 +117,7 @@ class Pairs:
     inliers: float
     rough: float
     spacing: float
+    plane_spacing: float
     distance: float
 
 
@@ -278,7 +288,7 @@ def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
 
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
-    places = _local_means(surface.index, pairs.closest)
+    places, spacings = _local_means(surface.index, pairs.closest)
     quality = pairs.quality
     fitted, left = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
@@ -286,11 +296,12 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
     power = smooth(pairs.queries, np.square(limited), quality)
+    weights = quality * mean_slope
     return Pairs(
         places,
         pairs.normals,
         residuals=fitted + limited,
-        weights=quality * mean_slope,
+        weights=weights,
         scales=np.sqrt(power / np.average(power, weights=quality)) if power.any() else np.ones(len(power)),
         left=limited,
         apart=left,
@@ -299,18 +310,19 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         inliers=float(np.average(squared < 1, weights=quality)),
         rough=float(np.mean(pairs.variation > _MAX_VARIATION)),
         spacing=surface.spacing,
+        plane_spacing=math.sqrt(np.average(np.square(spacings), weights=weights)) if weights.any() else surface.spacing,
         distance=float(np.median(pairs.distances)),
     )
 
 
-def _local_means(index: Index, rows: IntArray) -> FloatArray:
-    """Return means (N, 3) of the nearest neighbours of rows (N,) of an index.
+def _local_means(index: Index, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return means (N, 3) of the nearest neighbours of rows (N,) of an index, and distances (N,) to the nearest.
 
     The noise of a point is in its residual. Positions come from its neighbours, so that noise does not look like slope.
     """
-    around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index))).indices[:, 1:]
-    means: FloatArray = index.points[around].mean(axis=1)
-    return means
+    around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index)))
+    means: FloatArray = index.points[around.indices[:, 1:]].mean(axis=1)
+    return means, around.distances[:, 1]
 
 
 def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:

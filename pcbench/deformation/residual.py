@@ -12,7 +12,7 @@ from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import projected_share
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
-from pcbench.deformation.result import POSE_NOT_FIXED, Deformation
+from pcbench.deformation.result import BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED, RESOLUTION_SHARE, Deformation
 from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, rounding_bound
@@ -20,7 +20,6 @@ from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
 
-_RESOLUTION_SPACINGS = 5e-3  # smallest deformation that counts, in spacings of the points that define the planes
 _MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which the pairs disagree
 _MAX_MOVED_SHARE = 0.1  # maximum share of the cells to exclude as moved
 _MOVED_SIGMAS, _MAX_EXCLUSION_PASSES = 3.0, 3  # standard deviations of a pair's noise, and maximum number of passes
@@ -51,8 +50,10 @@ def residual_deformation(
         text = f"only {count} pairs of points: too few to distinguish a deformation from noise"
         return Deformation.undecided_because(Notice("few-pairs", text))
     pairs, notes = _without_map_projection(pairs, reference, candidate, registration, origin)
+    if reference.is_from_photographs and candidate.is_from_photographs:
+        notes = [*notes, Notice(BOTH_FROM_PHOTOGRAPHS, "both clouds were reconstructed from photographs")]
     metric = reference.is_metric and candidate.is_metric and not registration.solved_scale
-    resolution = _RESOLUTION_SPACINGS * pairs.spacing
+    resolution = RESOLUTION_SHARE * pairs.plane_spacing
     wholes = [PairEvidence.of(tile_sums(pairs))]
     views = [exclude_moved_cells(wholes[0], resolution)]
     finding = decide(views, metric=metric, resolution=resolution)
@@ -65,10 +66,16 @@ def residual_deformation(
             views.append(exclude_moved_cells(wholes[1], resolution))
             finding = decide(views, metric=metric, resolution=resolution)
             if finding.verdict == "none" and pairs.distance < (1 - _MIN_DISTANCE_GAIN) * plain.distance:
-                text = "a deformation brings the clouds closer together, but unmodified closest points do not show it"
+                text = (
+                    "a deformation brings the clouds closer together, but unmodified closest points do not show it; use"
+                    " denser clouds, or a better initial pose"
+                )
                 finding = finding.as_undecided(Notice("pairs-disagree", text))
     if finding.verdict == "undecided" and pairs.rough > _MAX_ROUGH_SHARE:
-        text = f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement"
+        text = (
+            f"{pairs.rough:.0%} of the pairs lie in rough areas, where no surface constrains a displacement; use denser"
+            " clouds, or classes without vegetation (--classes)"
+        )
         finding = finding.as_undecided(Notice("rough-places", text))
     broken = find_break(views[-1])
     if broken is not None:
@@ -111,8 +118,8 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
             " closer: they are not registered (use --register icp), or much has changed"
         )
         return finding.as_undecided(Notice("not-registered", text))
-    if UNOBSERVABLE in {notice.code for notice in registration.warnings}:
-        if finding.verdict in ("similarity", "affine", "non-affine") and registration.converged is not None:
+    if finding.verdict != "undecided" and UNOBSERVABLE in {notice.code for notice in registration.warnings}:
+        if finding.verdict != "none" and registration.converged is not None:
             text = (
                 "the geometry does not fix the pose, and the apparent deformation may be a sliding registration: see"
                 " the registration's warnings; a pose from another source settles it (--register matrix:FILE)"

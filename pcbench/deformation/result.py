@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 
+BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share, such as those of cameras, cannot show
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
+_CODES_IN_SENTENCE = (BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED)
 NEGLIGIBLE_SHARE = 0.4  # share of the noise, white and correlated, below which a deformation is negligible
+RESOLUTION_SHARE = 7.5e-3  # share of the spacing of the points that define the planes: they do not resolve less
 _LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
 _MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
@@ -81,6 +84,11 @@ class NoiseSize:
     sigma_correlated: float
     correlation_length: float
     n_eff: float
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of all noise, independent and correlated."""
+        return math.hypot(self.sigma_white, self.sigma_correlated)
 
 
 @dataclass(frozen=True)
@@ -229,7 +237,8 @@ class Deformation:
         observable: observable directions.
         local: local changes.
         minimum_detectable_rms: RMS of the smallest dome that is detected with a power of 90 %.
-        negligible_rms: RMS below which a deformation is negligible: 40 % of the noise, white and correlated.
+        negligible_rms: RMS below which a deformation is negligible: 40 % of the noise, white and correlated, or 0.75 %
+            of the spacing of the points that define the planes, whichever is larger.
         detectable: smallest detectable sizes by kind of deformation.
         conditional_verdict: the verdict if the pose is right, where the registration is doubtful and `verdict` is
             therefore undecided; sizes and p-value then belong to it. None otherwise.
@@ -292,14 +301,14 @@ class Deformation:
         """
         notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
         lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
-        return lead + self._verdict_in_words(name, f" {unit}" if unit else "")
+        return lead + self._verdict_in_words(name, f" {unit}" if unit else "") + self._origin_in_words()
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
         """Warnings that the sentence does not contain."""
         if self.verdict == "undecided":
             return ()
-        return tuple(notice for notice in self.warnings if notice.code != POSE_NOT_FIXED)
+        return tuple(notice for notice in self.warnings if notice.code not in _CODES_IN_SENTENCE)
 
     @property
     def label(self) -> str:
@@ -315,7 +324,8 @@ class Deformation:
     def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
-            text = f"{name}: whether it is deformed is undecided: {'; '.join(map(str, self.warnings))}"
+            reasons = "; ".join(notice.text for notice in self.warnings if notice.code != BOTH_FROM_PHOTOGRAPHS)
+            text = f"{name}: whether it is deformed is undecided: {reasons}"
             if self.conditional_verdict is None:
                 return f"{text}{parts}"
             return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit)}"
@@ -339,6 +349,14 @@ class Deformation:
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed{whole}{unseen}{parts}"
 
+    def _origin_in_words(self) -> str:
+        """Return what a comparison of two clouds from photographs cannot show."""
+        verdict = self.verdict if self.conditional_verdict is None else self.conditional_verdict
+        if verdict == "undecided" or all(notice.code != BOTH_FROM_PHOTOGRAPHS for notice in self.warnings):
+            return ""
+        whose = "either may be deformed, and " if verdict == "non-affine" else ""
+        return f". Both clouds come from photographs: {whose}errors that they share (cameras, method) do not show"
+
     def assuming_pose(self) -> Deformation:
         """Return the result that holds if the pose is right: the conditional verdict, where there is one."""
         if self.conditional_verdict is None:
@@ -346,18 +364,24 @@ class Deformation:
         return replace(self, verdict=self.conditional_verdict, conditional_verdict=None)
 
     def _limit_in_words(self, unit: str) -> str:
-        """Return the size above which a deformation would have been stated, and kinds that need much larger ones."""
+        """Return the size below which a deformation would not be stated, and kinds that have to be much larger."""
         limit = self.size_limit
         if limit is None:
             return ""
-        share = "" if limit != self.negligible_rms else f" ({NEGLIGIBLE_SHARE:.0%} of the noise)"
-        text = f"; a deformation above {limit:.3g}{unit} RMS{share} would have been detected"
+        of_noise = 0.0 if self.noise is None else NEGLIGIBLE_SHARE * self.noise.sigma
+        share = ""
+        if limit == self.negligible_rms:
+            of_what = f"{NEGLIGIBLE_SHARE:.0%} of the noise"
+            if not math.isclose(limit, of_noise, rel_tol=1e-4):
+                of_what = f"{RESOLUTION_SHARE:.2%} of the point spacing"
+            share = f" ({of_what})"
+        text = f"; a deformation below {limit:.3g}{unit} RMS{share} would not be stated"
         known = [size for size in self.detectable if size.displacement is not None]
         large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
         hidden = [size.kind for size in self.detectable if size.displacement is None]
-        parts = [f"a {size.kind} above {size.displacement:.3g}{unit}" for size in large]
-        parts += [f"a {kind} not at all" for kind in hidden]
-        return f"{text} (other kinds less well: {', '.join(parts)})" if parts else text
+        parts = [f"a {size.kind} below {size.displacement:.3g}{unit}" for size in large]
+        parts += [f"a {kind} of any size" for kind in hidden]
+        return f"{text}, nor would {' or '.join(parts)}" if parts else text
 
     @property
     def has_moved_part(self) -> bool:
@@ -368,7 +392,7 @@ class Deformation:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:
             return ""
-        if local.largest < _MOVED_SIGMAS * math.hypot(noise.sigma_white, noise.sigma_correlated):
+        if local.largest < _MOVED_SIGMAS * noise.sigma:
             return ""
         place = ", ".join(f"{x:.1f}" for x in local.at)
         return (

@@ -15,10 +15,15 @@ from pcbench.deformation.result import NEGLIGIBLE_SHARE, ModelScore
 from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray
 
 MIN_TILES = 40
 _FOLDS = 10
 _MAX_P_DOUBTFUL = 1e-3
+# Ratio of the standard deviations of correlated and independent noise; at most 1.2 in clouds from photographs that are
+# not deformed.
+_MAX_CORRELATED_RATIO = 1.5
+_MIN_PREDICTION_GAIN = 1.645  # standard errors by which a larger model has to predict better: 5 %, one-sided
 
 
 class PairEvidence(NamedTuple):
@@ -77,8 +82,12 @@ class Finding(NamedTuple):
 def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
     """Return the smallest adequate model, tested from the largest down.
 
-    A larger model is stated only if it is significant and its size is not negligible: tiny systematic errors of a
-    scanner or of a matching method are significant if there are enough points.
+    A larger model is stated only if it is significant and its size is not negligible. An affine or larger one must also
+    predict tiles that are left out of its fit significantly better than the smaller model does. Tiny systematic errors
+    of a scanner or of a matching method are significant if there are enough points. Errors of planes through sparse
+    points near edges are significant too, but do not continue from tile to tile. Closest points hide a displacement
+    along a surface by many spacings; what they leave of it is significant, and looks like noise that is more correlated
+    than that of any reconstruction. There is then no verdict.
 
     Args:
         views: evidence of several sets of pairs of the same clouds; all must agree.
@@ -105,11 +114,17 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     def is_needed(smaller: str, larger: str) -> bool:
         return compare(smaller, larger).significant and exceeds(smaller, larger, negligible)
 
+    def gain(smaller: str, larger: str) -> float:
+        return min(prediction_gain(view, smaller, larger) for view in views)
+
     non_affine = compare("affine", "cubic")
     tiles = len(geometry.tile_matrices)
     warnings = []
     if non_affine.modes == 0:
-        text = "a deformation is not observable here: the surfaces do not constrain any direction well enough"
+        text = (
+            "a deformation is not observable here: the surfaces do not constrain any direction well enough; use a scene"
+            " with surfaces in several directions"
+        )
         warnings.append(Notice("nothing-observable", text))
     if tiles < MIN_TILES:
         text = (
@@ -117,11 +132,17 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
-    if is_needed("affine", "cubic") and not warnings:
+    is_indicated = is_needed("affine", "cubic") and not warnings
+    may_be_noise = non_affine.doubtful and exceeds("affine", "cubic", negligible, upper=True)
+    if is_indicated or may_be_noise:
+        gains = {model: gain("affine", model) for model in ("quadratic", "cubic")}
         # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
-        model = "cubic" if compare("quadratic", "cubic").p <= _MAX_P_DOUBTFUL else "quadratic"
-        return Finding("non-affine", model, non_affine, ())
-    if is_needed("similarity", "affine"):
+        needs_cubic = compare("quadratic", "cubic").p <= _MAX_P_DOUBTFUL
+        for model in ("cubic", "quadratic") if needs_cubic else ("quadratic",):
+            if is_indicated and gains[model] >= _MIN_PREDICTION_GAIN:
+                return Finding("non-affine", model, non_affine, ())
+        is_indicated, may_be_noise = (found and max(gains.values()) > 0 for found in (is_indicated, may_be_noise))
+    if is_needed("similarity", "affine") and gain("similarity", "affine") >= _MIN_PREDICTION_GAIN:
         verdict, model = "affine", "affine"
     elif is_needed("rigid", "similarity"):
         verdict, model = ("similarity" if metric else "none"), "similarity"
@@ -130,8 +151,22 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             warnings.append(Notice("scale-differs", text))
     else:
         verdict, model = "none", "rigid"
-    matters = exceeds("affine", "cubic", negligible, upper=True)
-    if non_affine.doubtful and matters:
+    if model != "affine" and (hidden := min(_affine_rms(view) for view in views)) > negligible:
+        text = (
+            f"{hidden:.2g} RMS along the normals may be a deformation, or a shear or stretch along surfaces that"
+            " hardly constrain it; use a scene with walls, or control points (--register points:FILE)"
+        )
+        warnings.append(Notice("stretch-or-bend", text))
+        verdict = "undecided"
+    is_significant_noise = non_affine.significant and noise.correlated > _MAX_CORRELATED_RATIO**2 * noise.white
+    if is_significant_noise and not (is_indicated or may_be_noise):
+        text = (
+            "the residuals are correlated more strongly than the noise of scans and photographs: closest points may"
+            " hide a displacement along the surfaces; measure known points in both clouds (--register points:FILE)"
+        )
+        warnings.append(Notice("correlated-misfit", text))
+        verdict = "undecided"
+    if is_indicated or may_be_noise:
         side = geometry.side * TILE
         remedy = (
             f"it is correlated over {noise.correlation_length:.3g}, and the tiles are {side:.3g} wide; use a scene of"
@@ -141,7 +176,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         )
         text = f"the residuals suggest a deformation, but noise may explain them: {remedy}"
         warnings.append(Notice("noise-or-bend", text))
-    if (non_affine.doubtful and matters) or non_affine.modes == 0 or tiles < MIN_TILES:
+    if is_indicated or may_be_noise or non_affine.modes == 0 or tiles < MIN_TILES:
         verdict = "undecided"
     return Finding(verdict, model, non_affine, tuple(warnings))
 
@@ -166,23 +201,32 @@ def compare_models(view: PairEvidence, smaller: str, larger: str) -> Evidence:
     return Evidence(len(modes), chi_squares_tail(float(modes @ modes), weights))
 
 
+def _affine_rms(view: PairEvidence) -> float:
+    """Return the RMS along the normals that an affine field explains beyond a similarity, observable or not.
+
+    A dome of nearly flat ground looks like a large stretch along the ground, which the affine models include although
+    no test shows it.
+    """
+    explained = [view.geometry.explained_sum(view.scores, model) for model in ("similarity", "affine")]
+    return math.sqrt(max(0.0, explained[1] - explained[0]) / view.geometry.total)
+
+
+def prediction_gain(view: PairEvidence, smaller: str, larger: str) -> float:
+    """Return how much better a larger model predicts tiles left out of its fit, in standard errors over the tiles."""
+    losses = [_left_out_losses(view.geometry, view.scores, model, seed=0) for model in (smaller, larger)]
+    gains = losses[0] - losses[1]
+    error = float(np.std(gains)) * math.sqrt(len(gains))
+    return float(gains.sum()) / error if error > 0 else 0.0
+
+
 def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) -> list[ModelScore]:
     """Score each model by leaving out tiles (10 folds) and by the BIC with the effective number of pairs."""
-    tile, matrices = geometry.tiles, geometry.tile_matrices
-    rows = sum_over_tiles(scores.cells, tile)
-    energy, weight = sum_over_tiles(scores.energy, tile), np.maximum(sum_over_tiles(geometry.weights, tile), 1e-300)
-    fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
+    weight = np.maximum(sum_over_tiles(geometry.weights, geometry.tiles), 1e-300)
     effective = effective_count(geometry, noise)
     found = []
     rigid = geometry.explained_sum(scores, "rigid")
     for model in MODELS:
-        half, loss = geometry.half(model), np.empty(len(matrices))
-        for number in range(_FOLDS):
-            out = fold == number
-            # In whitened coordinates: without one fold, the information is still close to the identity.
-            kept = (1 + 1e-6) * np.eye(half.shape[1]) - half.T @ matrices[out].sum(axis=0) @ half
-            c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
-            loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
+        loss = _left_out_losses(geometry, scores, model, seed)
         score = float(loss.sum() / weight.sum())
         explained = geometry.explained_sum(scores, model)
         left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
@@ -197,3 +241,18 @@ def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) 
             )
         )
     return found
+
+
+def _left_out_losses(geometry: Geometry, scores: Scores, model: str, seed: int) -> FloatArray:
+    """Return the weighted sum of squared residuals of each tile (T,) under the fit to nine tenths of the others."""
+    tile, matrices = geometry.tiles, geometry.tile_matrices
+    rows, energy = sum_over_tiles(scores.cells, tile), sum_over_tiles(scores.energy, tile)
+    fold = np.random.default_rng(seed).permutation(len(matrices)) % _FOLDS
+    half, loss = geometry.half(model), np.empty(len(matrices))
+    for number in range(_FOLDS):
+        out = fold == number
+        # In whitened coordinates: without one fold, the information is still close to the identity.
+        kept = (1 + 1e-6) * np.eye(half.shape[1]) - half.T @ matrices[out].sum(axis=0) @ half
+        c = half @ np.linalg.solve(kept, half.T @ (scores.total - rows[out].sum(axis=0)))
+        loss[out] = energy[out] - 2 * rows[out] @ c + (matrices[out] @ c) @ c
+    return loss

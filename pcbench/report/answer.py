@@ -265,7 +265,7 @@ class _Writer:
             limits = [c.deformation.size_limit for c in chosen]
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
-                text += f"; a deformation above {self.length(limit)} RMS would have been detected"
+                text += f"; a deformation below {self.length(limit)} RMS would not be stated"
             sentences.append(text)
         return ". ".join(sentences)
 

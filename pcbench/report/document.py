@@ -167,6 +167,7 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "scale": registration.T_reference_candidate.scale,
         "rmse": registration.rmse,
         "overlap": registration.overlap,
+        "overlap_distance": registration.overlap_distance,
         "iterations": registration.iterations,
         "converged": registration.converged,
         "information_eigenvalues": registration.information_eigenvalues,

@@ -81,12 +81,10 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
         if not (everywhere and notice.code == LOW_OVERLAP):  # the sentence below replaces it
             yield str(notice)
     if overlaps_little(comparison, candidate):
-        unit = comparison.reference.unit
+        distance = length(registration.overlap_distance, comparison.reference.unit)
         yield (
-            "a large part of the cloud is farther than 5 spacings"
-            f" ({length(5 * comparison.reference.spacing_median, unit)}) from the reference and counts in all"
-            " distances; --crop reference measures only points inside the reference's bounding box,"
-            " --crop polygon:FILE any region"
+            f"a large part of the cloud is farther than {distance} from the reference and counts in all distances;"
+            " --crop reference measures only points inside the reference's bounding box, --crop polygon:FILE any region"
         )
     yield from map(str, candidate.deformation.further_warnings)
 

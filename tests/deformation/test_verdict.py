@@ -11,6 +11,7 @@ from pcbench import Cloud, read_cloud
 from pcbench.deformation import Observable, deform
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.scenes.synthetic import city
+from pcbench.studies.stress.cells import RunPlan, build_pair
 
 UTM = np.array([500_000.0, 4_800_000.0, 100.0])
 
@@ -224,6 +225,7 @@ def lidar():
     return read_cloud(data_folder("autzen") / "autzen_trim.las")  # in feet: river banks, trees, the edge of a stadium
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "seed", [pytest.param(15, marks=pytest.mark.slow), 18]
 )  # with seed 18 an unconstrained field among the trees finds pairs that confirm it
@@ -241,3 +243,10 @@ def test_bends_of_lidar_halves_are_detected(lidar, kind):
     # Noise of 0.2 that is correlated over 20 feet adds a deformation itself.
     assert result.amplitude.rms == pytest.approx(0.4, rel=0.15)
     assert error <= 0.25
+
+
+def test_a_displacement_along_the_surface_by_many_spacings_is_not_denied():
+    pair = build_pair(RunPlan("verdicts", "terrain", "warp-twist", 10, None, "deform", 0, 24_000))
+    _, found = deform(pair.reference, pair.candidate)
+    assert found.verdict == "undecided"
+    assert [notice.code for notice in found.warnings] == ["correlated-misfit"]

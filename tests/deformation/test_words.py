@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from bent_clouds import add_dome, add_noise, sample_city
 from wording import check_text
 
 from pcbench import Cloud, Settings, compare, deform
@@ -53,6 +54,15 @@ def test_an_undetermined_pose_is_reported_before_the_verdict(scene):
     check_text(result.sentence("a"))
 
 
+def test_a_dome_of_flat_ground_is_not_denied():
+    """If the deformed cloud defines the planes, a stretch along its dome explains the same residuals."""
+    reference = flat_ground(0.0, 1)[::2]
+    assert deform(reference, flat_ground(0.0, 3), "none")[1].verdict == "none"
+    _, result = deform(reference, flat_ground(0.2, 3), "none")
+    assert result.verdict == "undecided"
+    assert "stretch along surfaces" in check_text(result.sentence("a"))
+
+
 @pytest.fixture(scope="module")
 def town():
     return city(3).sample(15_000, np.random.default_rng(1))[0]
@@ -77,6 +87,7 @@ def test_wrong_poses_get_no_verdict(town):
 def test_doubtful_poses_get_a_verdict_that_assumes_them(town, monkeypatch):
     monkeypatch.setattr(quality, "DOUBTFUL_CONTRAST", 10.0)
     monkeypatch.setattr(quality, "SURE_CONTRAST", 10.0)
+    monkeypatch.setattr(quality, "returned_share", lambda *_, **__: 0.0)
     rng = np.random.default_rng(2)
     flat, bent = (city(3).sample(15_000, rng)[0] for _ in range(2))
     bent[:, 2] += 0.5 * np.square(bent[:, :2] / 200).sum(axis=1)
@@ -118,3 +129,21 @@ def test_a_registered_copy_differs_by_rounding(town):
     assert not (*candidate.warnings, *candidate.registration.warnings, *candidate.deformation.warnings)
     check_text(candidate.deformation.sentence())
     assert candidate.deformation.amplitude.rms == candidate.deformation.minimum_detectable_rms == 0
+
+
+@pytest.mark.long
+def test_two_clouds_from_photographs_share_errors():
+    """The sentence states it for any verdict, and only if both clouds have attributes of photogrammetry."""
+    rng = np.random.default_rng(8)
+    points = [add_noise(sample_city(20_000, rng), rng) for _ in range(2)]
+    views = {"views": np.full(20_000, 5)}
+    tracks = {"track_length": np.full(20_000, 3)}
+    for bend in (0.0, 0.2):
+        candidate = add_dome(points[1], bend) if bend else points[1]
+        _, both = deform(Cloud(points[0], attributes=views), Cloud(candidate, attributes=tracks), "none")
+        _, one = deform(Cloud(points[0]), Cloud(candidate, attributes=tracks), "none")
+        check_text(both.sentence("a", "m"))
+        assert both.verdict == one.verdict == ("non-affine" if bend else "none")
+        assert both.sentence("a", "m").startswith(one.sentence("a", "m"))
+        assert "photographs" not in one.sentence("a", "m")
+        assert both.further_warnings == one.further_warnings
