@@ -98,7 +98,10 @@ PLATE_CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 2.5
 OBLIQUE_POSE = look_at([30, -80, 130], [0, 0, 0])
 
 
-@pytest.mark.parametrize("distortion", [(0, 0, 0, 0), DISTORTION], ids=["pinhole", "distorted"])
+@pytest.mark.parametrize(
+    "distortion",
+    [pytest.param((0, 0, 0, 0), id="pinhole"), pytest.param(DISTORTION, id="distorted", marks=pytest.mark.long)],
+)
 def test_pixels_average_over_their_area(distortion, renderer, tmp_path):
     """Compared with 256 rays per pixel: sixteen samples leave a third of the error of four."""
     from PIL import Image
@@ -150,6 +153,7 @@ def test_vignetting_is_the_fourth_power_of_the_cosine(renderer, tmp_path):
     np.testing.assert_allclose(vignette(k, 0.5), 0.5 + 0.5 * np.cos(angle) ** 4, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_water_reflects_by_the_law_of_reflection(renderer, tmp_path):
     """Water before a red wall: pixel colours computed from the law of reflection and Schlick's formula."""
     from PIL import Image

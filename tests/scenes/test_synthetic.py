@@ -149,6 +149,7 @@ def test_noise_does_not_depend_on_the_texel_size():
     assert (tile.mean(), tile.std()) == (pytest.approx(0, abs=1e-4), pytest.approx(1, rel=0.15))
 
 
+@pytest.mark.long
 def test_texels_are_no_larger_than_pixels(monkeypatch):
     plan = lay_out(SMALL_CITY)
     k = Intrinsics.from_fov(192, 128, 40.0)

@@ -159,9 +159,8 @@ def _add_solid(solid: Solid, texel: float, faces: _FaceBuilder, charts: list[Cha
         cover("roof", high[0], high[1] - high[0], high[3] - high[0], [4, 5, 6, 7])
 
 
-def _add_tree(tree: Tree, chart: int, faces: _FaceBuilder) -> None:
-    """Add a trunk and a crown: an irregular solid of revolution."""
-    rng = np.random.default_rng(tree.seed)
+def tree_shape(tree: Tree, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+    """Return a trunk and a crown, an irregular solid of revolution: vertices (V, 3) and triangles (F, 3)."""
     around = 9
     profile = np.array(  # radius in radii, height in heights
         [[0.07, -0.08], [0.06, 0.26], [0.62, 0.30], [0.95, 0.46], [1.0, 0.60], [0.78, 0.80], [0.38, 0.95]]
@@ -174,7 +173,6 @@ def _add_tree(tree: Tree, chart: int, faces: _FaceBuilder) -> None:
     z = tree.base + tree.height * profile[:, 1:] * np.ones((1, around))
     ring = np.stack([tree.x + radius * np.cos(angle), tree.y + radius * np.sin(angle), z], axis=2).reshape(-1, 3)
     vertices = np.concatenate([ring, [[tree.x, tree.y, tree.base + tree.height]]])
-    first = faces.add(vertices)
     k = np.arange(around)
     triangles = [
         np.stack([j * around + k, j * around + (k + 1) % around, (j + 1) * around + (k + 1) % around], axis=1)
@@ -187,7 +185,14 @@ def _add_tree(tree: Tree, chart: int, faces: _FaceBuilder) -> None:
     triangles.append(
         np.stack([(rings - 1) * around + k, (rings - 1) * around + (k + 1) % around, 0 * k + rings * around], axis=1)
     )
-    faces_ = np.concatenate(triangles)
+    return vertices, np.concatenate(triangles)
+
+
+def _add_tree(tree: Tree, chart: int, faces: _FaceBuilder) -> None:
+    """Add a tree with its foliage."""
+    rng = np.random.default_rng(tree.seed)
+    vertices, faces_ = tree_shape(tree, rng)
+    first = faces.add(vertices)
     # Project leaves from above at a random position, so that there are no visible seams between faces.
     spread = (
         (vertices[:, :2] - [tree.x, tree.y]) * 0.045 + rng.uniform(0.3, 0.7, 2) + 0.02 * (vertices[:, 2:] - tree.base)

@@ -42,7 +42,7 @@ class BendVerdict:
         rms: RMS of the deformation beyond an affine one; None if the verdict has none.
         ci: 95 % confidence interval of `rms`.
         p_value: p-value, as in `Deformation`.
-        detectable: RMS of the smallest dome that would have been detected.
+        detectable: RMS of the smallest dome that would have been stated.
         growth: trends with distance and height, as in `Deformation`.
         warnings: one line each.
         against: name of the solution that it is compared with; None for the truth.

@@ -27,6 +27,7 @@ from pcbench.studies.gao.cameras import camera_errors, cameras_in_cloud_frame
 from pcbench.studies.gao.clouds import WORK_FOLDER, CloudRun, check_crop, make_clouds
 from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_against, visible_truth
 from pcbench.studies.gao.figures import PICTURES
+from pcbench.studies.gao.injection import inject_deformations
 from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
     DOCUMENT,
@@ -34,6 +35,7 @@ from pcbench.studies.gao.results import (
     TRUTH,
     CloudResult,
     GaoStudy,
+    InjectedDeformation,
     NewViews,
     SceneResult,
     document,
@@ -48,7 +50,12 @@ _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
 _RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK)  # names that a scene's folder cannot have
 _TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
 _FOV_DEG = 40.0  # vertical field of view
-_MAKING_S, _MEASURING_S, _DRAWING_S = 60.0, 90.0, 60.0  # rough durations per scene, for progress bars
+_MAKING_S, _MEASURING_S, _INJECTING_S, _DRAWING_S = (
+    60.0,
+    90.0,
+    90.0,
+    60.0,
+)  # rough durations per scene, for progress bars
 _SCENE_S = 600.0
 _MIN_IMAGES = 9  # so that one in eight can be held out
 
@@ -163,6 +170,11 @@ def _run_scene(
             continue
         scene_step(Step(f"{name}: measuring against {reference}", _MEASURING_S))
         evaluations[reference] = evaluate_against(file, reference, others, crop, out, job.seed)
+    injected: tuple[InjectedDeformation, ...] = ()
+    if (mvs := files.get(MVS)) is not None and len(files) > 1:
+        scene_step(Step(f"{name}: deforming clouds on purpose", _INJECTING_S))
+        others = {cloud: file for cloud, file in files.items() if cloud != MVS}
+        injected = inject_deformations(mvs, others, crop, out, job.seed)
     focus = focus_point(cameras)
     result = SceneResult(
         name=name,
@@ -175,6 +187,7 @@ def _run_scene(
         cameras=camera_errors(solved, scene.cameras, _crop_truth(references[TRUTH], crop)) if solved else None,
         references={reference: of.counts for reference, of in evaluations.items() if of.counts is not None},
         clouds=tuple(_cloud_result(m, evaluations) for m in made),
+        injected=injected,
     )
     drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
     reports = [of.folder for of in evaluations.values() if of.folder is not None]

@@ -130,6 +130,30 @@ class CameraErrors:
 
 
 @dataclass(frozen=True)
+class InjectedDeformation:
+    """A deformation of known size that was added to one cloud, and the verdicts against `mvs` that follow.
+
+    Attributes:
+        cloud: the deformed cloud; `mvs` if the reference itself was deformed.
+        rms: RMS length of the displacements inside the region.
+        verdicts: verdict on each cloud against `mvs`, as in tables.
+        sizes: RMS along the normals of the clouds that are found deformed, also if only on condition of their poses.
+        attributed: the cloud to which these verdicts attribute the deformation; None if to none.
+    """
+
+    cloud: str
+    rms: float
+    verdicts: Mapping[str, str]
+    sizes: Mapping[str, float]
+    attributed: str | None
+
+    @property
+    def is_found(self) -> bool:
+        """Return whether any cloud is found deformed."""
+        return bool(self.sizes)
+
+
+@dataclass(frozen=True)
 class NewViews:
     """Mean scores of training views and of held-out views."""
 
@@ -156,6 +180,7 @@ class SceneResult:
         references: number of points of each reference, before and after the crop.
         clouds: results in the order of reconstruction.
         views: mean scores of novel views, if there are any.
+        injected: results for deformations of known size.
     """
 
     name: str
@@ -169,6 +194,7 @@ class SceneResult:
     references: Mapping[str, tuple[int, int]]
     clouds: tuple[CloudResult, ...]
     views: NewViews | None = None
+    injected: tuple[InjectedDeformation, ...] = ()
 
     def cloud(self, name: str) -> CloudResult:
         """Return the cloud of that name.
@@ -261,6 +287,7 @@ def _scene(values: dict[str, Any]) -> SceneResult:
         references={name: (int(counts[0]), int(counts[1])) for name, counts in values["references"].items()},
         clouds=tuple(map(_cloud, values["clouds"])),
         views=None if views is None else _views(views),
+        injected=tuple(InjectedDeformation(**each) for each in values.get("injected", ())),
     )
 
 

@@ -9,7 +9,7 @@ from pcbench.deformation import Deformation, Trend
 from pcbench.measure.wording import ratio_in_words
 from pcbench.report.words import join_words, length
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import TRUTH, GaoStudy, ReferenceEvaluation, SceneResult
+from pcbench.studies.gao.results import TRUTH, GaoStudy, InjectedDeformation, ReferenceEvaluation, SceneResult
 from pcbench.studies.gao.table import failures
 
 _MIN_RATIO = 1.1  # between lengths that count as different
@@ -33,6 +33,7 @@ def sentences(study: GaoStudy) -> Iterator[str]:
     yield from _view_sentences(study)
     for scene in study.scenes:
         yield from _deformation_sentences(scene, study)
+    yield from _injection_sentences(study)
     yield from _caveats(study)
 
 
@@ -179,11 +180,12 @@ def _verdicts(found: dict[str, Deformation], unit: str) -> str:
             parts.append(f"{join_words(names)} {'is' if len(names) == 1 else 'are'} {words}")
     reasons: dict[str, list[str]] = {}
     for name, bend in found.items():
-        if bend.conditional_verdict is not None:
-            inner = _verdicts({name: bend.assuming_pose()}, unit)
-            parts.append(f"if its pose is right, {inner}")
-        elif bend.verdict == "undecided":
+        if bend.conditional_verdict is None and bend.verdict == "undecided":
             reasons.setdefault(str(bend.warnings[0]) if bend.warnings else "", []).append(name)
+    assumed = {name: bend.assuming_pose() for name, bend in found.items() if bend.conditional_verdict is not None}
+    if assumed:
+        poses = "its pose is" if len(assumed) == 1 else "their poses are"
+        parts.append(f"if {poses} right, {_verdicts(assumed, unit)}")
     parts += [f"{join_words(names)}: undecided{f' ({why})' if why else ''}" for why, names in reasons.items()]
     return "; ".join(parts)
 
@@ -294,6 +296,26 @@ def _attribution(scene: SceneResult, names: Sequence[str]) -> str:
         elif _is_bent(scene, MVS, TRUTH) and not _is_bent(scene, name, TRUTH):
             words.append(f"against the truth mvs is deformed, and no deformation of {name} is found")
     return f"; {'; '.join(words)}" if words else "; the truth does not show which of the two is deformed"
+
+
+def _injection_sentences(study: GaoStudy) -> Iterator[str]:
+    """Yield a sentence on deformations of known size: how many are found and attributed to the right cloud."""
+    of_size: dict[str, list[InjectedDeformation]] = {}
+    for scene in study.scenes:
+        for each in scene.injected:
+            of_size.setdefault(f"{each.rms:.2g} {study.unit}".strip(), []).append(each)
+    if not of_size:
+        return
+    parts = []
+    for size, group in of_size.items():
+        found = sum(each.is_found for each in group)
+        right = sum(each.attributed == each.cloud for each in group)
+        wrong = sum(each.attributed not in (None, each.cloud) for each in group)
+        parts.append(f"of {size} RMS, {found} of {len(group)} are found, {right} attributed right, {wrong} wrong")
+    yield (
+        "Deformations that grow with distance and height, added to one cloud or to mvs at a time and searched for"
+        f" without the truth: {'; '.join(parts)}."
+    )
 
 
 def _caveats(study: GaoStudy) -> Iterator[str]:

@@ -9,7 +9,14 @@ from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.markup import markdown_table
-from pcbench.studies.gao.results import CloudResult, GaoStudy, ReferenceEvaluation, SceneResult, references
+from pcbench.studies.gao.results import (
+    CloudResult,
+    GaoStudy,
+    InjectedDeformation,
+    ReferenceEvaluation,
+    SceneResult,
+    references,
+)
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import markdown as views_markdown
 from pcbench.studies.views.table import table as views_table
@@ -22,11 +29,18 @@ LEGEND = (
     " affine [{unit}] with 95 % interval"
 )
 
+INJECTED = (
+    "A deformation that grows with distance and height, with this RMS length [{unit}], is added to one cloud or to mvs."
+    " Verdicts are against mvs, with the RMS along the normals where a deformation is found"
+)
+
 
 def console_tables(study: GaoStudy, views: ViewStudy | None) -> Iterator[list[list[str]]]:
-    """Yield the printed tables: the paper's measures, time and memory, and scores of novel views."""
+    """Yield the printed tables: measures, time and memory, known deformations, and scores of novel views."""
     yield list(measures_table(study))
     yield list(cost_table(study))
+    if any(scene.injected for scene in study.scenes):
+        yield list(injection_table(study))
     if views is not None:
         yield views_table(views)
 
@@ -60,6 +74,24 @@ def cost_table(study: GaoStudy) -> Iterator[list[str]]:
             yield [cloud.name, points, seconds_text(cloud), _memory(cloud), images]
 
 
+def injection_table(study: GaoStudy) -> Iterator[list[str]]:
+    """Yield the verdicts on clouds with a deformation of known size, a header first."""
+    names = list(dict.fromkeys(name for scene in study.scenes for each in scene.injected for name in each.verdicts))
+    yield (head := ["deformed", "RMS", *names, "attributed to"])
+    for scene in study.scenes:
+        if scene.injected:
+            yield from _scene_row(scene, study, len(head))
+        for each in scene.injected:
+            cells = [_injected_cell(each, name) for name in names]
+            yield [each.cloud, format_number(each.rms), *cells, each.attributed or _DASH]
+
+
+def _injected_cell(each: InjectedDeformation, name: str) -> str:
+    size = each.sizes.get(name)
+    label = each.verdicts.get(name, _DASH)
+    return label if size is None else f"{label} {format_number(size)}"
+
+
 def seconds_text(cloud: CloudResult) -> str:
     """Return the seconds of a cloud's process: `+` adds to those of the training before it, `≥` marks a resumed one."""
     if cloud.seconds is None:
@@ -84,6 +116,12 @@ def markdown(study: GaoStudy, views: ViewStudy | None) -> str:
     parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
     parts += ["## Clouds against both references", LEGEND.format(unit=unit), markdown_table(measures_table(study), 2)]
     parts += ["## Time and memory", markdown_table(cost_table(study), 1)]
+    if any(scene.injected for scene in study.scenes):
+        parts += [
+            "## Deformations of known size",
+            INJECTED.format(unit=unit),
+            markdown_table(injection_table(study), 1),
+        ]
     if views is not None:
         parts += ["## New views", views_markdown(views).rstrip()]
     parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _DASH]

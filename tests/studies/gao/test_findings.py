@@ -210,3 +210,14 @@ def test_figures_are_drawn(tmp_path, run):
     failed_clouds = tuple(CloudResult(name, failure="no features") for name in (SPARSE, MVS, MEANS, SURFACE))
     empty = write_study(tmp_path / "b", study(scene(references={}, clouds=failed_clouds, views=None)))
     assert not pictures(empty, Figures())["directions"].draw(tmp_path / "none.png")
+
+
+def test_conditional_verdicts_are_stated_together():
+    assumed = {
+        verdict: replace(deformation("undecided"), conditional_verdict=verdict) for verdict in ("none", "affine")
+    }
+    bends = {(SPARSE, TRUTH): assumed["none"], (MEANS, TRUTH): assumed["none"], (MVS, TRUTH): assumed["affine"]}
+    text = check_changed_sentences(scene(bends=bends))
+    assert "splat-surface is not deformed; if their poses are right, mvs is stretched" in text
+    one = "\n".join(study(scene(bends={(SPARSE, TRUTH): assumed["none"]})).sentences)
+    assert "if its pose is right, sparse is not deformed" in one
