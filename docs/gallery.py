@@ -1,5 +1,6 @@
 """Create the pictures of the documentation: `make gallery`, or some of them: `python docs/gallery.py city bench`."""
 
+import shlex
 import sys
 from pathlib import Path
 from subprocess import run
@@ -19,7 +20,7 @@ DEMO_PICTURES = ("reference", "sparse_plane_distance", "densified_plane_distance
 
 def pcbench(command: str, folder: Path) -> None:
     """Run a command line, with FOLDER replaced by the folder."""
-    run(["pcbench", *(word.replace("FOLDER", str(folder)) for word in command.split())], check=True)
+    run(["pcbench", *(word.replace("FOLDER", str(folder)) for word in shlex.split(command))], check=True)
 
 
 def save_compressed(picture: Path, name: str) -> None:
@@ -76,9 +77,33 @@ def gao(folder: Path) -> None:
     save_compressed(folder / "gao" / "views" / "figures" / "city_1_splat.png", "gao_views")
 
 
+def stress(folder: Path) -> None:
+    """Create the chart of reconstructors under errors of camera positions."""
+    pcbench("stress --reconstructors --quick --only positions --out FOLDER/stress", folder)
+    save_compressed(folder / "stress" / "figures" / "scores_cameras.png", "stress_positions")
+
+
+def registrations(folder: Path) -> None:
+    """Create the charts of registrations under stress; takes a quarter of an hour."""
+    starts, noise = "start-rotation,start-offset,scale", "noise-gaussian,noise-mvs,noise-splat,background"
+    methods = "icp,icp-point,similarity,Open3D plane,Open3D GICP"
+    pcbench(f"stress --only {starts},{noise},overlap,density,cutouts --methods '{methods}' --out FOLDER/stress", folder)
+    for name in ("matrix_registration", "speed"):
+        save_compressed(folder / "stress" / "figures" / f"{name}.png", f"stress_{name}")
+
+
 def main() -> None:
     """Create the pictures named on the command line, or all of them."""
-    pictures = {"demo": demo, "city": city, "bench": bench, "dense": dense, "bend": bend, "gao": gao}
+    pictures = {
+        "demo": demo,
+        "city": city,
+        "bench": bench,
+        "dense": dense,
+        "bend": bend,
+        "gao": gao,
+        "stress": stress,
+        "registrations": registrations,
+    }
     for name in sys.argv[1:] or pictures:
         with TemporaryDirectory() as folder:
             pictures[name](Path(folder))

@@ -25,7 +25,17 @@ from pcbench.cli.options import (
 @click.option(
     "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
 )
-@click.option("--quick", is_flag=True, help="Run a few ladders with up to three levels on one scene: about a minute.")
+@click.option(
+    "--reconstructors",
+    is_flag=True,
+    help="Stress reconstructors (sfm, mvs, splat) on perturbed photographs of a city instead: fewer and cropped images,"
+    " blur, exposure, errors of the cameras, and surfaces without texture, with repeated facades or water.",
+)
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Run a few ladders with up to three levels on one scene: one to three minutes.",
+)
 @click.option(
     "--only",
     metavar="TEXT",
@@ -35,7 +45,8 @@ from pcbench.cli.options import (
     "--methods",
     multiple=True,
     metavar="NAME,NAME,...",
-    help="Methods to run, such as icp,global; may be repeated.  [default: all that are installed]",
+    help="Methods to run, such as icp,global, or with --reconstructors sfm,mvs; may be repeated.  [default: all that"
+    " are installed]",
 )
 @click.option(
     "--seeds",
@@ -65,6 +76,7 @@ def stress(
     reference: Path | None,
     candidate: Path | None,
     out: Path,
+    reconstructors: bool,
     quick: bool,
     only: str | None,
     methods: tuple[str, ...],
@@ -80,17 +92,25 @@ def stress(
     Registration methods of pcbench and of other installed libraries run on ladders of starts, noise, outliers, overlap,
     density and degenerate shapes; metrics and verdicts on deformation run on noise, density and known deformations.
     The built-in scenes have exact truth. With REFERENCE and CANDIDATE, registrations of this pair are stressed instead.
+    With --reconstructors, reconstructors run on perturbed photographs of a city.
 
     \b
     Example: pcbench stress --quick --out stress/
              pcbench stress ref.ply cloud.ply --only start,overlap --out stress/
+             pcbench stress --reconstructors --quick --out photos/
     """
     from pcbench.io import read_cloud
+    from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
     from pcbench.studies.stress.results import StressSettings
     from pcbench.studies.stress.study import GivenClouds, run_stress
     from pcbench.studies.stress.words import answer, caveats
 
     clouds = None
+    if reconstructors and reference is not None:
+        raise click.UsageError(
+            "expected no clouds with --reconstructors, which makes its own scene: leave out REFERENCE and CANDIDATE, or"
+            " --reconstructors"
+        )
     if reference is not None:
         if candidate is None:
             raise click.UsageError("expected REFERENCE and CANDIDATE, or neither: got one cloud")
@@ -105,9 +125,13 @@ def stress(
         methods=split_names(methods),
         register=register,
         time_limit_s=time_limit,
+        reconstructors=reconstructors,
     )
     with steps(quiet) as step:
-        outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
+        if reconstructors:
+            outcome = run_reconstructor_stress(out, settings, figures=not no_figures, step=step)
+        else:
+            outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
     if not quiet:
         for sentence in (*answer(outcome.study), *caveats(outcome.study)):
             click.echo(sentence)

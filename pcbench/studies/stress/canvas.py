@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pcbench.report.colors import SERIES
 from pcbench.studies.stress.limits import SUCCESS, StressRow
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS, LadderInfo, Rate, Tally
+from pcbench.studies.stress.results import METRICS, RECONSTRUCTION, REGISTRATION, VERDICTS, LadderInfo, Rate, Tally
 
 DPI = 110
 GREY = "#777777"
@@ -16,6 +16,7 @@ SUCCESS_LABELS = {
     REGISTRATION: "right poses [% of runs]",
     METRICS: "right or explained [% of runs]",
     VERDICTS: "right verdicts [% of runs]",
+    RECONSTRUCTION: "half of the F-score kept [% of runs]",
 }
 _LETTERS_PER_INCH = 13.0  # at the size of legends
 _LEGEND_KEY_LETTERS = 8  # width of a legend's symbol with its margins

@@ -19,6 +19,7 @@ from pcbench.deformation.result import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
+from pcbench.io.files import atomic_write
 from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.studies.stress import metrics, verdicts
 from pcbench.studies.stress.ladders import LADDERS, Ladder, displaced
@@ -40,7 +41,7 @@ from pcbench.studies.stress.results import (
     RegistrationCell,
     VerdictCell,
 )
-from pcbench.studies.stress.scenes import GIVEN, SCENES, SHAPES, StressPair, degenerate_pair, scene_pair
+from pcbench.studies.stress.scenes import GIVEN, SCENES, SHAPES, WOODED, StressPair, degenerate_pair, scene_pair
 from pcbench.studies.stress.surfaces import DEGENERATE, FREE
 from pcbench.systems import peak_memory_since_reset, reset_peak_memory
 
@@ -105,7 +106,7 @@ def plan_runs(
     quick: bool,
     seeds: range,
     points: int,
-    given: bool,
+    given: StressPair | None,
 ) -> Iterator[RunPlan]:
     """Yield all runs of a study.
 
@@ -115,17 +116,18 @@ def plan_runs(
         quick: whether to run the levels of the quick plan, on the first scene only.
         seeds: seeds of the runs.
         points: number of points of the reference.
-        given: whether the pair is given; it has no exact surface, so registrations alone can be judged.
+        given: given pair, or None for the built-in scenes; it has no exact surface, so registrations alone can be
+            judged, and may have no vegetation.
     """
-    for subject in (REGISTRATION,) if given else SUBJECTS:
+    for subject in SUBJECTS if given is None else (REGISTRATION,):
         for ladder in ladders:
-            if subject not in ladder.subjects or (given and ladder.sets_shape):
+            if subject not in ladder.subjects or (given is not None and not ladder.applies_to(given)):
                 continue
             info = ladder.info(quick=quick)
             names = [
                 name for name in methods[subject] if subject != REGISTRATION or METHODS[name].scope in ladder.scopes
             ]
-            for scene in _scenes(ladder, quick=quick, given=given):
+            for scene in _scenes(ladder, quick=quick, given=given is not None):
                 for seed in seeds:
                     for level in info.levels:
                         for second in info.second_levels or (None,):
@@ -231,14 +233,16 @@ def settle_refusals(cells: Sequence[RegistrationCell]) -> list[RegistrationCell]
 
 def save_pair(path: Path, pair: StressPair) -> None:
     """Save a given pair for the child processes."""
-    np.savez(
-        path,
-        reference=pair.reference,
-        points=pair.points,
-        normals=pair.normals,
-        sizes=np.array([pair.spacing, pair.extent, pair.noise]),
-        pose=pair.T_true.matrix,
-    )
+    with atomic_write(path) as file:
+        np.savez(
+            file,
+            reference=pair.reference,
+            points=pair.points,
+            normals=pair.normals,
+            sizes=np.array([pair.spacing, pair.extent, pair.noise]),
+            pose=pair.T_true.matrix,
+            plants=np.zeros(0, np.int64) if pair.plants is None else pair.plants,
+        )
 
 
 def load_pair(path: Path) -> StressPair:
@@ -254,6 +258,7 @@ def load_pair(path: Path) -> StressPair:
             noise,
             noise,
             Similarity.from_matrix(arrays["pose"]),
+            plants=arrays["plants"] if len(arrays["plants"]) else None,
         )
 
 
@@ -262,6 +267,8 @@ def _scenes(ladder: Ladder, *, quick: bool, given: bool) -> tuple[str, ...]:
         return (GIVEN,)
     if ladder.sets_shape:
         return (SHAPES,)
+    if ladder.needs_vegetation:
+        return (WOODED,)
     return SCENES[:1] if quick else SCENES
 
 

@@ -17,7 +17,8 @@ from pcbench.studies.stress.curves import (
     speed_chart,
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart
-from pcbench.studies.stress.results import SUBJECTS, StressStudy
+from pcbench.studies.stress.reconstructors.charts import score_charts
+from pcbench.studies.stress.results import ALL_SUBJECTS, StressStudy
 from pcbench.studies.stress.worst import draw_worst
 
 FIGURES = "figures"
@@ -57,7 +58,7 @@ def draw_charts(study: StressStudy, folder: Path) -> list[str]:
 
 def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
     """Yield the name and the figure of each chart that has data."""
-    for subject in SUBJECTS:
+    for subject in ALL_SUBJECTS:
         yield from _named(f"outcomes_{subject}", outcome_chart(study, subject))
         yield from _named(f"matrix_{subject}", matrix_chart(study, subject))
     yield from _named("recall", recall_chart(study))
@@ -68,7 +69,9 @@ def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
     yield from _named("speed", speed_chart(study))
     yield from _named("sizes", size_chart(study))
     yield from _named("coverage", coverage_chart(study))
-    for subject in SUBJECTS:
+    for kind, figure in score_charts(study):
+        yield f"scores_{kind}", figure
+    for subject in ALL_SUBJECTS:
         for kind, figure in severity_charts(study, subject):
             yield f"severity_{subject}_{kind}", figure
 

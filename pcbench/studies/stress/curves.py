@@ -283,7 +283,9 @@ def _error_limits(study: StressStudy, name: str) -> tuple[float, float]:
 
 
 def _draw_preset_ticks(axis: Any, values: set[float]) -> None:
-    for value in sorted(values):
+    """Mark the criteria of benchmarks within the range of the x axis; text beyond it would shrink all panels."""
+    low, high = axis.get_xlim()
+    for value in sorted(value for value in values if low <= value <= high):
         axis.axvline(value, color=GREY, linewidth=1, linestyle=":")
         axis.text(value, 103, f"{value:g}", color=GREY, fontsize=8, ha="center", va="bottom")
     axis.title.set_position((0.5, 1.06))

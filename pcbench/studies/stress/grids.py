@@ -10,14 +10,18 @@ from pcbench.studies.stress.canvas import canvas, level_labels, success
 from pcbench.studies.stress.limits import CONFIDENT, ladder_success, stress_rows
 from pcbench.studies.stress.results import (
     CRASH,
+    DEGRADED,
     FALSE_ALARM,
+    METRICS,
     OUTCOMES,
+    RECONSTRUCTION,
     REFUSED,
     REGISTRATION,
     RIGHT,
     SAID,
     SILENT,
     TIME_OUT,
+    WARNED,
     WITHHELD,
     WRONG,
     LadderInfo,
@@ -33,8 +37,10 @@ _OUTCOME_COLORS = {
     REFUSED: "#f0e442",
     SAID: "#56b4e9",
     WITHHELD: "#56b4e9",
+    WARNED: "#56b4e9",
     SILENT: "#d55e00",
     WRONG: "#d55e00",
+    DEGRADED: "#d55e00",
     CRASH: "#333333",
     TIME_OUT: "#999999",
 }
@@ -46,10 +52,16 @@ _OUTCOME_NAMES = {
     SILENT: "silently wrong",
     WRONG: "wrong with confidence",
     WITHHELD: "withheld",
+    WARNED: "poor, with a warning",
+    DEGRADED: "poor, without a warning",
     CRASH: "crash",
     TIME_OUT: "time-out",
 }
-_METRIC_SAID = "off, but explained by floor or interval"
+# Outcomes that have another meaning for a subject.
+_SUBJECT_NAMES = {
+    METRICS: {SAID: "off, but explained by floor or interval"},
+    RECONSTRUCTION: {RIGHT: "at least half of the unperturbed F-score", REFUSED: "refused with an error"},
+}
 _MAX_MAP_COLUMNS = 4
 _MIN_LABEL_SHARE = 0.04  # of a bar's length, for a number inside it
 _DARK_SHARE = 0.55  # failures beyond which the text of a cell is white
@@ -107,7 +119,7 @@ def outcome_chart(study: StressStudy, subject: str) -> Any | None:
             share = tally.rate(outcome).share
             axis.barh(at, 100 * share, left=100 * left, height=0.7, color=_OUTCOME_COLORS[outcome])
             if share >= _MIN_LABEL_SHARE:
-                color = "white" if outcome in (RIGHT, SILENT, WRONG, CRASH) else "black"
+                color = "white" if outcome in (RIGHT, SILENT, WRONG, DEGRADED, CRASH) else "black"
                 place = 100 * (left + 0.5 * share)
                 axis.text(place, at, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
             left += share
@@ -117,7 +129,7 @@ def outcome_chart(study: StressStudy, subject: str) -> Any | None:
     axis.set_xlim(0, 100)
     axis.set_xlabel("share of the runs [%]")
     axis.set_title(f"Outcomes: {subject}", fontsize=11, loc="left")
-    names = {**_OUTCOME_NAMES, SAID: _OUTCOME_NAMES[SAID] if subject == REGISTRATION else _METRIC_SAID}
+    names = {**_OUTCOME_NAMES, **_SUBJECT_NAMES.get(subject, {})}
     handles = [Patch(color=_OUTCOME_COLORS[o], label=names[o]) for o in OUTCOMES[subject] if o in used]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
@@ -145,7 +157,7 @@ def matrix_chart(study: StressStudy, subject: str) -> Any | None:
             confident = tally.rate(*CONFIDENT[subject])
             text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")
             color = "white" if share > _DARK_SHARE else "black"
-            axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=0.9)
+            axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=1.15)
     drawn = axis.imshow(failed, cmap="YlOrRd", vmin=0, vmax=100, aspect="auto")
     titles = [f"{ladder.title},\n{ladder.second_title}" if ladder.is_map else ladder.title for ladder in ladders]
     axis.set_xticks(range(len(ladders)), titles, rotation=40, ha="right", rotation_mode="anchor", fontsize=9)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from pcbench.report.words import join_words
 from pcbench.studies.stress.results import (
     CRASH,
+    DEGRADED,
     FALSE_ALARM,
     METRICS,
+    RECONSTRUCTION,
     REFUSED,
     REGISTRATION,
     RIGHT,
@@ -17,6 +21,7 @@ from pcbench.studies.stress.results import (
     SILENT,
     TIME_OUT,
     VERDICTS,
+    WARNED,
     WITHHELD,
     WRONG,
     Cell,
@@ -37,10 +42,22 @@ SUCCESS: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (RIGHT, FALSE_ALARM),
     METRICS: (RIGHT, SAID),
     VERDICTS: (RIGHT,),
+    RECONSTRUCTION: (RIGHT,),
 }
-SAID_SO: Mapping[str, tuple[str, ...]] = {REGISTRATION: (SAID, REFUSED), METRICS: (), VERDICTS: (WITHHELD,)}
-CONFIDENT: Mapping[str, tuple[str, ...]] = {REGISTRATION: (SILENT,), METRICS: (SILENT,), VERDICTS: (WRONG,)}
+SAID_SO: Mapping[str, tuple[str, ...]] = {
+    REGISTRATION: (SAID, REFUSED),
+    METRICS: (),
+    VERDICTS: (WITHHELD,),
+    RECONSTRUCTION: (WARNED, REFUSED),
+}
+CONFIDENT: Mapping[str, tuple[str, ...]] = {
+    REGISTRATION: (SILENT,),
+    METRICS: (SILENT,),
+    VERDICTS: (WRONG,),
+    RECONSTRUCTION: (DEGRADED,),
+}
 ABORTED = (CRASH, TIME_OUT)
+_MAX_LADDERS = 4  # ladders named as those where an outcome occurs
 
 
 @dataclass(frozen=True)
@@ -49,7 +66,7 @@ class StressRow:
 
     Attributes:
         name: name of the row.
-        subject: subject, of `SUBJECTS`.
+        subject: subject, of `ALL_SUBJECTS`.
         method: the method.
         cells: its cells.
     """
@@ -196,3 +213,23 @@ def _safe_start(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> Safe
     last = ladder.levels[rows - 1] if inner else None
     second = ladder.second_levels[width - 1] if inner else None
     return SafeStart(ladder, last, second, Tally.of(within), Tally.of(beyond))
+
+
+def limit_text(found: SafeRange) -> str:
+    """Return the last safe level in words, with the title of its ladder."""
+    ladder = found.ladder
+    if found.level is None:
+        return f"at no level of {ladder.title}"
+    way = "down to" if ladder.levels[0] > ladder.levels[-1] else "up to"
+    rest = ", the last level" if found.is_complete else ""
+    return f"{way} {ladder.level_text(found.level)} ({ladder.title}{rest})"
+
+
+def ladder_counts(study: StressStudy, cells: Iterable[Cell], outcome: str) -> str:
+    """Return the ladders where an outcome occurs, most frequent first, with counts; cases of a list by name."""
+    counts: Counter[str] = Counter()
+    for cell in cells:
+        if cell.outcome == outcome:
+            ladder = study.ladder(cell.ladder)
+            counts[ladder.level_text(cell.level) if ladder.is_list else ladder.title] += 1
+    return join_words([f"{name} ({count})" for name, count in counts.most_common()], _MAX_LADDERS) if counts else ""

@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pcbench.measure.wording import pluralize
 from pcbench.report.markup import markdown_table
 from pcbench.studies.stress.results import (
+    ALL_SUBJECTS,
     METRICS,
+    RECONSTRUCTION,
     REGISTRATION,
-    SUBJECTS,
     VERDICTS,
+    PhotographInfo,
     StressStudy,
 )
 from pcbench.studies.stress.table import (
@@ -24,6 +26,7 @@ from pcbench.studies.stress.words import (
     answer,
     caveats,
     metric_sentences,
+    reconstruction_sentences,
     registration_sentences,
     verdict_sentences,
 )
@@ -33,11 +36,13 @@ _SENTENCES: dict[str, Callable[[StressStudy], Iterator[str]]] = {
     REGISTRATION: registration_sentences,
     METRICS: metric_sentences,
     VERDICTS: verdict_sentences,
+    RECONSTRUCTION: reconstruction_sentences,
 }
 _TITLES = {
     REGISTRATION: "Registration",
     METRICS: "Metrics and their intervals",
     VERDICTS: "Verdicts on deformation",
+    RECONSTRUCTION: "Reconstructors",
 }
 _CAPTIONS = {
     "outcomes_": "Outcomes of each method",
@@ -49,11 +54,13 @@ _CAPTIONS = {
     "sizes": "Detected deformations, and measured sizes",
     "coverage": "Coverage of the 95 % intervals",
     "severity_": "Success against severity",
+    "scores_": "F-score, RMS error and CPU seconds against severity",
 }
 _PICTURES = {
     REGISTRATION: ("outcomes_registration", "matrix_registration", "recall", "basin_", "profiles", "speed"),
     METRICS: ("outcomes_metrics", "matrix_metrics", "coverage"),
     VERDICTS: ("outcomes_verdicts", "matrix_verdicts", "sizes"),
+    RECONSTRUCTION: ("outcomes_reconstruction", "scores_", "matrix_reconstruction"),
 }
 
 
@@ -64,8 +71,9 @@ def page(study: StressStudy, figures: Sequence[str] = ()) -> str:
         study: the study.
         figures: names of the pictures in `figures/`, as `draw_charts` returns them.
     """
-    parts = ["# Where registration, metrics and verdicts break", _bullets(answer(study)), _setup(study)]
-    for subject in SUBJECTS:
+    title = "Where reconstructors break" if study.photographs else "Where registration, metrics and verdicts break"
+    parts = [f"# {title}", _bullets(answer(study)), _setup(study)]
+    for subject in ALL_SUBJECTS:
         if study.cells(subject):
             parts += _section(study, subject, figures)
     parts += _worst_section(study, figures)
@@ -109,12 +117,14 @@ def _images(figures: Sequence[str], stems: Sequence[str]) -> Iterator[str]:
             if name.startswith(stem):
                 caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
                 kind = name.removesuffix(".png").rpartition("_")[2]
-                yield f"![{caption}{f' ({kind})' if stem.startswith('severity_') else ''}](figures/{name})"
+                yield f"![{caption}{f' ({kind})' if stem.startswith(('severity_', 'scores_')) else ''}](figures/{name})"
 
 
 def _setup(study: StressStudy) -> str:
     """Return the size of the study in sentences."""
-    runs = sum(len(study.cells(subject)) for subject in SUBJECTS)
+    if study.photographs is not None:
+        return _photograph_setup(study, study.photographs)
+    runs = sum(len(study.cells(subject)) for subject in ALL_SUBJECTS)
     scenes = "; ".join(
         f"{scene.name}: {scene.points[0]:,} and {scene.points[1]:,} points, extent"
         f" {scene.extent:.3g} {scene.unit}, spacing {scene.spacing:.3g} {scene.unit}".rstrip()
@@ -127,6 +137,17 @@ def _setup(study: StressStudy) -> str:
     return (
         f"{pluralize(runs, 'result')} ({counts}) on {pluralize(len(study.ladders), 'ladder')} of perturbations."
         f" Scenes (reference and candidate): {scenes}. Shares have 95 % Wilson intervals in brackets."
+    )
+
+
+def _photograph_setup(study: StressStudy, info: PhotographInfo) -> str:
+    """Return the size of a study of reconstructors in sentences."""
+    width, height = info.size
+    return (
+        f"{pluralize(len(study.reconstructions), 'reconstruction')} on {pluralize(len(study.ladders) - 1, 'ladder')} of"
+        f" perturbations. Each scene is a city of {info.extent:g} m with {pluralize(info.images, 'image')} of"
+        f" {width} x {height} pixels; a pixel is {info.pixel:.3g} m on the surface. The F-score is measured at"
+        f" {info.threshold:.3g} m, over the surface that three cameras of the unperturbed scene saw."
     )
 
 

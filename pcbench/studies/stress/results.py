@@ -1,7 +1,7 @@
 """Results of the stress study as types; their fields are the keys of stress.json.
 
-The study asks three subjects, each with its own cells: registrations, metrics and verdicts. A cell is one run: a scene,
-a ladder, a level of it, a method and a seed.
+The study asks three subjects, each with its own cells: registrations, metrics and verdicts; or one on perturbed
+photographs: reconstructions. A cell is one run: a scene, a ladder, a level of it, a method and a seed.
 """
 
 from __future__ import annotations
@@ -22,16 +22,20 @@ DOCUMENT = "stress.json"
 REGISTRATION = "registration"
 METRICS = "metrics"
 VERDICTS = "verdicts"
-SUBJECTS = (REGISTRATION, METRICS, VERDICTS)
+RECONSTRUCTION = "reconstruction"
+SUBJECTS = (REGISTRATION, METRICS, VERDICTS)  # of pairs of clouds
+ALL_SUBJECTS = (*SUBJECTS, RECONSTRUCTION)
 
 # Outcomes of a run. Every subject uses the last two.
 RIGHT = "right"
 FALSE_ALARM = "false-alarm"  # the pose is right, but the result is doubtful
 REFUSED = "refused"  # no pose, although another method found it from the same clouds
 SAID = "said"  # wrong, and the result is doubtful; or no pose where none was findable
-SILENT = "silent"  # wrong without doubt
+SILENT = "silent"  # wrong but not doubted
 WRONG = "wrong"  # a verdict that contradicts the truth
 WITHHELD = "withheld"  # no verdict
+WARNED = "warned"  # a poor cloud, and the reconstructor warns
+DEGRADED = "degraded"  # a poor cloud without a warning
 CRASH = "crash"
 TIME_OUT = "time-out"
 
@@ -40,6 +44,7 @@ OUTCOMES: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (RIGHT, FALSE_ALARM, REFUSED, SAID, SILENT, CRASH, TIME_OUT),
     METRICS: (RIGHT, SAID, SILENT, CRASH, TIME_OUT),
     VERDICTS: (RIGHT, WITHHELD, WRONG, CRASH, TIME_OUT),
+    RECONSTRUCTION: (RIGHT, WARNED, REFUSED, DEGRADED, CRASH, TIME_OUT),
 }
 
 # Failures of a verdict.
@@ -62,7 +67,17 @@ MAX_FLOOR_SHARE = 0.3
 MIN_COUNTED_SIZE = 0.25
 """RMS over the noise above which a deformation has to be found; a smaller one may be."""
 
-_SINGULAR_UNITS = {"spacings": "spacing", "copies": "copy"}
+MIN_SCORE_SHARE = 0.5
+"""Smallest F-score of a right reconstruction over that of the unperturbed run.
+
+An F-score is halved when, for example, a complete cloud loses two thirds of the surface, or two thirds of its points
+are wrong.
+"""
+
+WARNING_PREFIX = "warning: "
+"""Start of a reconstructor's note that says that the result may be wrong; see `pcbench.plugins.Reconstruction`."""
+
+_SINGULAR_UNITS = {"spacings": "spacing", "copies": "copy", "stops": "stop"}
 _Z = NormalDist().inv_cdf(0.975)
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -97,6 +112,7 @@ class StressSettings:
         methods: names of the methods to run; empty for all that are installed.
         register: registration method that finds the true pose of a given pair.
         time_limit_s: time limit of a cell, in seconds.
+        reconstructors: whether reconstructors run on perturbed photographs instead.
     """
 
     quick: bool = False
@@ -106,6 +122,7 @@ class StressSettings:
     methods: tuple[str, ...] = ()
     register: str = "icp"
     time_limit_s: float = 120.0
+    reconstructors: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,8 +132,9 @@ class LadderInfo:
     Attributes:
         name: identifier, in lower case with hyphens.
         title: what is perturbed, for charts and tables, such as `rotation of the start`.
-        kind: group of ladders: `start`, `noise`, `parts`, `density`, `coordinates`, `warp` or `degenerate`.
-        subjects: subjects that it is run for, of `SUBJECTS`.
+        kind: group of ladders: `start`, `noise`, `parts`, `density`, `coordinates`, `warp` or `degenerate`; of
+            photographs `unperturbed`, `images`, `cameras` or `surface`.
+        subjects: subjects that it is run for, of `ALL_SUBJECTS`.
         unit: unit of the levels, such as `deg` or `%`; empty for plain numbers.
         levels: levels of the run, ascending in severity.
         level_names: names of the levels of a ladder that is a list of cases; otherwise empty.
@@ -176,12 +194,35 @@ class SceneInfo:
 
 
 @dataclass(frozen=True)
+class PhotographInfo:
+    """The photographs of a study of reconstructors, and how clouds are measured.
+
+    Attributes:
+        images: number of images.
+        size: width and height of the images, in pixels.
+        rig: arrangement of the cameras, of `pcbench synth city --rig`.
+        extent: side of the city, in metres.
+        pixel: median size of a pixel on the surface, in metres.
+        threshold: distance threshold of precision, recall and F-score, in metres.
+        surface_points: number of points that represent the true surface.
+    """
+
+    images: int
+    size: tuple[int, int]
+    rig: str
+    extent: float
+    pixel: float
+    threshold: float
+    surface_points: int
+
+
+@dataclass(frozen=True)
 class MethodInfo:
     """A method of the study.
 
     Attributes:
         name: name in cells, tables and charts.
-        subject: subject that it answers, of `SUBJECTS`.
+        subject: subject that it answers, of `ALL_SUBJECTS`.
         scope: for a registration, `local` or `global`; otherwise empty.
         library: library that it comes from; `pcbench` for our own.
         version: version of that library.
@@ -328,7 +369,7 @@ class VerdictCell(Cell):
         noise: standard deviation of the difference of both clouds along the normals, in the clouds' unit.
         rms: measured RMS of the deformation over the surface; None if the verdict has none.
         interval: 95 % confidence interval of `rms`; None if the verdict has none.
-        limit: RMS of the smallest deformation that would have been detected, as stated; None if not stated.
+        limit: RMS of the smallest deformation that would have been stated; None if not stated.
         pose_is_right: whether the pose that it stands on is right.
     """
 
@@ -360,6 +401,54 @@ class VerdictCell(Cell):
     def covers(self) -> bool | None:
         """Return whether the interval contains the true RMS; None without an interval."""
         return None if self.interval is None else self.interval[0] <= self.true_rms <= self.interval[1]
+
+
+@dataclass(frozen=True)
+class ReconstructionCell(Cell):
+    """Result of one reconstruction; lengths are in metres.
+
+    Attributes:
+        fscore: F-score over the surface that three cameras of the unperturbed scene saw; None without a measured cloud.
+        standard: F-score of the unperturbed run of the same method and seed; None if it has none.
+        precision: share of the points within the threshold of the true surface.
+        recall: share of that surface with a point within the threshold.
+        threshold: the threshold.
+        rms: root mean square distance from the points to the true surface.
+        points: number of points; None without a cloud.
+        cameras: number of images whose camera the reconstructor returned.
+        images: number of images that it got.
+        registration: how the cloud was registered to the truth: `none`, `cameras` or a method of `compare`.
+        notes: notes of the reconstructor.
+        wall_s: wall time of the reconstruction, in seconds; None if unknown.
+    """
+
+    fscore: float | None = None
+    standard: float | None = None
+    precision: float | None = None
+    recall: float | None = None
+    threshold: float | None = None
+    rms: float | None = None
+    points: int | None = None
+    cameras: int | None = None
+    images: int | None = None
+    registration: str = ""
+    notes: tuple[str, ...] = ()
+    wall_s: float | None = None
+
+    @property
+    def warns(self) -> bool:
+        """Return whether the reconstructor says that its result may be wrong."""
+        return any(note.startswith(WARNING_PREFIX) for note in self.notes)
+
+    @property
+    def is_good(self) -> bool:
+        """Return whether the F-score is at least half that of the unperturbed run."""
+        return (
+            self.fscore is not None
+            and self.standard is not None
+            and self.standard > 0
+            and self.fscore >= MIN_SCORE_SHARE * self.standard
+        )
 
 
 @dataclass(frozen=True)
@@ -465,6 +554,8 @@ class StressStudy:
         registrations: one per registration.
         metrics: one per metric and run.
         verdicts: one per verdict.
+        reconstructions: one per reconstruction.
+        photographs: the photographs of the reconstructions; None without any.
         worst: up to three silent failures with the largest error, from different ladders if possible.
         sentences: conclusions, computed from the cells.
         provenance: versions, machine and seed.
@@ -478,6 +569,8 @@ class StressStudy:
     registrations: tuple[RegistrationCell, ...] = ()
     metrics: tuple[MetricCell, ...] = ()
     verdicts: tuple[VerdictCell, ...] = ()
+    reconstructions: tuple[ReconstructionCell, ...] = ()
+    photographs: PhotographInfo | None = None
     worst: tuple[SilentFailure, ...] = ()
     sentences: tuple[str, ...] = ()
     provenance: Mapping[str, Any] | None = field(default=None, compare=False)
@@ -488,6 +581,7 @@ class StressStudy:
             REGISTRATION: self.registrations,
             METRICS: self.metrics,
             VERDICTS: self.verdicts,
+            RECONSTRUCTION: self.reconstructions,
         }
         return by_subject[subject]
 
@@ -538,6 +632,8 @@ def read_study(folder: Path) -> StressStudy:
             registrations=tuple(registration_cell(row) for row in values["registrations"]),
             metrics=tuple(metric_cell(row) for row in values["metrics"]),
             verdicts=tuple(verdict_cell(row) for row in values["verdicts"]),
+            reconstructions=tuple(reconstruction_cell(row) for row in values.get("reconstructions", ())),
+            photographs=_photographs(values.get("photographs")),
             worst=tuple(SilentFailure(registration_cell(row["cell"]), row["file"]) for row in values["worst"]),
             sentences=tuple(values["sentences"]),
             provenance=values["provenance"],
@@ -557,6 +653,15 @@ def metric_cell(values: Mapping[str, Any]) -> MetricCell:
 def verdict_cell(values: Mapping[str, Any]) -> VerdictCell:
     """Return the cell of a row of stress.json."""
     return VerdictCell(**_numbers(_tuples(values), "noise"))
+
+
+def reconstruction_cell(values: Mapping[str, Any]) -> ReconstructionCell:
+    """Return the cell of a row of stress.json."""
+    return ReconstructionCell(**_tuples(values))
+
+
+def _photographs(values: Mapping[str, Any] | None) -> PhotographInfo | None:
+    return None if values is None else PhotographInfo(**_tuples(values))
 
 
 def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:

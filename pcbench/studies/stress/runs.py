@@ -36,7 +36,7 @@ from pcbench.studies.stress.results import (
 )
 from pcbench.systems import cpu_count, signal_name
 
-_RECORDS, _WORK = "runs", "work"
+RECORDS, WORK = "runs", "work"  # folders of records and of temporary files
 _CHILD = "pcbench.studies.stress.child"
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
 # Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
@@ -65,7 +65,7 @@ class RunSettings:
 
     def record(self, plan: RunPlan) -> Path:
         """Return the path of a run's record."""
-        return self.out / _RECORDS / f"{plan.stem}.json"
+        return self.out / RECORDS / f"{plan.stem}.json"
 
     def key(self, plan: RunPlan, code: str) -> dict[str, Any]:
         """Return all inputs that a run's result depends on."""
@@ -88,8 +88,8 @@ def run_all(
         InputError: an optional library is installed but cannot be loaded.
         OSError: a record cannot be written.
     """
-    (settings.out / _RECORDS).mkdir(exist_ok=True)
-    (settings.out / _WORK).mkdir(exist_ok=True)
+    (settings.out / RECORDS).mkdir(exist_ok=True)
+    (settings.out / WORK).mkdir(exist_ok=True)
     code = code_digest()
     keys = {plan: settings.key(plan, code) for plan in plans}
     missing = [plan for plan in plans if read_record(settings.record(plan), keys[plan]) is None]
@@ -112,7 +112,7 @@ def run_all(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    shutil.rmtree(settings.out / _WORK, ignore_errors=True)
+    shutil.rmtree(settings.out / WORK, ignore_errors=True)
     return [_read(settings.record(plan), keys[plan], plan) for plan in plans]
 
 
@@ -153,7 +153,7 @@ def _run_batch(
 ) -> None:
     """Run a batch in one child process; after a crash or a time-out, the rest in a new one."""
     left = list(batch)
-    file = settings.out / _WORK / f"{name}.json"
+    file = settings.out / WORK / f"{name}.json"
     at = file.with_suffix(".at")
     while left:
         rows = [

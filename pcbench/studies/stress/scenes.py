@@ -10,22 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError, RegistrationError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.registration import as_similarity, register
 from pcbench.studies.stress.results import SceneInfo
-from pcbench.studies.stress.surfaces import CITY_SIDE, DEGENERATE, FREE, SURFACES
+from pcbench.studies.stress.surfaces import CITY_SIDE, DEGENERATE, FREE, SURFACES, wooded_surface
+from pcbench.studies.stress.vegetation import plants_of
 
 GIVEN = "given"  # name of the scene of a given pair
 SHAPES = "shapes"  # name of the scene that stands for all degenerate surfaces
+WOODED = "wooded city"  # name of the scene of ladders that need vegetation
 SCENES = tuple(SURFACES)
 # Standard deviations of each cloud's noise, in metres.
-_NOISE = {"city": 0.03, "terrain": 0.03, "room": 0.003, "object": 0.001}
+_NOISE = {"city": 0.03, WOODED: 0.03, "terrain": 0.03, "room": 0.003, "object": 0.001}
 _DEGENERATE_NOISE = 0.02
 POINTS, QUICK_POINTS = 24_000, 8_000  # of the reference; the candidate has half of them
 _MAX_GIVEN_POINTS = 60_000  # of each cloud of a given pair
@@ -49,6 +51,7 @@ class StressPair:
         surface: true surface of the reference; None if unknown.
         true_rms: RMS of the candidate's deformation along the normals, beyond an affine one.
         free: whether the geometry does not determine the pose.
+        plants: (M,) number of the plant that each point of the candidate shows, -1 for none; None without vegetation.
     """
 
     reference: FloatArray
@@ -62,6 +65,7 @@ class StressPair:
     surface: Mesh | None = None
     true_rms: float = 0.0
     free: bool = False
+    plants: IntArray | None = None
 
     @cached_property
     def candidate(self) -> FloatArray:
@@ -75,11 +79,14 @@ class StressPair:
 
     def with_points(self, points: FloatArray, normals: FloatArray | None = None) -> StressPair:
         """Return the pair with other points of the candidate at its true pose."""
-        return replace(self, points=points, normals=self.normals if normals is None else normals)
+        if normals is None:
+            return replace(self, points=points)
+        return replace(self, points=points, normals=normals, plants=None)
 
     def select(self, which: NDArray[Any]) -> StressPair:
         """Return the pair with some points of the candidate, given by a mask or indices."""
-        return replace(self, points=self.points[which], normals=self.normals[which])
+        plants = None if self.plants is None else self.plants[which]
+        return replace(self, points=self.points[which], normals=self.normals[which], plants=plants)
 
     def info(self, name: str, unit: str = "m") -> SceneInfo:
         """Return the description of the pair as a scene."""
@@ -91,11 +98,16 @@ def scene_pair(name: str, seed: int, points: int) -> StressPair:
     """Return a pair of a built-in scene: two independent samples with noise, at the true pose.
 
     Args:
-        name: one of `SCENES`.
+        name: one of `SCENES`, or `WOODED`.
         seed: random seed of the scene and its samples.
         points: number of points of the reference; the candidate has half of them.
     """
-    return _sampled_pair(name, SURFACES[name](seed), _NOISE[name], seed, points)
+    if name != WOODED:
+        return _sampled_pair(name, SURFACES[name](seed), _NOISE[name], seed, points)
+    surface, plants = wooded_surface(seed)
+    pair = _sampled_pair(name, surface, _NOISE[name], seed, points)
+    clean, _ = _sample(name, surface, points // 2, seed, 1)
+    return replace(pair, plants=plants[MeshIndex(surface).query(clean).faces])
 
 
 def degenerate_pair(name: str, seed: int, points: int) -> StressPair:
@@ -128,15 +140,17 @@ def given_pair(reference: Cloud, candidate: Cloud, method: str) -> StressPair:
     T = found.T_reference_candidate
     fixed, moving = (_thinned(cloud.points) for cloud in (reference, candidate))
     points = T.apply(moving)
+    extent = extent_of(fixed)
     return StressPair(
         reference=fixed,
         points=points,
         normals=estimate_normals(Index(points)).directions,
         spacing=median_spacing(Index(fixed)),
-        extent=extent_of(fixed),
+        extent=extent,
         noise=found.rmse,
         candidate_noise=found.rmse,
         T_true=T,
+        plants=plants_of(points, reference, extent),
     )
 
 
@@ -166,8 +180,8 @@ def _sampled_pair(name: str, surface: Mesh, noise: float, seed: int, points: int
 
 
 def _sample(name: str, surface: Mesh, count: int, seed: int, which: int) -> tuple[FloatArray, FloatArray]:
-    """Return points and normals; those of a city lie in its middle square."""
-    if name != "city":
+    """Return points and normals; those of cities lie in their middle square."""
+    if name not in ("city", WOODED):
         cloud = surface.sample(count, 2 * seed + which)
     else:
         cloud = surface.sample(4 * count, 2 * seed + which)

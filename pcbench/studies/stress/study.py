@@ -31,6 +31,7 @@ from pcbench.studies.stress.page import page
 from pcbench.studies.stress.results import (
     DOCUMENT,
     METRICS,
+    RECONSTRUCTION,
     REGISTRATION,
     SCHEMA,
     SILENT,
@@ -38,6 +39,7 @@ from pcbench.studies.stress.results import (
     MethodInfo,
     MetricCell,
     MissingMethod,
+    ReconstructionCell,
     RegistrationCell,
     SceneInfo,
     SilentFailure,
@@ -52,6 +54,7 @@ from pcbench.studies.stress.scenes import (
     POINTS,
     QUICK_POINTS,
     SCENES,
+    WOODED,
     StressPair,
     given_pair,
     scene_pair,
@@ -171,13 +174,13 @@ def run_stress(
             quick=settings.quick,
             seeds=range(settings.seed, settings.seed + settings.seeds),
             points=plan.points,
-            given=pair is not None,
+            given=pair,
         )
     )
     if not runs:
         raise InputError(
-            "expected ladders for registrations: metrics and verdicts need scenes with an exact surface, so a given"
-            " pair is not used for them"
+            "expected ladders for registrations that apply to this pair: metrics and verdicts need scenes with an exact"
+            " surface, and missing-vegetation needs vegetation classes (3, 4, 5) in the reference"
             if pair is not None
             else "expected methods for these ladders, got none: see --methods"
         )
@@ -187,29 +190,51 @@ def run_stress(
         step("writing the results")
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))
-        study = replace(study, sentences=sentences(study))
-        without_figures = None
-        drawn: list[str] = []
-        if figures:
-            step("drawing charts")
-            try:
-                drawn = draw_charts(study, out)
-            except MissingExtra as error:
-                without_figures = record_error(error)
-        table = stress_table(study)
-        pages = {
-            CSV: csv_text(study),
-            TABLE: f"{table}\n",
-            PAGE: page(study, drawn),
-            DOCUMENT: to_json(document(study)),
-        }
-        write_pages(out, pages)
+        return write_study(out, study, figures=figures, step=step)
+
+
+def write_study(
+    out: Path, study: StressStudy, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
+) -> StressOutcome:
+    """Write all files of a study to its folder.
+
+    Args:
+        out: folder of the study.
+        study: the study; its sentences are computed here.
+        figures: whether to draw charts.
+        step: progress callback.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    study = replace(study, sentences=sentences(study))
+    without_figures = None
+    drawn: list[str] = []
+    if figures:
+        step("drawing charts")
+        try:
+            drawn = draw_charts(study, out)
+        except MissingExtra as error:
+            without_figures = record_error(error)
+    table = stress_table(study)
+    pages = {
+        CSV: csv_text(study),
+        TABLE: f"{table}\n",
+        PAGE: page(study, drawn),
+        DOCUMENT: to_json(document(study)),
+    }
+    write_pages(out, pages)
     return StressOutcome(study, table, without_figures)
 
 
 def csv_text(study: StressStudy) -> str:
     """Return all cells as CSV, one line each; columns that a subject lacks are empty."""
-    kinds = {REGISTRATION: RegistrationCell, METRICS: MetricCell, VERDICTS: VerdictCell}
+    kinds = {
+        REGISTRATION: RegistrationCell,
+        METRICS: MetricCell,
+        VERDICTS: VerdictCell,
+        RECONSTRUCTION: ReconstructionCell,
+    }
     names = list(dict.fromkeys(field.name for kind in kinds.values() for field in fields(kind)))
     text = io.StringIO()
     writer = csv.DictWriter(text, ["subject", *names], restval="", lineterminator="\n")
@@ -225,7 +250,8 @@ def _csv_value(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, tuple):
-        return " ".join(map(str, value))
+        texts = [str(item) for item in value]
+        return ("; " if any(" " in text for text in texts) else " ").join(texts)
     return "" if value != value else str(value)
 
 
@@ -271,7 +297,7 @@ def _scene_infos(runs: Iterable[RunPlan], pair: StressPair | None, unit: str | N
     for name, run in first.items():
         if name == GIVEN and pair is not None:
             infos.append(pair.info(name, unit or ""))
-        elif name in SCENES:
+        elif name in (*SCENES, WOODED):
             infos.append(scene_pair(name, run.seed, run.points).info(name))
     return infos
 

@@ -7,12 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.scenes.synthetic import city, relief
+from pcbench.scenes.synthetic.plan import Tree
+from pcbench.scenes.synthetic.surface import tree_shape
 
 CITY_SIDE = 150.0  # metres
+_UP = np.array([0.0, 0.0, 1.0])
 _GROUND_STEP = 3.0  # metres between the ground's vertices: its waves deviate from the mesh by at most 0.5 mm
 _TERRAIN_SIDE, _TERRAIN_STEP = 160.0, 1.5
+_TREES = 300  # trees to place in the wooded city; those without space are left out
 _ROOM = np.array([4.2, 5.6, 2.6])
 
 
@@ -32,6 +36,31 @@ def city_surface(seed: int) -> Mesh:
             vertices[:, 2] = relief(vertices[:, 0], vertices[:, 1])
         parts.append((vertices, faces))
     return _joined(parts)
+
+
+def wooded_surface(seed: int) -> tuple[Mesh, IntArray]:
+    """Return the city with trees of `pcbench synth city` on its ground, and the tree (F,) of each face or -1."""
+    ground = city_surface(seed)
+    index, rng = MeshIndex(ground), np.random.default_rng([seed, 5])
+    parts, owners = [(ground.vertices, ground.faces)], [np.full(len(ground.faces), -1)]
+    kept: list[Tree] = []
+    for _ in range(_TREES):
+        x, y = rng.uniform(-CITY_SIDE / 2, CITY_SIDE / 2, 2)
+        height = float(rng.uniform(4, 11))
+        radius = height * float(rng.uniform(0.26, 0.38))
+        base = float(relief(x, y))
+        tree = Tree(float(x), float(y), base, height, radius, int(rng.integers(1 << 30)))
+        crown = np.array([x, y, base + 0.6 * height])
+        # Crowns bulge by up to a fifth of the radius, and are clear of buildings and of each other.
+        if index.query(crown[None]).distances[0] < 1.25 * radius or index.is_occluded(crown[None], _UP[None])[0]:
+            continue
+        if any(np.hypot(x - t.x, y - t.y) < 1.25 * (radius + t.radius) for t in kept):
+            continue
+        vertices, faces = tree_shape(tree, np.random.default_rng(tree.seed))
+        parts.append((vertices, faces))
+        owners.append(np.full(len(faces), len(kept)))
+        kept.append(tree)
+    return _joined(parts), np.concatenate(owners)
 
 
 def terrain_surface(seed: int) -> Mesh:

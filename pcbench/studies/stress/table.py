@@ -15,11 +15,12 @@ from pcbench.studies.stress.limits import (
     stress_rows,
 )
 from pcbench.studies.stress.results import (
+    ALL_SUBJECTS,
     METRICS,
     OUTCOMES,
     PRESETS,
+    RECONSTRUCTION,
     REGISTRATION,
-    SUBJECTS,
     VERDICTS,
     LadderInfo,
     Rate,
@@ -38,17 +39,20 @@ LIMITS_LEGEND = (
 _COST_LEGEND = "CPU s: median; MiB: largest peak beyond the loaded clouds"
 OUTCOMES_LEGENDS = {
     REGISTRATION: "false-alarm: right, but doubted; refused: no pose, although another method found one; said: wrong"
-    f" and doubted; silent: wrong without a doubt; {_COST_LEGEND}",
+    f" and doubted; silent: wrong but not doubted; {_COST_LEGEND}",
     METRICS: "said: wrong, but explained by the floor or the interval; silent: wrong and not explained;"
     f" {_COST_LEGEND}",
     VERDICTS: f"withheld: no verdict; wrong: contradicts the truth; {_COST_LEGEND}, each for all rules together",
+    RECONSTRUCTION: "right: at least half of the F-score of the unperturbed run; warned: less, with a warning;"
+    " refused: an error instead of a cloud; degraded: less, without a warning;"
+    " CPU s: median; MiB: largest peak of the process",
 }
 
 
 def stress_table(study: StressStudy) -> str:
     """Return the tables that the command prints: by subject, safe limits by ladder, then outcomes by method."""
     parts = []
-    for subject in SUBJECTS:
+    for subject in ALL_SUBJECTS:
         if study.cells(subject):
             (_, *head), *lines = limits_table(study, subject)
             parts.append(text_table([[f"{subject}: safe up to", *head], *lines]))

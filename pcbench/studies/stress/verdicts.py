@@ -35,7 +35,7 @@ _NAMES = {"rigid": "none", "similarity": "similarity", "affine": "affine"}  # ve
 
 
 class VerdictValues(NamedTuple):
-    """A verdict with its sizes, in the clouds' unit."""
+    """A verdict with its sizes, in the clouds' unit; `limit` is the size above which it would state a deformation."""
 
     verdict: str
     rms: float | None = None
@@ -102,7 +102,7 @@ def _ours(found: Deformation) -> VerdictValues:
         found.verdict,
         None if size is None else size.rms_surface,
         None if size is None else size.ci_surface,
-        found.minimum_detectable_rms,
+        found.size_limit,
         tuple(notice.code for notice in found.warnings),
     )
 

@@ -16,10 +16,13 @@ from pcbench.studies.stress.limits import (
     SafeRange,
     SafeStart,
     StressRow,
+    ladder_counts,
+    limit_text,
     safe_ranges,
     safe_starts,
     stress_rows,
 )
+from pcbench.studies.stress.reconstructors.words import case_sentences, failure_sentences, limit_sentences
 from pcbench.studies.stress.results import (
     CRASH,
     FALSE_ALARM,
@@ -28,6 +31,7 @@ from pcbench.studies.stress.results import (
     MAX_METRIC_ERROR,
     METRICS,
     MISSED,
+    RECONSTRUCTION,
     REFUSED,
     REGISTRATION,
     RIGHT,
@@ -52,13 +56,12 @@ from pcbench.studies.stress.results import (
 _HEADLINES = ("start-rotation", "start-offset", "overlap", "noise-gaussian", "background")
 _MAX_HEADLINES = 5
 _MAX_BREAKS = 4  # ladders named as those under which a method breaks first
-_MAX_PLACES = 4  # ladders named as those where wrong results occur
 _NOMINAL_COVERAGE = 0.95
 
 
 def sentences(study: StressStudy) -> tuple[str, ...]:
     """Return all conclusions as sentences, those on registration first."""
-    parts = (registration_sentences, metric_sentences, verdict_sentences, caveats)
+    parts = (registration_sentences, metric_sentences, verdict_sentences, reconstruction_sentences, caveats)
     return tuple(sentence for part in parts for sentence in part(study))
 
 
@@ -70,6 +73,8 @@ def answer(study: StressStudy) -> Iterator[str]:
             yield _silent_sentence(study, row)
     yield from (_metric_sentence(row) for row in stress_rows(study, METRICS) if row.method.is_ours)
     yield from (_verdict_sentence(row) for row in stress_rows(study, VERDICTS) if row.method.is_ours)
+    for row in stress_rows(study, RECONSTRUCTION):
+        yield from limit_sentences(study, row)
 
 
 def registration_sentences(study: StressStudy) -> Iterator[str]:
@@ -112,12 +117,20 @@ def verdict_sentences(study: StressStudy) -> Iterator[str]:
         ]
         if parts:
             yield f"{row.name} {'; it '.join(parts)}."
-        if places := _places(study, cells, (WRONG,)):
+        if places := ladder_counts(study, cells, WRONG):
             yield f"{row.name} is wrong with confidence under {places}."
         yield from _size_sentence(row)
         yield from _coverage_sentence(row)
         yield from _break_sentence(row, safe_ranges(study, row))
         yield from _abort_sentence(study, row)
+
+
+def reconstruction_sentences(study: StressStudy) -> Iterator[str]:
+    """Yield how far each reconstructor keeps half of its F-score, and what it does beyond."""
+    for row in stress_rows(study, RECONSTRUCTION):
+        yield from limit_sentences(study, row)
+        yield from failure_sentences(study, row)
+        yield from case_sentences(study, row)
 
 
 def caveats(study: StressStudy) -> Iterator[str]:
@@ -128,6 +141,11 @@ def caveats(study: StressStudy) -> Iterator[str]:
         yield (
             "Other libraries state no doubt about a pose: it counts as doubtful if the method has not converged or"
             " matches too few points."
+        )
+    if any(method.name == "sfm" for method in study.methods_of(RECONSTRUCTION)):
+        yield (
+            "sfm solves for its cameras and aligns them to the given ones: errors of the given cameras move its cloud,"
+            " but do not bend it. mvs and splat use the given cameras."
         )
     by_reason: dict[str, list[str]] = {}
     for missing in study.missing:
@@ -152,16 +170,6 @@ def rate_text(rate: Rate) -> str:
 def axis_title(title: str, unit: str) -> str:
     """Return a quantity with its unit in brackets, if it has one."""
     return f"{title} [{unit}]" if unit else title
-
-
-def limit_text(found: SafeRange) -> str:
-    """Return the last safe level in words, with the title of its ladder."""
-    ladder = found.ladder
-    if found.level is None:
-        return f"at no level of {ladder.title}"
-    way = "down to" if ladder.levels[0] > ladder.levels[-1] else "up to"
-    rest = ", the last level" if found.is_complete else ""
-    return f"{way} {ladder.level_text(found.level)} ({ladder.title}{rest})"
 
 
 def _percent_number(share: float) -> str:
@@ -242,7 +250,7 @@ def _short_limit(found: SafeRange) -> str:
 def _silent_sentence(study: StressStudy, row: StressRow) -> str:
     silent = Tally.of(row.cells).rate(SILENT)
     text = f"{row.name} is wrong with confidence in {silent.count} of {pluralize(silent.total, 'run')}"
-    places = _places(study, row.cells, (SILENT,))
+    places = ladder_counts(study, row.cells, SILENT)
     text = f"{text}, {rate_text(silent)}" + (f": {places}" if places else "")
     warned = [cell for cell in row.cells if isinstance(cell, RegistrationCell) and cell.warned]
     codes = Counter(code for cell in warned if cell.outcome == SILENT for code in cell.codes)
@@ -270,16 +278,6 @@ def _verdict_sentence(row: StressRow) -> str:
     )
 
 
-def _places(study: StressStudy, cells: Iterable[Cell], outcomes: Sequence[str]) -> str:
-    """Return the ladders where outcomes occur, most frequent first, with their counts; cases of a list by name."""
-    counts: Counter[str] = Counter()
-    for cell in cells:
-        if cell.outcome in outcomes:
-            ladder = study.ladder(cell.ladder)
-            counts[ladder.level_text(cell.level) if ladder.is_list else ladder.title] += 1
-    return join_words([f"{name} ({count})" for name, count in counts.most_common()], _MAX_PLACES) if counts else ""
-
-
 def _alarm_sentence(row: StressRow) -> Iterator[str]:
     tally = Tally.of(row.cells)
     doubted = Rate(tally.counts.get(FALSE_ALARM, 0), tally.rate(RIGHT, FALSE_ALARM).count)
@@ -295,7 +293,7 @@ def _alarm_sentence(row: StressRow) -> Iterator[str]:
 def _abort_sentence(study: StressStudy, row: StressRow) -> Iterator[str]:
     tally = Tally.of(row.cells)
     parts = [
-        f"{verb} in {pluralize(tally.counts[outcome], 'run')}: {_places(study, row.cells, (outcome,))}"
+        f"{verb} in {pluralize(tally.counts[outcome], 'run')}: {ladder_counts(study, row.cells, outcome)}"
         for outcome, verb in ((CRASH, "crashes"), (TIME_OUT, "runs out of time"))
         if outcome in tally.counts
     ]

@@ -214,20 +214,20 @@ def test_verdicts_on_a_known_dome():
     assert ours.size_in_noise == pytest.approx(4, rel=DIGITS) and ours.ratio == pytest.approx(1, abs=0.2)
 
 
-def test_plan_runs_each_subject_once():
-    ladders = [LADDERS["start-map"], LADDERS["density"], LADDERS["degenerate"]]
+def test_plan_runs_each_subject_once(pair):
+    ladders = [LADDERS[name] for name in ("start-map", "density", "degenerate", "missing-vegetation")]
     methods = {REGISTRATION: ("icp", "global"), METRICS: ("pcbench",), VERDICTS: ("deform",)}
     arguments = {"quick": True, "seeds": range(2), "points": 100}
-    runs = list(plan_runs(ladders, methods, **arguments, given=False))
+    runs = list(plan_runs(ladders, methods, **arguments, given=None))
     assert len(set(runs)) == len(runs)
     assert sum(run.ladder == "start-map" for run in runs) == 9 * 2  # without global methods
     assert sum(run.subject == REGISTRATION and run.ladder == "density" for run in runs) == 2 * 2 * 2
     assert {run.scene for run in runs if run.ladder == "degenerate"} == {"shapes"}
-    given = list(plan_runs(ladders, methods, **arguments, given=True))
+    given = list(plan_runs(ladders, methods, **arguments, given=pair))
     assert {(run.subject, run.scene) for run in given} == {(REGISTRATION, "given")}
     assert {run.ladder for run in given} == {"start-map", "density"}
-    full = plan_runs(ladders, methods, quick=False, seeds=range(1), points=100, given=False)
-    assert {run.scene for run in full} == {"city", "terrain", "room", "object", "shapes"}
+    full = plan_runs(ladders, methods, quick=False, seeds=range(1), points=100, given=None)
+    assert {run.scene for run in full} == {"city", "terrain", "room", "object", "shapes", "wooded city"}
 
 
 def test_a_pair_depends_on_seed_and_level_alone(pair):

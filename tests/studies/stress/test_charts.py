@@ -1,6 +1,7 @@
 """Charts and pictures of the stress study."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ def silent_failure(folder, points=3000):
     return SilentFailure(cell, "worst_1.npz")
 
 
+@pytest.mark.long
 def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "worst_3.png").write_bytes(b"")
@@ -88,6 +90,22 @@ def test_recall_ends_at_the_share_of_runs_with_a_pose():
     assert icp.get_ydata()[0] == 0
 
 
+def test_recall_marks_only_the_criteria_within_its_range():
+    """All errors are far below the criteria: their labels would lie beside the panels, and shrink them."""
+    made = study()
+    small = tuple(
+        replace(cell, error=1e-4, offset_error=0.01, angle_error_deg=0.005)
+        for cell in made.registrations
+        if cell.error is not None
+    )
+    figure = recall_chart(study(registrations=small))
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        assert not axis.texts
+        assert axis.get_window_extent().width > 0.25 * figure.bbox.width
+    assert any(axis.texts for axis in recall_chart(made).axes)
+
+
 def test_profiles_end_at_the_share_of_solved_problems():
     axis = profile_chart(study()).axes[0]
     ends = {line.get_label(): line.get_ydata()[-1] for line in axis.lines}
@@ -115,6 +133,7 @@ def test_titles_labels_and_legends_do_not_overlap(chart, made):
         assert figure.bbox.x0 - 1 <= box.x0 < box.x1 <= figure.bbox.x1 + 1
 
 
+@pytest.mark.long
 def test_pictures_of_silent_failures_say_what_failed(tmp_path):
     failure = silent_failure(tmp_path)
     title = "icp: rotation of the start 90 deg; city, seed 2; 90 m RMS and 54 deg off, not doubted"

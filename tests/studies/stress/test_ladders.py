@@ -10,15 +10,21 @@ from pcbench.geometry.neighbors import Index
 from pcbench.studies.stress.ladders import LADDERS, displaced, selected
 from pcbench.studies.stress.ladders.warps import split_observable_affine
 from pcbench.studies.stress.results import METRICS, REGISTRATION, SUBJECTS, VERDICTS
-from pcbench.studies.stress.scenes import SCENES, degenerate_pair, extent_of, scene_pair
+from pcbench.studies.stress.scenes import SCENES, WOODED, degenerate_pair, extent_of, scene_pair
 from pcbench.studies.stress.surfaces import DEGENERATE
 
 POINTS = 4000
+HEAVY_TAILED = ("noise-heavy-tailed", "noise-mvs", "noise-splat")
 
 
 @pytest.fixture(scope="module")
 def city():
     return scene_pair("city", 0, POINTS)
+
+
+@pytest.fixture(scope="module")
+def wooded():
+    return scene_pair(WOODED, 0, POINTS)
 
 
 def climbed(pair, name, level, seed=0):
@@ -31,7 +37,7 @@ def rms(vectors):
     return np.sqrt(np.square(vectors).sum(axis=-1).mean())
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", [*SCENES, WOODED])
 def test_scene_is_two_independent_samples_of_its_surface(name):
     pair = scene_pair(name, 0, POINTS)
     assert len(pair.points) == len(pair.reference) // 2
@@ -54,8 +60,9 @@ def test_normals_of_degenerate_surfaces_are_across_their_noise(name):
 
 
 @pytest.mark.parametrize("name", [name for name, ladder in LADDERS.items() if not ladder.sets_shape])
-def test_every_ladder_starts_at_nothing_and_ends_far_from_it(name, city):
+def test_every_ladder_starts_at_nothing_and_ends_far_from_it(name, city, wooded):
     ladder = LADDERS[name]
+    city = wooded if ladder.needs_vegetation else city
     first, last = (climbed(city, name, level) for level in (ladder.levels[0], ladder.levels[-1]))
     for pair in (first, last):
         size = np.abs(pair.points).max()
@@ -78,7 +85,7 @@ def test_start_is_turned_about_the_centroid(city):
     assert scaled.T_true.scale == 2.0 and np.ptp(scaled.candidate) < np.ptp(city.points)
 
 
-@pytest.mark.parametrize("name", [name for name in LADDERS if name.startswith("noise-") and "heavy" not in name])
+@pytest.mark.parametrize("name", [name for name in LADDERS if name.startswith("noise-") and name not in HEAVY_TAILED])
 def test_noise_has_the_stated_size_in_spacings(name, city):
     noisy = climbed(city, name, 2.0)
     added = noisy.points - city.points
@@ -113,6 +120,31 @@ def test_shares_of_parts_are_as_stated(city):
     hit = np.linalg.norm(climbed(city, "impulse", 20.0).points - city.points, axis=1) > 0
     assert hit.mean() == pytest.approx(0.2, abs=0.03)
     assert not (np.abs(climbed(city, "missing-walls", 100.0).normals[:, 2]) < 0.3).any()
+
+
+@pytest.mark.parametrize("level", [25, 50, 75, 100])
+def test_whole_plants_are_removed_first(level, wooded):
+    def counts(pair):
+        return np.bincount(pair.plants[pair.plants >= 0], minlength=wooded.plants.max() + 1)
+
+    left, before = climbed(wooded, "missing-vegetation", level), counts(wooded)
+    after, below = counts(left), counts(climbed(wooded, "missing-vegetation", level - 25))
+    assert after.sum() == before.sum() - round(level / 100 * before.sum())
+    assert ((after > 0) & (after < before)).sum() <= 1
+    assert (after <= below).all()  # a higher level removes the same plants and further ones
+    assert (left.plants < 0).sum() == (wooded.plants < 0).sum()
+
+
+def test_trees_of_the_wooded_city_stand_on_its_ground(wooded):
+    """Trees are where the city without them has none, at most 11 m high, and clear of each other."""
+    bare = MeshIndex(scene_pair("city", 0, POINTS).surface)
+    shown = wooded.plants >= 0
+    assert 0.05 < shown.mean() < 0.2
+    assert (bare.query(wooded.points[~shown]).distances < 6 * wooded.noise).all()
+    assert bare.query(wooded.points[shown]).distances.max() > 2
+    for plant in range(wooded.plants.max() + 1):
+        crown = wooded.points[wooded.plants == plant]
+        assert len(crown) == 0 or np.ptp(crown, axis=0).max() < 12
 
 
 @pytest.mark.parametrize("level", [100, 60, 20])

@@ -45,6 +45,7 @@ def settings(tmp_path, monkeypatch):
     return runs.RunSettings(tmp_path / "out", time_limit_s=4.0)
 
 
+@pytest.mark.long
 def test_crashes_and_time_outs_are_outcomes_and_the_next_runs_go_on(settings, monkeypatch):
     results = runs.run_all(PLANS, settings)
     found = [(result.cells[0].outcome, result.cells[0].message) for result in results]

@@ -32,6 +32,7 @@ class Ladder:
         level_names: names of the levels of a list of cases.
         sets_start: whether it sets the start pose; any other ladder starts from a small displacement.
         sets_shape: whether it replaces the scene by another surface.
+        needs_vegetation: whether it runs on scenes with vegetation alone.
         second_title, second_unit, second_levels: second coordinate of a map.
         perturb_map: for a map, function of pair, level, second coordinate and random generator.
         scopes: scopes of the registration methods that it is run for.
@@ -49,6 +50,7 @@ class Ladder:
     level_names: tuple[str, ...] = ()
     sets_start: bool = False
     sets_shape: bool = False
+    needs_vegetation: bool = False
     second_title: str = ""
     second_unit: str = ""
     second_levels: tuple[float, ...] = ()
@@ -61,6 +63,10 @@ class Ladder:
         if self.perturb_map is not None and second is not None:
             return self.perturb_map(pair, level, second, rng)
         return self.perturb(pair, level, rng)
+
+    def applies_to(self, given: StressPair) -> bool:
+        """Return whether it can be run on a given pair."""
+        return not self.sets_shape and (given.plants is not None or not self.needs_vegetation)
 
     def info(self, *, quick: bool) -> LadderInfo:
         """Return the description for results, with the levels of the quick or of the full plan."""

@@ -7,12 +7,20 @@ from pcbench.studies.stress.ladders.degenerate import DEGENERATE_LADDERS
 from pcbench.studies.stress.ladders.ladder import Ladder
 from pcbench.studies.stress.ladders.noise import NOISE_LADDERS
 from pcbench.studies.stress.ladders.parts import PART_LADDERS
+from pcbench.studies.stress.ladders.photogrammetric import PHOTOGRAMMETRIC_LADDERS
 from pcbench.studies.stress.ladders.start import START_LADDERS
 from pcbench.studies.stress.ladders.warps import WARP_LADDERS
 
 LADDERS = {
     ladder.name: ladder
-    for ladder in (*START_LADDERS, *NOISE_LADDERS, *PART_LADDERS, *WARP_LADDERS, *DEGENERATE_LADDERS)
+    for ladder in (
+        *START_LADDERS,
+        *NOISE_LADDERS,
+        *PHOTOGRAMMETRIC_LADDERS,
+        *PART_LADDERS,
+        *WARP_LADDERS,
+        *DEGENERATE_LADDERS,
+    )
 }
 
 

@@ -65,6 +65,21 @@ def _without_ground(pair: StressPair, level: float, rng: np.random.Generator) ->
     return _without(pair, below & (np.abs(_upward(pair)) > _LEVEL), level, rng)
 
 
+def _without_vegetation(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
+    """Remove this share of the points on vegetation: whole plants in random order, and the last one in part.
+
+    Leaves fall and trees are felled between two surveys.
+    """
+    assert pair.plants is not None
+    rank = rng.permutation(int(pair.plants.max()) + 1)
+    rows = np.flatnonzero(pair.plants >= 0)
+    rows = rows[np.argsort(rank[pair.plants[rows]], kind="stable")]
+    count = min(round(level / 100 * len(rows)), len(pair.points) - _MIN_POINTS)
+    keep = np.ones(len(pair.points), bool)
+    keep[rows[: max(0, count)]] = False
+    return pair.select(keep)
+
+
 def _thinned(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
     """Keep one of `level` points of the candidate."""
     count = max(_MIN_POINTS, round(len(pair.points) / level))
@@ -152,6 +167,17 @@ PART_LADDERS = (
         (),
         _without_ground,
         (REGISTRATION, VERDICTS),
+    ),
+    Ladder(
+        "missing-vegetation",
+        "missing vegetation",
+        "parts",
+        "% of it",
+        (0, 25, 50, 75, 100),
+        (),
+        _without_vegetation,
+        (REGISTRATION, VERDICTS),
+        needs_vegetation=True,
     ),
     Ladder(
         "density", "thinning of the candidate", "density", "to 1", (1, 2, 4, 8, 16, 32, 64), (1, 16), _thinned, _ALL

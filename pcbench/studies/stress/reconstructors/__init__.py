@@ -1,0 +1,1 @@
+"""Reconstructors on perturbed photographs of a city with exact truth."""
