@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test variations lint types docs slow sanitize compilers processors wheel bench gallery wording clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench gallery wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -29,7 +29,10 @@ demo: $(VENV)/.demo
 	$(BIN)/pcbench demo --out demo
 
 test: $(VENV)/.all
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m 'not long and not slow and not gpu'
+
+long: $(VENV)/.all
+	$(BIN)/python -m pytest -n 2 -m 'long and not slow and not gpu'
 
 # Parts of the test suite with other kernels, thread counts and test orders, as on an older processor, and without
 # optional system libraries.

@@ -103,6 +103,7 @@ def run_tests(*tests):
     return process.returncode, process.stdout
 
 
+@pytest.mark.long
 def test_tests_are_skipped_if_a_library_cannot_be_loaded(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "open3d")
     code, out = run_tests("io/test_io_pcd.py")

@@ -12,15 +12,12 @@ from repository import ROOT
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-SLOW_NOTEBOOKS = ("gao",)  # trains a model
+MARKS = {"gao": [pytest.mark.slow], "reconstructor": [pytest.mark.long], "bend": [pytest.mark.long]}
 
 
 @pytest.mark.parametrize(
     "path",
-    [
-        pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW_NOTEBOOKS else [], id=path.stem)
-        for path in NOTEBOOKS
-    ],
+    [pytest.param(path, marks=MARKS.get(path.stem, []), id=path.stem) for path in NOTEBOOKS],
 )
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
@@ -33,7 +30,7 @@ def test_notebook_runs(path, request):
     cells = json.loads(path.read_text())["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     notebook = nbformat.read(path, as_version=4)
-    nbclient.NotebookClient(notebook, timeout=900 if path.stem in SLOW_NOTEBOOKS else 300).execute(cwd=str(path.parent))
+    nbclient.NotebookClient(notebook, timeout=900).execute(cwd=str(path.parent))
     figure_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert figure_cells
     for cell in figure_cells:

@@ -133,6 +133,7 @@ with lock_output(out), scratch_folder(out) as folder:
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.long
 def test_children_run_and_end_at_the_time_limit(run_simulated, tmp_path):
     """Without process groups a fake `taskkill` ends the child."""
     (tmp_path / "taskkill").write_text('#!/bin/sh\nkill -15 "$4"\n')

@@ -49,6 +49,7 @@ def test_picture_options_are_recorded_and_repeated(files, run):
         assert np.abs(expected - np.asarray(cloud.colors)).max() <= 1
 
 
+@pytest.mark.long
 def test_plot_uses_the_recorded_options_unless_overridden(files, run):
     import_or_skip("matplotlib")
     assert run("compare", "ref.ply", "a.ply", "--format", "svg", "--out", "one", "-q")[0] == 0

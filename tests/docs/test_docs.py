@@ -19,6 +19,8 @@ from wording import check_error
 
 from pcbench import cli
 
+# Their commands reconstruct scenes, or take long for other reasons.
+LONG_PAGES = {f"docs/howto/{name}.md" for name in ("maps", "mvs", "python", "splat", "stress")}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SHELL_COMMANDS = "cat", "head", "ls"  # commands that a console block may call in addition to pcbench
 
@@ -72,7 +74,14 @@ def call(tmp_path_factory):
     return run
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.long] if page.relative_to(ROOT).as_posix() in LONG_PAGES else [])
+        for page in PAGES
+    ],
+    ids=_name,
+)
 def test_output_on_page_matches(page, call, tmp_path, request, monkeypatch):
     page_blocks = blocks(page)
     executed = [block for block in page_blocks if block.mark is None]

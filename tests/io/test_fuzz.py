@@ -16,7 +16,16 @@ def check_corpus(corpus, count, seed, folder):
 # Each LAZ file with a valid header starts a child process (about 15 ms), and so does each E57 file (about 200 ms).
 @pytest.mark.parametrize(
     ("corpus", "count"),
-    [("ply", 1000), ("las", 500), ("laz", 250), ("pcd", 500), ("txt", 500), ("meshes", 500), ("e57", 25), ("mvs", 500)],
+    [
+        ("ply", 1000),
+        ("las", 500),
+        pytest.param("laz", 250, marks=pytest.mark.long),
+        ("pcd", 500),
+        ("txt", 500),
+        ("meshes", 500),
+        pytest.param("e57", 25, marks=pytest.mark.long),
+        ("mvs", 500),
+    ],
 )
 def test_damaged_files(tmp_path, corpus, count):
     check_corpus(corpus, count, 1, tmp_path)

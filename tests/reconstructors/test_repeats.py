@@ -14,6 +14,7 @@ def photographs(tmp_path_factory):
     return corner.write_scene(folder, corner.cameras(5, corner.standard_intrinsics(320, 240)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mapping", ["incremental", "global"])
 def test_sparse_points_are_the_same_under_all_conditions(photographs, tmp_path, mapping):
     runs = [

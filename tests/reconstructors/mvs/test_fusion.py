@@ -173,6 +173,7 @@ def test_truncated_colmap_files_are_refused(tmp_path, monkeypatch, file_name):
         fuse_maps(tmp_path, cameras, [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras])
 
 
+@pytest.mark.long
 def test_mesh_of_the_plane(plane, tmp_path):
     faces = write_mesh(plane[0], tmp_path / "mesh.ply", np.array([0.0, 0, 7]), "m")
     mesh = read_mesh(tmp_path / "mesh.ply")

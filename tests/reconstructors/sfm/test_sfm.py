@@ -105,7 +105,14 @@ def test_the_gauge_is_arbitrary_without_cameras_or_positions(photographs, worksp
         ColmapSfm(align="gps", **QUICK).reconstruct(scene, workspace)
 
 
-@pytest.mark.parametrize("settings", [{}, {"poses": "solve"}, {"poses": "solve", "mapping": "global"}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        pytest.param({"poses": "solve"}, marks=pytest.mark.long),
+        pytest.param({"poses": "solve", "mapping": "global"}, marks=pytest.mark.long),
+    ],
+)
 def test_the_same_input_gives_the_same_cloud(photographs, tmp_path, settings):
     scene = read_scene(photographs).select([f"{n:03}.png" for n in range(1, 6)])
     reconstructions = []
@@ -339,6 +346,7 @@ def test_wrong_poses_are_refused(photographs, tmp_path):
     check_failure(replace(scene, cameras=reversed_cameras), tmp_path)
 
 
+@pytest.mark.long
 def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp_path, monkeypatch):
     import pycolmap
 

@@ -25,6 +25,7 @@ def make_city(folder: Path, settings: SceneSettings):
     return read_scene(folder), MeshIndex(read_mesh(folder / "truth/mesh.ply"))
 
 
+@pytest.mark.long
 def test_a_small_city_is_reconstructed_to_a_pixel(renderer, tmp_path):
     intrinsics = Intrinsics(480, 360, 400.0, 400.0, 240.0, 180.0, (-0.05, 0.01, 0.0, 0.0))
     settings = SceneSettings(CitySettings(extent=100.0, seed=3), 12, intrinsics, "grid", points=1000)

@@ -87,6 +87,7 @@ def test_contributors_are_counted_at_each_pixel():
     assert contributors(picture) == pytest.approx(np.mean(counts), rel=1e-3)
 
 
+@pytest.mark.long
 def test_the_bench_prints_a_row_for_each_contestant():
     command = [sys.executable, ROOT / "tests/bench/splat_raster.py"]
     options = ["--sizes", "48x32", "--counts", "300", "--threads", "1", "--runs", "1"]

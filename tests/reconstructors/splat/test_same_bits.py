@@ -61,6 +61,7 @@ def baseline_digests():
     return digests
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
 def test_threads_and_instruction_sets_give_the_same_bits(baseline_digests, isa, threads):
     """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""

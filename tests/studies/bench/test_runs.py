@@ -28,6 +28,7 @@ from pcbench.studies.bench.plan import Axis
 from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
 
 
+@pytest.mark.long
 def test_each_run_is_a_row(bench_folder, run):
     names = ("Good", "Crash", "Garbage", "Cannot", "Elsewhere", "Missing", "Nobody")
     methods = [word for name in names for word in ("--method", f"methods.py:{name}")]
