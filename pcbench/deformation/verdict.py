@@ -158,8 +158,9 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         )
         warnings.append(Notice("stretch-or-bend", text))
         verdict = "undecided"
-    is_significant_noise = non_affine.significant and noise.correlated > _MAX_CORRELATED_RATIO**2 * noise.white
-    if is_significant_noise and not (is_indicated or may_be_noise):
+    # Rounding and the errors of planes through sparse points are correlated too: their size is negligible.
+    is_correlated = noise.correlated > max(negligible**2, _MAX_CORRELATED_RATIO**2 * noise.white)
+    if non_affine.significant and is_correlated and not (is_indicated or may_be_noise):
         text = (
             "the residuals are correlated more strongly than the noise of scans and photographs: closest points may"
             " hide a displacement along the surfaces; measure known points in both clouds (--register points:FILE)"
