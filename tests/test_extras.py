@@ -77,6 +77,7 @@ def test_named_extras_exist():
         assert not extra or any(name in line for line in extras[extra])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("library", ["pycolmap", "PIL"])
 def test_reconstructors_with_a_broken_library_cannot_run(run, monkeypatch, tmp_path, library):
     break_library(monkeypatch, tmp_path / "packages", library)

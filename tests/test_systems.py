@@ -65,6 +65,7 @@ def run_simulated(request):
     return run_lines
 
 
+@pytest.mark.long
 def test_every_module_imports(run_simulated):
     heavy_imports = """
 import contextlib

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from command_line import is_one_line
 from optional import import_or_skip
 from wording import check_text
@@ -11,6 +12,7 @@ from wording import check_text
 from pcbench import Cloud, read_cloud
 
 
+@pytest.mark.long
 def test_reconstruct_and_plugins(tmp_path, monkeypatch, run):
     from pcbench.geometry.cameras import Camera, Intrinsics, look_at
     from pcbench.io.colmap_model import write_colmap_model

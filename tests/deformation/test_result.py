@@ -115,6 +115,7 @@ def test_arrays_are_clouds_without_a_unit(clouds, bent_result):
     assert result.amplitude == bent_result.amplitude  # the scale is part of the affine field
 
 
+@pytest.mark.long
 def test_a_given_pose_is_an_object_or_an_array(clouds):
     _, expected = deform(*clouds, "none")
     for pose in (Similarity.identity(), np.eye(4)):

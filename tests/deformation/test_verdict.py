@@ -44,6 +44,7 @@ def test_bend_of_fifty_sigma_is_not_rejected_as_an_outlier():
     assert result.remaining_rms < 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dome_height", [0.0, 0.1])
 @pytest.mark.parametrize("case", ["sparse candidate", "sparse reference", "overlap", "outliers", "utm"])
 def test_verdict_on_sparse_partial_noisy_and_distant_clouds(case, dome_height):
@@ -234,6 +235,7 @@ def test_halves_of_a_lidar_cloud_are_not_bent(lidar, seed):
     assert result.verdict == "none", result.warnings
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind", ["dome", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("strip drift", "half wave of a sine"))]
 )

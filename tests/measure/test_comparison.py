@@ -187,6 +187,7 @@ def test_results_do_not_depend_on_other_candidates(pair):
     assert single["candidates"][0]["metrics"] == several["candidates"][1]["metrics"]
 
 
+@pytest.mark.long
 def test_two_runs_and_any_number_of_threads_give_the_same_json(tmp_path):
     script = (
         "import sys; sys.path.insert(0, 'tests')\n"

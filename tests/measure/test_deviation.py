@@ -84,6 +84,7 @@ def test_maps_of_a_shifted_plane():
     assert deviation.m3c2.radius == pytest.approx(6 * 0.25)
 
 
+@pytest.mark.long
 def test_mesh_distances_of_a_sphere():
     icosphere = import_or_skip("trimesh").creation.icosphere(subdivisions=5)
     mesh = Mesh(np.asarray(icosphere.vertices), np.asarray(icosphere.faces))

@@ -75,6 +75,7 @@ def test_outliers_do_not_hide_the_pose():
     assert error(result.T_reference_candidate, true_pose, candidate) < 0.01
 
 
+@pytest.mark.long
 @needs_kiss
 @pytest.mark.parametrize("method", ["global", pytest.param("global-similarity", marks=pytest.mark.slow)])
 def test_unrelated_clouds_are_refused(method):

@@ -191,6 +191,7 @@ def test_different_stated_units_are_a_warning(scene):
     assert UNIT_MISMATCH not in codes(in_feet)
 
 
+@pytest.mark.long
 def test_lengths_of_a_mesh_reference_come_from_the_candidate():
     """Five spacings of a dense sampling are less than the noise: points are on the mesh although they are farther."""
     town, rng = city(3), np.random.default_rng(5)

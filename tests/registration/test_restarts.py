@@ -85,6 +85,7 @@ def test_restarts_return_to_the_right_pose_only(blurred):
         assert (share >= MIN_RETURNED_SHARE) == returns
 
 
+@pytest.mark.long
 def test_restarts_give_the_same_share_again(blurred):
     first, second = (register(*blurred) for _ in range(2))
     assert first.returned_share == second.returned_share

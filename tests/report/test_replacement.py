@@ -94,6 +94,7 @@ def fail_as_next_run(out):
         raise ZeroDivisionError
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("next_step", [complete_as_reader, fail_as_next_run])
 @pytest.mark.parametrize("existing", ["a report", "an old report", "an empty folder", "nothing"])
 def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, existing, next_step):

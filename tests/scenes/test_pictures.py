@@ -134,6 +134,7 @@ def test_large_images_are_rendered_in_tiles(renderer, tmp_path):
     assert np.abs(image - expected).max() < 0.3
 
 
+@pytest.mark.long
 def test_vignetting_is_the_fourth_power_of_the_cosine(renderer, tmp_path):
     from PIL import Image
 

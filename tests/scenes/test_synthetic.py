@@ -247,6 +247,7 @@ def test_depths_match_brute_force_ray_casting(city):
     np.testing.assert_allclose(depth[rows, columns], expected, rtol=1e-6)  # float32
 
 
+@pytest.mark.long
 def test_view_counts_match_brute_force_ray_casting(city):
     site, k = Site(120.0, 0.0, city.plan.top), Intrinsics.from_fov(96, 54, 40.0)
     cameras = rig("circles", 7, site, k)[::2]

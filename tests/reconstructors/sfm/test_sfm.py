@@ -135,6 +135,7 @@ def test_finished_stages_are_reused(photographs, workspace):
     assert times == {stage: (workspace / stage / "stage.json").stat().st_mtime_ns for stage in times}
 
 
+@pytest.mark.long
 def test_gps_gives_a_metric_frame(photographs, workspace):
     truth = read_scene(photographs).cameras
     origin = Gps(48.0, 11.0, 500.0)
@@ -320,6 +321,7 @@ def test_image_names_may_have_spaces(photographs, tmp_path):
     assert positions.max() < 0.02
 
 
+@pytest.mark.long
 def test_other_intrinsics_reuse_features_and_matches(photographs, tmp_path):
     scene = read_scene(photographs)
     wrong_intrinsics = replace(K, distortion=(-0.2, 0.0, 0.0, 0.0))
@@ -399,6 +401,7 @@ def test_a_solution_contradicted_by_known_cameras_is_not_aligned_to_them(photogr
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
 
+@pytest.mark.long
 def test_the_largest_component_is_kept(photographs, tmp_path):
     folder = tmp_path / "two"
     folder.mkdir()

@@ -10,6 +10,7 @@ from pcbench.extras import import_problem
 from pcbench.plugins.run import Description
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("library", ["pycolmap", "torch"])
 def test_demo_reports_why_it_cannot_bench(monkeypatch, tmp_path, library):
     from pcbench.studies.bench import demo

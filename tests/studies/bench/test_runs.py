@@ -349,6 +349,7 @@ class Own:
     assert own_row["d1_c2r"] == pytest.approx(good_row["d1_c2r"], rel=1e-4)  # the matrix is printed with eight digits
 
 
+@pytest.mark.long
 def test_sfm_on_photographs_with_known_truth(tmp_path, run):
     import_or_skip("pycolmap")
     import textured_corner as corner

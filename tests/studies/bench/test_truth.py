@@ -82,6 +82,7 @@ def test_precision_floor_is_precision_of_error_free_clouds(tmp_path):
             assert threshold_score.precision_floor == pytest.approx(threshold_score.precision, abs=tolerance)
 
 
+@pytest.mark.long
 def test_completeness_is_measured_by_area(tmp_path):
     """A lattice with a spacing of 1 m covers the share pi t^2 of the plane within t."""
     mesh = square_mesh(40.0)

@@ -44,6 +44,7 @@ def test_bytes_keep_errors_to_three_percent():
     np.testing.assert_allclose(decode_patches(encode_patches(values)), values, rtol=0.034, atol=0.004)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("tilt", [0, 1], ids=STRATA[:2])
 def test_errors_of_a_plane_are_those_of_its_patches(method, tilt):
