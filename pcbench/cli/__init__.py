@@ -65,7 +65,7 @@ def main() -> None:
 def _run() -> None:
     try:
         limit_threads()
-        app(standalone_mode=False)
+        app(prog_name="pcbench", standalone_mode=False)
         finish_output()
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -114,7 +114,7 @@ def stress(
     if reference is not None:
         if candidate is None:
             raise click.UsageError("expected REFERENCE and CANDIDATE, or neither: got one cloud")
-        clouds = GivenClouds(read_cloud(reference), read_cloud(candidate))
+        clouds = GivenClouds(*(read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate)))
     elif is_given(context, "register"):
         raise click.UsageError("--register applies only to a given pair: REFERENCE and CANDIDATE")
     settings = StressSettings(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import is_one_line
 from optional import import_or_skip
 from wording import check_error, check_text
 
@@ -158,6 +159,19 @@ def test_command(run, tmp_path):
     values = json.loads((out / "stress.json").read_text())
     assert values["settings"]["methods"] == ["icp-point"] and len(values["registrations"]) == 2
     assert not (out / "figures").exists()
+
+
+def test_warnings_of_the_reader_are_lines(run, tmp_path):
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    paths = [tmp_path / f"{name}.xyz" for name in ("reference", "candidate")]
+    for path in paths:
+        np.savetxt(path, np.vstack([points, [[np.nan, 0, 0]]]))
+    options = ("--only", "nothing", "--out", tmp_path / "out")
+    _, _, said = run("stress", *paths, *options)
+    assert [line.split(":")[0] for line in said.splitlines()] == ["warning", "warning", "error"]
+    assert "UserWarning" not in said
+    _, _, said = run("stress", *paths, *options, "--quiet")
+    assert is_one_line(said)
 
 
 def test_errors_of_the_command(run, tmp_path):
