@@ -9,7 +9,6 @@ import click
 from pcbench.cli.messages import steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
-    POSITIVE,
     is_given,
     no_figures_option,
     quiet_option,
@@ -63,7 +62,7 @@ from pcbench.cli.options import (
     "--time-limit",
     default=120.0,
     show_default=True,
-    type=POSITIVE,
+    type=click.FloatRange(0, 1e6, min_open=True),
     metavar="SECONDS",
     help="Time limit of each run; a run that exceeds it counts as a time-out.",
 )
@@ -99,6 +98,7 @@ def stress(
              pcbench stress ref.ply cloud.ply --only start,overlap --out stress/
              pcbench stress --reconstructors --quick --out photos/
     """
+    from pcbench.errors import InputError
     from pcbench.io import read_cloud
     from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
     from pcbench.studies.stress.results import StressSettings
@@ -114,6 +114,9 @@ def stress(
     if reference is not None:
         if candidate is None:
             raise click.UsageError("expected REFERENCE and CANDIDATE, or neither: got one cloud")
+        for path in (reference, candidate):
+            if path.resolve().is_relative_to(out.resolve()):
+                raise InputError(f"{path}: the study replaces files in {out}: choose another --out")
         clouds = GivenClouds(*(read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate)))
     elif is_given(context, "register"):
         raise click.UsageError("--register applies only to a given pair: REFERENCE and CANDIDATE")

@@ -1,7 +1,8 @@
 """Runs cells of the stress study in a child process: `python -m pcbench.studies.stress.child BATCH.json`.
 
 The batch lists the runs with their records. Before each run its number is written to BATCH.at: if the process dies or
-hangs, the parent knows in which run. A run that exceeds the time limit ends the process, also inside native code.
+hangs, the parent knows in which run. A run that exceeds the time limit ends the process, also inside native code. The
+parent removes the batch to stop the process after its current run.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ def _run_all(path: Path, batch: dict[str, Any]) -> None:
     _warm_up(plans)
     pair, of_plan = None, None
     for number, (plan, run) in enumerate(zip(plans, batch["runs"], strict=True)):
+        if not path.is_file():  # the study was interrupted
+            return
         path.with_suffix(".at").write_text(str(number), encoding="utf-8")
         faulthandler.dump_traceback_later(batch["time_limit_s"], exit=True)
         if pair is None or of_plan != plan.pair:

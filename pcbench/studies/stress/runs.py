@@ -38,6 +38,7 @@ from pcbench.systems import cpu_count, signal_name
 
 RECORDS, WORK = "runs", "work"  # folders of records and of temporary files
 _CHILD = "pcbench.studies.stress.child"
+_KILLED = "SIGKILL"  # message of a run whose process was killed, as by a system without memory
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
 # Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
 _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
@@ -92,7 +93,7 @@ def run_all(
     (settings.out / WORK).mkdir(exist_ok=True)
     code = code_digest()
     keys = {plan: settings.key(plan, code) for plan in plans}
-    missing = [plan for plan in plans if read_record(settings.record(plan), keys[plan]) is None]
+    missing = [plan for plan in plans if not _is_final(_read(settings.record(plan), keys[plan], plan))]
     smallest, largest = _BATCH_RUNS
     batches = list(_batches(missing, min(largest, max(smallest, len(missing) // (4 * cpu_count())))))
     done = len(plans) - len(missing)
@@ -111,9 +112,14 @@ def run_all(
                     done += waiting.pop(future)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            shutil.rmtree(settings.out / WORK, ignore_errors=True)  # without its batch, a child ends after its run
             raise
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
-    return [_read(settings.record(plan), keys[plan], plan) for plan in plans]
+    results = [_read(settings.record(plan), keys[plan], plan) for plan in plans]
+    for plan, result in zip(plans, results, strict=True):
+        if result is None:
+            raise InputError(f"{settings.record(plan)}: the record of a run was removed: run the study again")
+    return [result for result in results if result is not None]
 
 
 def code_digest() -> str:
@@ -183,12 +189,20 @@ def _run_batch(
     at.unlink(missing_ok=True)
 
 
-def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult:
+def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult | None:
+    """Return the result that was recorded for the same inputs; None if there is none or it is damaged."""
     values = read_record(path, key)
-    if values is None:
-        raise InputError(f"{path}: the record of a run is missing or damaged: run the study again")
     convert: Callable[[Mapping[str, Any]], Cell] = {
         REGISTRATION: registration_cell,
         METRICS: metric_cell,
     }.get(plan.subject, verdict_cell)
-    return RunResult(tuple(convert(row) for row in values["cells"]), values["pose"])
+    try:
+        result = None if values is None else RunResult(tuple(convert(row) for row in values["cells"]), values["pose"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+    return result if result is not None and result.cells else None
+
+
+def _is_final(result: RunResult | None) -> bool:
+    """Return whether a run need not be repeated; the system or a user may have killed its process."""
+    return result is not None and not any(cell.outcome == CRASH and cell.message == _KILLED for cell in result.cells)

@@ -18,6 +18,7 @@ from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.registration import as_similarity, register
+from pcbench.registration.result import UNOBSERVABLE
 from pcbench.studies.stress.results import SceneInfo
 from pcbench.studies.stress.surfaces import CITY_SIDE, DEGENERATE, FREE, SURFACES, wooded_surface
 from pcbench.studies.stress.vegetation import plants_of
@@ -125,7 +126,7 @@ def given_pair(reference: Cloud, candidate: Cloud, method: str) -> StressPair:
         method: registration method, as for `pcbench.register`.
 
     Raises:
-        InputError: the method finds no pose, or a doubtful one.
+        InputError: the method finds no pose or a doubtful one, or the geometry does not fix the pose.
     """
     try:
         found = register(reference, candidate, method)
@@ -137,6 +138,9 @@ def given_pair(reference: Cloud, candidate: Cloud, method: str) -> StressPair:
             f"the study needs a true pose, and the one that `{method}` finds is doubtful: {reasons}; choose another"
             " --register, such as matrix:FILE with a surveyed pose"
         )
+    for notice in found.warnings:
+        if notice.code == UNOBSERVABLE:
+            raise InputError(f"the study needs a true pose: {notice}; use clouds with surfaces in several directions")
     T = found.T_reference_candidate
     fixed, moving = (_thinned(cloud.points) for cloud in (reference, candidate))
     points = T.apply(moving)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -22,7 +23,15 @@ from pcbench.io.files import atomic_write, digest
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
-from pcbench.studies.stress.cells import RunPlan, RunResult, build_pair, plan_runs, save_pair, settle_refusals
+from pcbench.studies.stress.cells import (
+    RunPlan,
+    RunResult,
+    build_pair,
+    load_pair,
+    plan_runs,
+    save_pair,
+    settle_refusals,
+)
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.methods import METHODS, check_names
@@ -65,6 +74,10 @@ from pcbench.studies.stress.words import sentences
 
 KIND = StudyKind("stress", DOCUMENT, SCHEMA)
 CSV, PAGE, TABLE = "stress.csv", "stress.md", "stress.txt"
+RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
+_GIVEN_FILE = "given.npz"
+# What a study perturbs.
+SYNTHETIC_SCENES, GIVEN_PAIR, PHOTOGRAPHS = "the built-in scenes", "a pair of clouds", "photographs"
 _WORST = 3  # number of silent failures to draw
 _PICTURE_POINTS = 20_000  # of each cloud in a picture
 
@@ -161,7 +174,7 @@ def run_stress(
             or another run is writing there.
         OSError: a file cannot be written.
     """
-    check_folder(out, KIND)
+    check_study(out, SYNTHETIC_SCENES if clouds is None else GIVEN_PAIR)
     plan = StressPlan.of(settings) if plan is None else plan
     pair = None
     if clouds is not None:
@@ -179,8 +192,9 @@ def run_stress(
     )
     if not runs:
         raise InputError(
-            "expected ladders for registrations that apply to this pair: metrics and verdicts need scenes with an exact"
-            " surface, and missing-vegetation needs vegetation classes (3, 4, 5) in the reference"
+            "expected ladders and methods that apply to this pair: metrics and verdicts need the built-in scenes,"
+            " start-map needs a method with a start, such as icp, and missing-vegetation needs a reference with enough"
+            " points of the classes 3, 4 and 5"
             if pair is not None
             else "expected methods for these ladders, got none: see --methods"
         )
@@ -191,6 +205,28 @@ def run_stress(
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))
         return write_study(out, study, figures=figures, step=step)
+
+
+def check_study(out: Path, subject: str) -> None:
+    """Check that a study may write to a folder, and that studies of something else do not lose their results there.
+
+    Args:
+        out: output folder.
+        subject: what the study perturbs: `SYNTHETIC_SCENES`, `GIVEN_PAIR` or `PHOTOGRAPHS`.
+
+    Raises:
+        InputError: `out` is a file, or holds something other than a study of this subject.
+    """
+    check_folder(out, KIND)
+    held = None
+    if (out / _GIVEN_FILE).exists():
+        held = GIVEN_PAIR
+    elif (out / RENDERED).exists():
+        held = PHOTOGRAPHS
+    elif (out / DOCUMENT).exists():
+        held = SYNTHETIC_SCENES
+    if held not in (None, subject):
+        raise InputError(f"{out}: expected a folder for a study of {subject}, got one of {held}: choose another folder")
 
 
 def write_study(
@@ -258,9 +294,22 @@ def _csv_value(value: Any) -> str:
 def _run_settings(out: Path, settings: StressSettings, pair: StressPair | None) -> RunSettings:
     if pair is None:
         return RunSettings(out, settings.time_limit_s)
-    file = out / "given.npz"
+    file = out / _GIVEN_FILE
+    if file.is_file() and not _is_same(pair, file):
+        raise InputError(f"{out}: the folder holds a study of another pair, or of another pose: choose another folder")
     save_pair(file, pair)
     return RunSettings(out, settings.time_limit_s, file, digest(file))
+
+
+def _is_same(pair: StressPair, file: Path) -> bool:
+    """Return whether a file holds the same clouds within a point spacing of the same pose, or is damaged."""
+    try:
+        held = load_pair(file)
+    except (OSError, KeyError, ValueError, BadZipFile):
+        return True
+    is_same_reference = np.array_equal(held.reference, pair.reference)
+    is_same_shape = held.points.shape == pair.points.shape
+    return is_same_reference and is_same_shape and np.allclose(held.points, pair.points, rtol=0, atol=pair.spacing)
 
 
 def _study(

@@ -1,5 +1,7 @@
 """Runs in child processes: crashes and time-outs are outcomes, and records are reused."""
 
+import json
+import time
 from dataclasses import replace
 
 import pytest
@@ -8,6 +10,7 @@ from wording import check_error
 from pcbench.studies.stress import runs
 from pcbench.studies.stress.cells import RunPlan
 from pcbench.studies.stress.results import CRASH, METRICS, REGISTRATION, RIGHT, TIME_OUT, VERDICTS
+from pcbench.systems import cpu_count
 
 # A child whose methods misbehave on some levels of the ladder.
 CHILD = """
@@ -66,6 +69,43 @@ def test_crashes_and_time_outs_are_outcomes_and_the_next_runs_go_on(settings, mo
     assert [result.cells for result in again] == [result.cells for result in results]
     with pytest.raises(AssertionError, match="a child was started"):  # a record holds for its settings only
         runs.run_all(PLANS, replace(settings, time_limit_s=5.0))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda record: record.pop("cells"),
+        lambda record: record.update(cells=[]),
+        lambda record: record["cells"][0].pop("error"),
+        lambda record: record["cells"][0].update(outcome=CRASH, message="SIGKILL"),
+    ],
+)
+def test_damaged_records_and_killed_runs_are_repeated(damage, tmp_path):
+    settings = runs.RunSettings(tmp_path, time_limit_s=60.0)
+    (whole,) = runs.run_all(PLANS[:1], settings)
+    path = settings.record(PLANS[0])
+    record = json.loads(path.read_text())
+    damage(record)
+    path.write_text(json.dumps(record))
+    (again,) = runs.run_all(PLANS[:1], settings)
+    assert again.pose == whole.pose and again.cells[0].outcome == RIGHT
+
+
+def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch):
+    """Batches of 40 runs are on their way; the complete runs keep their records."""
+    plans = [replace(PLANS[0], level=1 + 0.01 * number) for number in range(400)]
+    records = tmp_path / "runs"
+
+    def interrupt(*_, **__):
+        while len(list(records.iterdir())) < 2:
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "wait", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        runs.run_all(plans, runs.RunSettings(tmp_path, time_limit_s=60.0))
+    assert 2 <= len(list(records.iterdir())) <= 2 + 2 * cpu_count()
+    assert not (tmp_path / "work").exists()
 
 
 def test_a_library_that_cannot_be_loaded_ends_the_study(settings):

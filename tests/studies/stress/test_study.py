@@ -14,6 +14,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.studies.stress.ladders import displaced
+from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
 from pcbench.studies.stress.results import REGISTRATION, SILENT, SUBJECTS, VERDICTS, StressSettings, read_study
 from pcbench.studies.stress.scenes import given_pair, scene_pair
 from pcbench.studies.stress.study import GivenClouds, StressPlan, run_stress
@@ -174,6 +175,42 @@ def test_warnings_of_the_reader_are_lines(run, tmp_path):
     assert is_one_line(said)
 
 
+def test_a_folder_keeps_its_study(outcome, folder, tmp_path):
+    """Results of other clouds would replace those of the study, so another folder is asked for."""
+    before = {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    scene = scene_pair("object", 0, 3000)
+    clouds = GivenClouds(Cloud(scene.reference), Cloud(scene.points))
+    with check_error():
+        run_stress(folder, SETTINGS, clouds)
+    with check_error():
+        run_reconstructor_stress(folder, SETTINGS)
+    assert {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()} == before
+
+    settings = StressSettings(quick=True, only="density", methods=("icp-point",))
+    run_stress(tmp_path / "out", settings, clouds, figures=False)
+    other = scene_pair("object", 1, 3000)
+    with check_error():
+        run_stress(tmp_path / "out", settings, GivenClouds(Cloud(other.reference), Cloud(other.points)))
+    with check_error():
+        run_stress(tmp_path / "out", settings)
+    (tmp_path / "out" / "given.npz").write_bytes(b"damaged")
+    run_stress(tmp_path / "out", settings, clouds, figures=False)
+
+
+def test_clouds_in_the_output_folder_are_not_replaced(run, outcome, folder, tmp_path):
+    cloud = folder / "worst_9.npz"
+    write_cloud(tmp_path / "a.ply", Cloud(np.random.default_rng(0).normal(size=(100, 3))))
+    code, _, said = run("stress", tmp_path / "a.ply", cloud, "--out", folder)
+    assert code == 2
+    check_text(said)
+
+
+def test_a_pose_that_the_geometry_does_not_fix_is_no_truth(tmp_path):
+    points = np.random.default_rng(0).random((3000, 3)) * [1, 1, 0]
+    with pytest.raises(InputError, match="the study needs a true pose: the geometry does not fix"):
+        run_stress(tmp_path / "out", SETTINGS, GivenClouds(Cloud(points[:2000]), Cloud(points[1000:])))
+
+
 def test_errors_of_the_command(run, tmp_path):
     cloud = tmp_path / "a.ply"
     write_cloud(cloud, Cloud(np.random.default_rng(0).normal(size=(100, 3))))
@@ -181,6 +218,8 @@ def test_errors_of_the_command(run, tmp_path):
         (cloud, "--out", tmp_path / "out"),
         ("--register", "icp", "--out", tmp_path / "out"),
         ("--only", "none", "--out", tmp_path / "out"),
+        ("--only", "start-offset", "--quick", "--out", tmp_path / "out"),
+        ("--time-limit", "1e10", "--out", tmp_path / "out"),
     ):
         code, _, error = run("stress", *arguments)
         assert code == 2

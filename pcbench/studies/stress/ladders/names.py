@@ -33,13 +33,15 @@ def selected(only: str | None, *, quick: bool) -> tuple[Ladder, ...]:
     planned = [ladder for ladder in LADDERS.values() if ladder.quick or not quick]
     if only is None:
         return tuple(planned)
-    words = only.split(",")
-    found = tuple(
-        ladder
-        for ladder in planned
-        if any(word in text for word in words for text in (ladder.name, ladder.kind, *ladder.subjects))
-    )
+    words = [word.strip() for word in only.split(",") if word.strip()]
+
+    def matches(ladder: Ladder) -> bool:
+        return any(word in text for word in words for text in (ladder.name, ladder.kind, *ladder.subjects))
+
+    found = tuple(ladder for ladder in planned if matches(ladder))
     if not found:
         names = ", ".join(ladder.name for ladder in planned)
+        if any(matches(ladder) for ladder in LADDERS.values()):
+            raise InputError(f"--only {only} is not in the quick plan: leave out --quick, or choose from {names}")
         raise InputError(f"expected --only as part of a ladder's name, kind or subject, got {only!r}: {names}")
     return found

@@ -48,9 +48,9 @@ from pcbench.studies.stress.results import (
     reconstruction_cell,
 )
 from pcbench.studies.stress.runs import RECORDS, WORK
+from pcbench.studies.stress.study import RENDERED
 
 SCENE = "photographs"
-_SCENES = "scenes"  # folder of rendered scenes
 _RUN_S = 10.0  # rough duration of a run, for progress bars
 # Outcome of a run without a cloud, by the status of the reconstruction.
 _FAILED = {"failed": REFUSED, "refused": REFUSED, "crashed": CRASH, "garbage": CRASH, "timeout": TIME_OUT}
@@ -115,7 +115,7 @@ class PhotoRuns:
 
     def rendered(self, settings: SceneSettings) -> Path:
         """Return the folder of a scene, rendered if it is missing."""
-        folder = self.out / _SCENES
+        folder = self.out / RENDERED
         folder.mkdir(exist_ok=True)
         return rendered_scene(folder, settings)
 

@@ -12,7 +12,7 @@ from pcbench.plugins.run import Description, absolute, describe
 from pcbench.report.document import provenance
 from pcbench.scenes.synthetic.render import check_renderer
 from pcbench.studies.bench.plan import labels
-from pcbench.studies.folder import check_folder, study_folder
+from pcbench.studies.folder import study_folder
 from pcbench.studies.stress.reconstructors.ladders import UNPERTURBED, PhotoLadder, selected
 from pcbench.studies.stress.reconstructors.runs import (
     PhotoRuns,
@@ -28,7 +28,7 @@ from pcbench.studies.stress.results import (
     StressSettings,
     StressStudy,
 )
-from pcbench.studies.stress.study import KIND, StressOutcome, write_study
+from pcbench.studies.stress.study import KIND, PHOTOGRAPHS, StressOutcome, check_study, write_study
 
 DEFAULT_METHODS = ("sfm", "mvs", "splat")
 QUICK_METHODS = ("sfm", "mvs")
@@ -105,7 +105,7 @@ def run_reconstructor_stress(
         MissingExtra, NoFiguresError: images cannot be rendered on this machine.
         OSError: a file cannot be written.
     """
-    check_folder(out, KIND)
+    check_study(out, PHOTOGRAPHS)
     check_renderer()
     step("inspecting the methods")
     plan = PhotoPlan.of(settings) if plan is None else plan
