@@ -238,12 +238,16 @@ def _bend_cells(bend: BendVerdict | None) -> tuple[object, ...]:
 
 
 def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
-    """Return the verdict and the registered candidate."""
+    """Return the verdict and the registered candidate.
+
+    The candidate is aligned already, by corresponding points. So a doubt about the pose, which a deformation of many
+    point spacings causes, does not withhold the verdict.
+    """
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
         return Deformation.undecided_because(Notice("not-registered", record_error(error))), candidate
-    return found, candidate.transformed(registration.T_reference_candidate)
+    return found.assuming_pose(), candidate.transformed(registration.T_reference_candidate)
 
 
 class _BendChange(NamedTuple):
