@@ -130,8 +130,8 @@ def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, 
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("lens error beyond focal length, RMS [px]; at the left: no error")
+    axis.set_xlabel("lens error, RMS [px]; at the left: no error")
     axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]")
-    axis.set_title("Deformation by lens error (filled: significant; squares: control points)", fontsize=10, loc="left")
+    axis.set_title("By lens error (hollow: noise; squares: control points)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
     axis.spines[["top", "right"]].set_visible(False)
