@@ -34,7 +34,6 @@ from pcbench.registration.result import (
     FEW_POINTS,
     LOW_OVERLAP,
     OFF_SURFACE,
-    UNOBSERVABLE,
     WEAKLY_OBSERVABLE,
 )
 from pcbench.registration.target import MIN_EXTENT, Target
@@ -168,8 +167,7 @@ def with_doubt(
             candidate is rough.
     """
     share = quality.contrast
-    codes = {notice.code for notice in quality.warnings}
-    is_weak = WEAKLY_OBSERVABLE in codes
+    is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
     if share is None:
         return quality
     name = "the given pose" if source == "given" else "the pose"
@@ -193,7 +191,7 @@ def with_doubt(
         " displacement costs the reference itself",
     )
     is_low = share < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST
-    if is_low and (source == "search" or is_weak or UNOBSERVABLE in codes):
+    if is_low and (source == "search" or is_weak or not is_determined):
         return _with_notice(quality, low_contrast)
     if source == "search":
         own_roughness = T.scale * roughness(random_sample[:_ROUGHNESS_SAMPLE])

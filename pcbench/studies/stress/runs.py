@@ -115,11 +115,13 @@ def run_all(
             shutil.rmtree(settings.out / WORK, ignore_errors=True)  # without its batch, a child ends after its run
             raise
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
-    results = [_read(settings.record(plan), keys[plan], plan) for plan in plans]
-    for plan, result in zip(plans, results, strict=True):
+    results = []
+    for plan in plans:
+        result = _read(settings.record(plan), keys[plan], plan)
         if result is None:
             raise InputError(f"{settings.record(plan)}: the record of a run was removed: run the study again")
-    return [result for result in results if result is not None]
+        results.append(result)
+    return results
 
 
 def code_digest() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcbench.errors import InputError
+from pcbench.studies.stress.ladders.choice import choose
 from pcbench.studies.stress.ladders.degenerate import DEGENERATE_LADDERS
 from pcbench.studies.stress.ladders.ladder import Ladder
 from pcbench.studies.stress.ladders.noise import NOISE_LADDERS
@@ -30,18 +30,10 @@ def selected(only: str | None, *, quick: bool) -> tuple[Ladder, ...]:
     Raises:
         InputError: no ladder matches.
     """
-    planned = [ladder for ladder in LADDERS.values() if ladder.quick or not quick]
-    if only is None:
-        return tuple(planned)
-    words = [word.strip() for word in only.split(",") if word.strip()]
-
-    def matches(ladder: Ladder) -> bool:
-        return any(word in text for word in words for text in (ladder.name, ladder.kind, *ladder.subjects))
-
-    found = tuple(ladder for ladder in planned if matches(ladder))
-    if not found:
-        names = ", ".join(ladder.name for ladder in planned)
-        if any(matches(ladder) for ladder in LADDERS.values()):
-            raise InputError(f"--only {only} is not in the quick plan: leave out --quick, or choose from {names}")
-        raise InputError(f"expected --only as part of a ladder's name, kind or subject, got {only!r}: {names}")
-    return found
+    return choose(
+        LADDERS.values(),
+        only,
+        quick=quick,
+        texts_of=lambda ladder: (ladder.name, ladder.kind, *ladder.subjects),
+        searched="name, kind or subject",
+    )

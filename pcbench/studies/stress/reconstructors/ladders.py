@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.files import SceneSettings
+from pcbench.studies.stress.ladders.choice import choose
 from pcbench.studies.stress.ladders.ladder import rotation
 from pcbench.studies.stress.results import RECONSTRUCTION, LadderInfo
 
@@ -106,15 +106,13 @@ def selected(only: str | None, *, quick: bool) -> tuple[PhotoLadder, ...]:
     Raises:
         InputError: no ladder matches.
     """
-    planned = [ladder for ladder in PHOTO_LADDERS.values() if ladder.quick or not quick]
-    if only is None:
-        return tuple(planned)
-    words = only.split(",")
-    found = tuple(x for x in planned if any(word in text for word in words for text in (x.name, x.kind)))
-    if not found:
-        names = ", ".join(ladder.name for ladder in planned)
-        raise InputError(f"expected --only as part of a ladder's name or kind, got {only!r}: {names}")
-    return found
+    return choose(
+        PHOTO_LADDERS.values(),
+        only,
+        quick=quick,
+        texts_of=lambda ladder: (ladder.name, ladder.kind),
+        searched="name or kind",
+    )
 
 
 def linear_light(image: Image) -> NDArray[np.float32]:
