@@ -82,9 +82,9 @@ def test_dome_of_minimum_detectable_size_is_usually_detected(scene, waves):
 
     def detected_share(size):
         findings = [scene.judge(scene.noise(NOISE, waves, 200 + seed) + size * dome).finding for seed in range(30)]
-        return np.mean([finding.verdict == "non-affine" for finding in findings])
+        return np.mean([finding.evidence.significant for finding in findings])
 
-    # 90 % of such domes are found, within the scatter of 30 runs and of the noise estimate; far fewer of half that
-    # size.
+    # 90 % of such domes are significant, within the scatter of 30 runs and of the noise estimate; far fewer of half
+    # that size. They are not stated, because here they are negligible: smaller than 40 % of the noise.
     assert detected_share(limit) >= 0.75
     assert detected_share(limit / 2) <= 0.5
