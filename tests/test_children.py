@@ -94,7 +94,8 @@ def test_daemons_end_with_the_child(script, tmp_path, end):
     """The daemons have a new session, no parent, and ignore SIGTERM."""
     pids_file = tmp_path / "pids"
     lines = (*DAEMON_CODE, "import signal", "signal.signal(signal.SIGTERM, signal.SIG_IGN)")
-    lines += (f"file = open({str(pids_file)!r}, 'w')", "daemon(file)", "daemon(file)", end)
+    lines += (f"file = open({str(pids_file)!r}, 'w')", "daemon(file)", "daemon(file)")
+    lines += (f"while open({str(pids_file)!r}).read().count(' ') < 2:", "    time.sleep(0.01)", end)
     for seconds in (2, 20, 100):  # however busy the machine is
         result = run_script(script(*lines), limits=Limits(seconds=seconds if "sleep" in end else None))
         pids = [int(word) for word in pids_file.read_text().split()]

@@ -14,7 +14,7 @@ from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, st
 from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
-from pcbench.cli.streams import discard, finish_output, is_of_a_stream, prepare_streams
+from pcbench.cli.streams import discard, finish_errors, finish_output, is_of_a_stream, prepare_streams
 from pcbench.errors import PcbenchError, reason_of
 from pcbench.threads import limit_threads
 
@@ -60,6 +60,7 @@ def main() -> None:
         raise
     finally:
         end_log()
+        finish_errors()
 
 
 def _run() -> None:

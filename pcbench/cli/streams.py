@@ -44,6 +44,14 @@ def finish_output() -> None:
         raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
 
+def finish_errors() -> None:
+    """Flush standard error; if it cannot be written, discard it, so that the run keeps its exit code."""
+    try:
+        sys.stderr.flush()
+    except OSError:
+        discard(sys.stderr)
+
+
 def is_of_a_stream(error: OSError) -> bool:
     """Return whether an OSError belongs to a standard stream.
 

@@ -13,9 +13,13 @@ from pcbench import read_cloud
 PCBENCH = f"{sys.executable} -m pcbench.cli"
 
 
-def shell(command):
+def shell(command, *, unbuffered=False):
     """Run a shell command; return its exit code and its standard error, unless redirected."""
-    process = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=120)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    if unbuffered:
+        environment["PYTHONUNBUFFERED"] = "1"
+    shell_command = ["bash", "-c", f"set -o pipefail; {command}"]
+    process = subprocess.run(shell_command, capture_output=True, text=True, timeout=120, env=environment)
     return process.returncode, process.stdout, process.stderr
 
 
@@ -31,9 +35,10 @@ def test_a_closed_output_is_no_error_if_nothing_is_printed(files):
     assert len(read_cloud("b.ply")) == len(read_cloud("a.ply"))
 
 
-def test_exit_codes_are_the_same_without_standard_error(files):
+@pytest.mark.parametrize("unbuffered", [False, True])
+def test_exit_codes_are_the_same_without_standard_error(files, unbuffered):
     for streams in (">&-", "2>&-", ">&- 2>&-", "2>/dev/full", ">/dev/full 2>&1"):
-        code, _, err = shell(f"{PCBENCH} info none.ply {streams}")
+        code, _, err = shell(f"{PCBENCH} info none.ply {streams}", unbuffered=unbuffered)
         assert code == 2
         assert "Traceback" not in err
     assert shell(f"{PCBENCH} info a.ply 2>&-")[0] == 0
