@@ -9,13 +9,14 @@ well.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, random_rows
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
@@ -30,6 +31,7 @@ from pcbench.registration.quality import Fit, assess_given
 from pcbench.registration.result import AMBIGUOUS, DOUBTFUL_POSE, NO_CONVERGENCE
 from pcbench.registration.target import Target, local_origin
 from pcbench.registration.turns import symmetry_turns
+from pcbench.registration.unmatched import MAX_UNMATCHED_SHARE, unmatched_share
 
 _FEATURE_CELL_COUNT = 15_000  # cells of the larger cloud for feature matching: about one second
 _COARSE_CELL_FACTOR = 1.6  # coarser cells may find poses that finer cells miss
@@ -40,12 +42,14 @@ _MAX_REFINED, _MAX_SYMMETRIC = 6, 3  # poses refined: the most promising, and tu
 _MAX_POINTS = 300_000  # points used of each cloud
 _MAX_VARIATION = 0.12  # surface variation of points on a surface; edges and floating outliers have more
 _MIN_SURFACE_SHARE = 0.6  # share of a cloud on surfaces, above which the other points are dropped as outliers and edges
+_MIN_SEARCHED_SHARE = 0.4  # above which the surfaces are searched if no pose of all points has enough evidence
 _MAX_SAMPLE_POINTS = 3_000  # points for refining and evaluating a pose
 _MIN_POINTS = 100  # in each cloud
 _MIN_OVERLAP = 0.05  # share of a cloud's sample that must overlap the other cloud
 _MIN_OVERLAP_POINTS = 20  # points of the sample that must overlap the other cloud
 _MIN_COSINE = 0.85  # between normals that agree
 _SUFFICIENT_OVERLAP = 0.2  # share of a cloud that overlaps the other: a larger share is no stronger evidence
+_MAX_EXPLAINED_SAMPLE = 10_000  # candidate points that a pose has to explain
 _MIN_RIVAL_SHARE = 0.9  # share of the best pose's evidence that makes another pose a rival
 
 
@@ -83,14 +87,44 @@ def align_by_features(target: Target, points: FloatArray, settings: FeatureSetti
         RegistrationError: there are too few points, or no pose has enough evidence.
     """
     _check_size(target, points)
-    icp = IcpSettings(with_scale=settings.with_scale)
     shift = local_origin(Cloud(points))  # rotating points far from the origin loses precision
-    local = points - shift
-    reference_part, candidate_part = _surface_points(target.surface.points, local)
-    search = _PoseSearch(_CellCloud(reference_part), _CellCloud(candidate_part), icp)
+    *attempts, last = _search_points(target.surface.points, points - shift)
+    for parts in attempts:
+        with suppress(RegistrationError):
+            return _align_parts(parts, target, points, settings, origin, shift)
+    return _align_parts(last, target, points, settings, origin, shift)
+
+
+def _align_parts(
+    parts: tuple[FloatArray, FloatArray],
+    target: Target,
+    points: FloatArray,
+    settings: FeatureSettings,
+    origin: FloatArray,
+    shift: FloatArray,
+) -> Fit:
+    """Search with some points of both clouds, then refine and assess with all of them.
+
+    Args:
+        parts: points of the reference, and of the candidate minus `shift`, that the search uses.
+        target: reference.
+        points: (N, 3) candidate points minus the reference's local origin.
+        settings: whether the scale is solved for too.
+        origin: (3,) the reference's local origin.
+        shift: (3,) local origin of `points`.
+
+    Raises:
+        MissingExtra: KISS-Matcher is not installed.
+        RegistrationError: no pose has enough evidence.
+    """
+    icp, local = IcpSettings(with_scale=settings.with_scale), points - shift
+    search = _PoseSearch(_CellCloud(parts[0]), _CellCloud(parts[1]), icp)
     poses = search.search()
     if not poses:
         raise _no_pose_error("none could be refined", settings)
+    sample = random_rows(local, _MAX_EXPLAINED_SAMPLE)
+    explained = [pose for pose in poses if unmatched_share(target, pose.apply(sample)) <= MAX_UNMATCHED_SHARE]
+    poses = explained or poses  # a pose that leaves points unmatched is refused below
     # Full resolution may end at another pose than the cells: compare the pose that is returned.
     start, fit = poses[0], search.refine_full(poses[0], target, local)
     if len(poses) > 1 and search.evidence(fit.T_local) < search.evidence(poses[1]):
@@ -145,13 +179,20 @@ def _check_size(target: Target, points: FloatArray) -> None:
             )
 
 
-def _surface_points(reference: FloatArray, candidate: FloatArray) -> list[FloatArray]:
-    """Return at most 300,000 points per cloud: those on surfaces, or all if much of a cloud is not, as in a forest."""
+def _search_points(reference: FloatArray, candidate: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the points to search with, at most 300,000 per cloud, in the order of attempts.
+
+    Points on surfaces are enough if most points lie on them. Otherwise all points come first, as in a forest; the
+    surfaces come second, because the other points may be outliers.
+    """
     clouds = [points[:: max(1, len(points) // _MAX_POINTS)] for points in (reference, candidate)]
     is_surface = [estimate_normals(Index(points)).variation < _MAX_VARIATION for points in clouds]
-    if any(part.mean() < _MIN_SURFACE_SHARE or np.count_nonzero(part) < _MIN_POINTS for part in is_surface):
-        return clouds
-    return [points[part] for points, part in zip(clouds, is_surface, strict=True)]
+    everything = clouds[0], clouds[1]
+    surfaces = clouds[0][is_surface[0]], clouds[1][is_surface[1]]
+    share = min(part.mean() for part in is_surface)
+    if share < _MIN_SEARCHED_SHARE or min(map(len, surfaces)) < _MIN_POINTS:
+        return [everything]
+    return [surfaces] if share >= _MIN_SURFACE_SHARE else [everything, surfaces]
 
 
 class _CellCloud:

@@ -22,7 +22,6 @@ from pcbench.registration.contrast import (
     SURE_CONTRAST,
     Contrast,
     contrast,
-    roughness,
 )
 from pcbench.registration.degeneracy import Observability, observability
 from pcbench.registration.icp_stages import MAX_RANDOM_SAMPLE
@@ -38,13 +37,13 @@ from pcbench.registration.result import (
 )
 from pcbench.registration.target import MIN_EXTENT, Target
 from pcbench.registration.turns import closest_turned_pose
+from pcbench.registration.unmatched import MAX_UNMATCHED_SHARE, unmatched_share
 from pcbench.registration.weighted_pairs import MIN_POINTS, WeightedPairs, weigh
 
 MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
 MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface, above which other starts are tried
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
-_ROUGHNESS_SAMPLE = 3_000  # candidate points for its roughness: sparse enough to include blur
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
@@ -162,9 +161,8 @@ def with_doubt(
         T: pose between local coordinates.
         quality: result of `assess`.
         with_scale: whether the scale was solved for.
-        source: where the pose comes from. The best of many poses (`search`) has to pass a further test: a part of a
-            regular city may slide onto another part, and restarts then return; but the residuals are larger than the
-            candidate is rough.
+        source: where the pose comes from. The best of many poses (`search`) has to pass a further test, see
+            `unmatched_share`: a part of a regular city may slide onto another part, and restarts then return.
     """
     share = quality.contrast
     is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
@@ -180,6 +178,13 @@ def with_doubt(
                 f" mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if source == "search":
+        unmatched = unmatched_share(target, T.apply(random_sample))
+        if unmatched > MAX_UNMATCHED_SHARE:
+            text = (
+                f"{name} may be wrong: {unmatched:.1%} of the points inside the other cloud have no counterpart in it"
+            )
+            return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if share >= SURE_CONTRAST and not is_weak:
         return quality
     at_noise = share
@@ -193,14 +198,6 @@ def with_doubt(
     is_low = share < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST
     if is_low and (source == "search" or is_weak or not is_determined):
         return _with_notice(quality, low_contrast)
-    if source == "search":
-        own_roughness = T.scale * roughness(random_sample[:_ROUGHNESS_SAMPLE])
-        if quality.rmse > own_roughness:
-            text = (
-                f"{name} may be wrong: its residuals of {quality.rmse:.3g} RMS exceed the candidate's own roughness of"
-                f" {own_roughness:.3g}"
-            )
-            return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if not is_determined:
         return quality  # restarts would slide along the unobservable motions
     tolerance = max(target.spacing, quality.rmse)
