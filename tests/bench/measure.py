@@ -39,13 +39,17 @@ def limit_threads(threads: int) -> None:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
+def commit() -> str:
+    """Return the commit of the working tree, with `-dirty` if files have changed since."""
+    command = ["git", "describe", "--always", "--dirty"]
+    output = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True).stdout
+    return output.strip() or "unknown"
+
+
 def setting() -> str:
     """Return commit and machine, for the head of a table."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
-    ).stdout.strip()
     model = next(
         (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
         platform.processor(),
     )
-    return f"commit {commit or 'unknown'}; {model}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"
+    return f"commit {commit()}; {model}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"
