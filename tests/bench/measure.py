@@ -19,13 +19,16 @@ class Seconds(NamedTuple):
 
 
 def alternate(contestants: dict[str, Callable[[], object]], runs: int) -> dict[str, Seconds]:
-    """Return median wall and CPU seconds per contestant; runs alternate, so that load affects all of them equally."""
+    """Return median wall and CPU seconds per contestant.
+
+    Runs alternate, and each second round is in reverse order, so that load affects all of them equally.
+    """
     samples: dict[str, list[Seconds]] = {name: [] for name in contestants}
-    for _ in range(runs):
-        for name, run in contestants.items():
+    for number in range(runs):
+        for name in list(contestants)[:: 1 if number % 2 == 0 else -1]:
             gc.collect()
             wall, cpu = time.perf_counter(), time.process_time()
-            run()
+            contestants[name]()
             samples[name].append(Seconds(time.perf_counter() - wall, time.process_time() - cpu))
     return {
         name: Seconds(statistics.median(s.wall for s in seconds), statistics.median(s.cpu for s in seconds))
