@@ -1,5 +1,6 @@
 """The count of instructions reads callgrind's files, and its table names what has grown."""
 
+import json
 import subprocess
 import sys
 
@@ -87,3 +88,10 @@ def test_without_valgrind_nothing_fails(tmp_path):
     process = subprocess.run(command, env={"PATH": str(tmp_path)}, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
     check_text(process.stdout)
+
+
+def test_committed_counts_have_all_fields(instructions):
+    committed = instructions.Counts(**json.loads(instructions.BASELINE.read_text()))
+    assert not committed.commit.endswith("-dirty")
+    assert sum(committed.stages.values()) == sum(committed.libraries.values()) > 0
+    assert "testing for deformation" in committed.stages
