@@ -1,6 +1,6 @@
 """Instructions of a small comparison, beside those of an earlier commit: python tests/bench/instructions.py
 
---renew   write the counts and the commit to tests/bench/instructions.json, beside the change that explains them
+--renew   write the counts and the commit to tests/bench/instructions.json, after the change that explains them
 --runs 1  repeat the count; the largest difference is printed
 
 Valgrind counts a comparison of 1,000 with 4,000 points, on one thread with baseline kernels, without start and imports.
@@ -203,7 +203,11 @@ def main() -> None:
     if len(runs) > 1:
         totals = [sum(run.stages.values()) for run in runs]
         print(f"{len(runs)} runs differ by at most {(max(totals) - min(totals)) / min(totals):.4%} of the total")
-    if options.renew:
+    if options.renew and runs[0].commit.endswith("-dirty"):
+        print(
+            "not written: expected a clean working tree, because the counts name its commit: commit the changes first"
+        )
+    elif options.renew:
         BASELINE.write_text(json.dumps(runs[0]._asdict(), indent=2) + "\n")
         print(f"written: {BASELINE.name}")
 

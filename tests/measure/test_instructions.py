@@ -94,4 +94,16 @@ def test_committed_counts_have_all_fields(instructions):
     committed = instructions.Counts(**json.loads(instructions.BASELINE.read_text()))
     assert not committed.commit.endswith("-dirty")
     assert sum(committed.stages.values()) == sum(committed.libraries.values()) > 0
-    assert "testing for deformation" in committed.stages
+
+
+def test_counts_of_uncommitted_code_are_not_written(instructions, monkeypatch, capsys, tmp_path):
+    now = counts(instructions, "aaa-dirty", 100_000_000, 300_000_000)
+    monkeypatch.setattr(instructions, "count", lambda: now)
+    monkeypatch.setattr(instructions, "BASELINE", tmp_path / "counts.json")
+    monkeypatch.setattr(sys, "argv", ["instructions.py", "--renew"])
+    instructions.main()
+    assert not instructions.BASELINE.exists()
+    check_text(capsys.readouterr().out)
+    monkeypatch.setattr(instructions, "count", lambda: now._replace(commit="aaa"))
+    instructions.main()
+    assert instructions.Counts(**json.loads(instructions.BASELINE.read_text())) == now._replace(commit="aaa")
