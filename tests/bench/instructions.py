@@ -4,8 +4,8 @@
 --runs 1  repeat the count; the largest difference is printed
 
 Valgrind counts a comparison of 1,000 with 4,000 points, on one thread with baseline kernels, without start and imports.
-Counts do not depend on load, and little on the processor. A stage that grows by more than 10 % is printed in capitals.
-The exit code is 0 in each case, also if the instructions cannot be counted.
+Counts do not depend on load, and newer instruction sets are disabled in all libraries. A stage that grows by more than
+10 % is printed in capitals. The exit code is 0 in each case, also if the instructions cannot be counted.
 """
 
 import argparse
