@@ -12,7 +12,7 @@ from typing import NamedTuple
 from compare_sides import NAMES, run_side
 
 MAX_REPEATED_POINTS = 1_000_000  # larger comparisons are run once
-MIN_FITTED_POINTS = 100_000  # smaller comparisons are dominated by costs per run, not per point
+FITTED_RANGE = 10  # the largest sizes are fitted: smaller comparisons are dominated by costs per run, not per point
 
 
 class Row(NamedTuple):
@@ -49,7 +49,8 @@ def measure(sides: list[str], sizes: list[int], runs: int, limit_s: float, limit
 
     A side that exceeds a limit or fails is not run with more points.
     """
-    print(f"medians of {runs} runs up to {MAX_REPEATED_POINTS:,} points, then one; start and imports are not included")
+    repeats = f"medians of {runs} runs up to {MAX_REPEATED_POINTS:,} points, then one" if runs > 1 else "one run each"
+    print(f"{repeats}; start and imports are not included")
     print(f"limits per run: {limit_s:.0f} s, {limit_gib:.1f} GiB\n")
     columns = f"{'wall s':>9}{'CPU s':>9}{'us a point':>12}{'MiB':>9}{'wall ratio':>12}{'CPU ratio':>12}"
     print(f"{'points':>12}  {'':14}{columns}")
@@ -106,14 +107,16 @@ def _line(row: Row, ours: Row | None) -> str:
 
 
 def exponent(rows: list[Row]) -> tuple[float, list[int]] | None:
-    """Fit CPU seconds proportional to a power of the number of points.
+    """Fit CPU seconds proportional to a power of the number of points, to the rows of one side in ascending order.
 
     Returns:
-        The exponent by least squares of the logarithms, and the sizes that were fitted; None: fewer than two.
+        The exponent by least squares of the logarithms, and the sizes that were fitted: those from a tenth of the
+        largest; None: fewer than two.
     """
     import numpy as np
 
-    fitted = [row for row in rows if row.reason is None and row.size >= MIN_FITTED_POINTS]
+    finished = [row for row in rows if row.reason is None]
+    fitted = [row for row in finished if row.size * FITTED_RANGE >= finished[-1].size]
     if len(fitted) < 2:
         return None
     sizes, seconds = (np.log([getattr(row, name) for row in fitted]) for name in ("size", "cpu"))
@@ -142,36 +145,31 @@ def draw(rows: list[Row], file: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4.4))
+    figure, axes = plt.subplots(1, 2, figsize=(10, 5))
     for side, its_rows in by_side(rows).items():
         measured = [row for row in its_rows if row.reason is None]
+        stopped = [row for row in its_rows if row.reason is not None]
         fit = exponent(its_rows)
-        label = NAMES[side] + (f": time ∝ n$^{{{fit[0]:.2f}}}$" if fit else "")
+        label = NAMES[side] + (f": time ∝ $n^{{{fit[0]:.2f}}}$ from {min(fit[1]):,} points" if fit else "")
+        if stopped:
+            label += f"; with {stopped[0].size:,}: {stopped[0].reason}"
         for axis, name in zip(axes, ("cpu", "mib"), strict=True):
-            (line,) = axis.loglog(
+            axis.loglog(
                 [row.size for row in measured],
                 [getattr(row, name) for row in measured],
                 marker="o",
                 linewidth=2.5 if side == "ours" else 1.2,
-                label=label if name == "cpu" else NAMES[side],
+                label=label,
             )
-            if measured and len(measured) < len(its_rows):  # what stopped this side
-                reason = its_rows[len(measured)].reason
-                axis.annotate(
-                    f"{reason} at {its_rows[len(measured)].size:.0e}".replace("e+0", "e"),
-                    (measured[-1].size, getattr(measured[-1], name)),
-                    xytext=(4, 6),
-                    textcoords="offset points",
-                    color=line.get_color(),
-                    fontsize=8,
-                )
     axes[0].set(title="Time", ylabel="CPU seconds, without start and imports")
     axes[1].set(title="Memory", ylabel="peak memory, MiB")
     for axis in axes:
-        axis.set_xlabel("points of the reference; the candidate has 0.19 times as many")
+        axis.set_xlabel("points of the reference (candidate: 0.19 times as many)")
         axis.grid(True, which="both", alpha=0.3)
-        axis.legend(fontsize=9)
-    figure.tight_layout()
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:g}"[0] in "25" else "")
+    figure.tight_layout(rect=(0, 0.15, 1, 1))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", frameon=False)
     figure.savefig(file, dpi=150)
 
 
