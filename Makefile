@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench gallery wording clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -100,6 +100,14 @@ docs: $(VENV)/.all
 
 bench: $(VENV)/.all
 	$(BIN)/python tests/bench/compare.py
+
+# Compare the instructions of a small comparison with those of an earlier commit; needs Debian's valgrind.
+instructions: $(VENV)/.all
+	$(BIN)/python tests/bench/instructions.py
+
+# List the tables of measurements that are older than the code they measure.
+stale: $(BIN)/python
+	$(BIN)/python docs/stale_tables.py
 
 gallery: $(VENV)/.all
 	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/python docs/gallery.py

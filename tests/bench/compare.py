@@ -1,160 +1,129 @@
-"""A complete comparison at the paper's sizes, next to a plain Open3D script for the same job.
+"""A complete comparison at the paper's sizes, next to a plain Open3D script and CloudCompare's command line.
 
     python tests/bench/compare.py [--points 1270820] [--runs 3]
+    python tests/bench/compare.py --scaling [--sizes 1e4,3e4,...] [--chart FILE]
 
-Each side runs in a separate process, alternating; prints medians of wall and CPU seconds per step, and peak memory.
+Each side runs in a separate process, alternating; prints medians of wall and CPU seconds per step, peak memory, and the
+metrics of each side beside those of pcbench with the same registration. Peers that are not installed are named.
+
+--scaling       cost against the number of points of the reference; the candidate has 0.19 times as many
+--sizes         numbers of points; the default takes about ten minutes, and 3e7 points need 24 GB of memory
+--limit-s       wall seconds after which a side is stopped; it is not tried with more points
+--limit-gib     the same for memory; default: 80 % of the available memory
+--chart FILE    draw the table of --scaling
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import platform
-import resource
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
+from typing import Any
 
-STEPS = ("import", "read", "index, normals", "registration", "distances, metrics", "total")
-
-
-def run_pcbench(folder: Path) -> dict:
-    """Run and time the comparison with pcbench."""
-    clock = Clock()
-    from pcbench import compare, read_cloud
-    from pcbench.report import document  # noqa: F401
-
-    clock.step("import")
-    reference, candidates = (
-        read_cloud(folder / "reference.ply"),
-        {name: read_cloud(folder / f"{name}.ply") for name in ("sparse", "densified")},
-    )
-    clock.step("read")
-    result = compare(reference, candidates)
-    clock.step("compare")
-    values = {candidate.name: paper_metrics(candidate.metrics) for candidate in result.candidates}
-    inner_s = {
-        "registration": sum(c.timings_s["registration"] for c in result.candidates),
-        "index, normals": result.candidates[0].timings_s["reference"],
-    }
-    clock.steps["registration"] = (inner_s["registration"], None)
-    clock.steps["index, normals"] = (inner_s["index, normals"], None)
-    compare_s, _ = clock.steps.pop("compare")
-    clock.steps["distances, metrics"] = (compare_s - sum(inner_s.values()), None)
-    return clock.result(values)
+import compare_scaling
+from compare_sides import METRICS, NAMES, SCOPE, SIDES, STEPS, metrics_at_transform, missing_sides, run_side
+from measure import setting
 
 
-def run_open3d(folder: Path) -> dict:
-    """Run a typical user script: normals (k = 20), point-to-plane ICP, both distances, the paper's four metrics."""
-    clock = Clock()
-    import numpy as np
-    import open3d as o3d
-
-    clock.step("import")
-    read_point_cloud = o3d.io.read_point_cloud
-    reference = read_point_cloud(str(folder / "reference.ply"))
-    candidates = {name: read_point_cloud(str(folder / f"{name}.ply")) for name in ("sparse", "densified")}
-    clock.step("read")
-    reference.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(20))
-    clock.step("index, normals")
-    registration = o3d.pipelines.registration
-    normals, points = np.asarray(reference.normals), np.asarray(reference.points)
-    values = {}
-    for name, candidate in candidates.items():
-        T = np.eye(4)
-        for max_distance in (3.0, 1.0):
-            T = registration.registration_icp(
-                candidate, reference, max_distance, T, registration.TransformationEstimationPointToPlane()
-            ).transformation
-        candidate.transform(T)
-        clock.step("registration")
-        c2r = np.asarray(candidate.compute_point_cloud_distance(reference))
-        r2c = np.asarray(reference.compute_point_cloud_distance(candidate))
-        aligned = np.asarray(candidate.points)
-        # D2 needs the index of the closest point; the fastest call that returns it searches again.
-        index = o3d.core.nns.NearestNeighborSearch(o3d.core.Tensor(points))
-        index.knn_index()
-        nearest = index.knn_search(o3d.core.Tensor(aligned), 1)[0].numpy()[:, 0]
-        plane_distances = np.einsum("ni,ni->n", aligned - points[nearest], normals[nearest])
-        values[name] = {
-            "d1": float(np.mean(c2r**2)),
-            "d2": float(np.mean(plane_distances**2)),
-            "hausdorff": float(max(c2r.max(), r2c.max())),
-            "chamfer": float(np.mean(c2r**2) + np.mean(r2c**2)),
-            "T": T.tolist(),
-        }
-        clock.step("distances, metrics")
-    return clock.result(values)
+def alternate(sides: list[str], folder: Path, runs: int) -> dict[str, list[dict[str, Any]]]:
+    """Return the results of all runs of each side; sides that fail are named and left out."""
+    results: dict[str, list[dict[str, Any]]] = {side: [] for side in sides}
+    for number in range(runs):
+        for side in list(results) if number % 2 == 0 else list(results)[::-1]:
+            result = run_side(side, folder)
+            if isinstance(result, str):
+                print(f"{NAMES[side]}: {result}")
+                del results[side]
+            else:
+                results[side].append(result)
+    return results
 
 
-def metrics_at_transform(reference, candidate, T: list) -> dict:
-    """Return our metrics with the registration of another tool."""
-    import numpy as np
-
-    from pcbench import Settings, compare
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "T.txt"
-        path.write_text("\n".join(" ".join(repr(v) for v in row) for row in np.array(T).tolist()))
-        return paper_metrics(compare(reference, candidate, Settings(register=f"matrix:{path}")).candidates[0].metrics)
+def median_seconds(runs: list[dict[str, Any]], key: str, name: str) -> tuple[float, float]:
+    """Return median wall and CPU seconds of a step or stage."""
+    wall, cpu = (statistics.median(run[key].get(name, (0.0, 0.0))[i] for run in runs) for i in range(2))
+    return wall, cpu
 
 
-def paper_metrics(m: dict) -> dict:
-    """Return the paper's four metrics from all metrics."""
-    return {
-        "d1": m["d1_mse"]["candidate_to_reference"],
-        "d2": m["d2_mse"]["candidate_to_reference"],
-        "hausdorff": m["hausdorff"]["symmetric_max"],
-        "chamfer": m["chamfer"]["sum_squared"],
-    }
+def print_steps(results: dict[str, list[dict[str, Any]]]) -> None:
+    """Print wall and CPU seconds per step of each side, with their ratios to pcbench's, and peak memory."""
+    peers = [side for side in results if side != "ours"]
+    print(f"{'':20}{'pcbench':>16}" + "".join(f"{NAMES[side]:>16}{'ratio':>16}" for side in peers))
+    print(f"{'seconds':20}" + f"{'wall':>8}{'CPU':>8}" * (1 + 2 * len(peers)))
+    for step in STEPS:
+        ours = median_seconds(results["ours"], "steps", step)
+        row = f"{step:20}{ours[0]:8.2f}{ours[1]:8.2f}"
+        for side in peers:
+            peer = median_seconds(results[side], "steps", step)
+            row += f"{peer[0]:8.2f}{peer[1]:8.2f}"
+            row += "".join(f"{b / a:8.1f}" if a else f"{'-':>8}" for a, b in zip(ours, peer, strict=True))
+        print(row)
+    ours_mib, *peers_mib = (statistics.median(run["peak"] for run in runs) / 2**20 for runs in results.values())
+    row = f"{'peak memory, MiB':20}{ours_mib:16.0f}"
+    print(row + "".join(f"{mib:16.0f}{mib / ours_mib:16.1f}" for mib in peers_mib))
 
 
-class Clock:
-    """Wall and CPU seconds of named steps; steps of one name are added."""
-
-    def __init__(self) -> None:
-        self.steps: dict[str, tuple[float, float | None]] = {}
-        self.start = self.last = self._now()
-
-    def step(self, name: str) -> None:
-        """Add the time since the last step to a step."""
-        stamp = self._now()
-        wall, cpu = self.steps.get(name, (0.0, 0.0))
-        self.steps[name] = (wall + stamp[0] - self.last[0], (cpu or 0.0) + stamp[1] - self.last[1])
-        self.last = stamp
-
-    def result(self, values: dict) -> dict:
-        """Return the times of all steps, peak memory and the values."""
-        stamp = self._now()
-        self.steps["total"] = (stamp[0] - self.start[0], stamp[1] - self.start[1])
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-        return {"steps": self.steps, "peak": peak, "values": values}
-
-    @staticmethod
-    def _now() -> tuple[float, float]:
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        return time.perf_counter(), usage.ru_utime + usage.ru_stime
+def print_stages(runs: list[dict[str, Any]]) -> None:
+    """Print pcbench's stages: those that it announces with CPU seconds, and the parts that its results record."""
+    print(f"\n{'stages of pcbench, seconds':44}{'wall':>8}{'CPU':>8}{'busy cores':>12}")
+    for stage in runs[0]["stages"]:
+        wall, cpu = median_seconds(runs, "stages", stage)
+        print(f"{stage:44}{wall:8.2f}{cpu:8.2f}{cpu / wall if wall else 0:12.1f}")
+    names = list(runs[0]["timings_s"])
+    print(f"\n{'timings_s, wall seconds':28}" + "".join(f"{name:>16}" for name in names))
+    for part in runs[0]["timings_s"][names[0]]:
+        medians = (statistics.median(run["timings_s"][name].get(part, 0.0) for run in runs) for name in names)
+        print(f"{part:28}" + "".join(f"{seconds:16.2f}" for seconds in medians))
 
 
-def run(side: str, folder: Path) -> dict:
-    """Run one side in a child process."""
-    command = [sys.executable, __file__, "--side", side, "--folder", str(folder)]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+def print_values(results: dict[str, list[dict[str, Any]]], scene: Any) -> None:
+    """Print the metrics of each side, and those of pcbench with the registration of each peer."""
+    peers = [side for side in results if side != "ours"]
+    print(f"\n{'':22}{'pcbench':>14}" + "".join(f"{NAMES[side]:>14}{'at its pose':>14}" for side in peers))
+    for name, values in results["ours"][0]["values"].items():
+        of_peers = [results[side][0]["values"][name] for side in peers]
+        at_pose = [metrics_at_transform(scene.reference, scene.candidates[name], peer["T"]) for peer in of_peers]
+        for metric in METRICS:
+            row = f"{name + ' ' + metric:22}{values[metric]:14.9g}"
+            for peer, ours in zip(of_peers, at_pose, strict=True):
+                row += f"{peer[metric]:14.9g}" if metric in peer else f"{'-':>14}"
+                row += f"{ours[metric]:14.9g}"
+            print(row)
+    print("at its pose: pcbench's metrics with the registration of this peer, which separates search from registration")
+
+
+def print_scope(sides: list[str]) -> None:
+    """Print what each side computes in these times."""
+    indices = [list(NAMES).index(side) for side in sides]
+    print(f"\n{'computed':34}" + "".join(f"{NAMES[side]:38}" for side in sides).rstrip())
+    for what, by_side in SCOPE.items():
+        print(f"{what:34}" + "".join(f"{by_side[i]:38}" for i in indices).rstrip())
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=1_270_820)
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--side", choices=("ours", "open3d"), help=argparse.SUPPRESS)
-    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.side:
-        print(json.dumps({"ours": run_pcbench, "open3d": run_open3d}[arguments.side](arguments.folder)))
+    parser.add_argument("--scaling", action="store_true")
+    parser.add_argument("--sizes", default="1e4,3e4,1e5,3e5,1e6,3e6")
+    parser.add_argument("--limit-s", type=float, default=300.0)
+    parser.add_argument("--limit-gib", type=float)
+    parser.add_argument("--chart", type=Path)
+    options = parser.parse_args()
+    missing = missing_sides()
+    sides = [side for side in SIDES if side not in missing]
+    for reason in missing.values():
+        print(reason)
+    if options.scaling:
+        sizes = [round(float(size)) for size in options.sizes.split(",")]
+        limit_gib = options.limit_gib or 0.8 * compare_scaling.available_gib()
+        print(setting())
+        rows = compare_scaling.measure(sides, sizes, options.runs, options.limit_s, limit_gib)
+        compare_scaling.print_exponents(rows)
+        if options.chart:
+            compare_scaling.draw(rows, options.chart)
         return
 
     from pcbench import write_cloud
@@ -162,34 +131,19 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        scene = demo(arguments.points)
+        scene = demo(options.points)
         for cloud_name, cloud in {"reference": scene.reference, **scene.candidates}.items():
             write_cloud(folder / f"{cloud_name}.ply", cloud)
-        runs: dict[str, list[dict]] = {"ours": [], "open3d": []}
-        for number in range(arguments.runs):
-            for side in ("ours", "open3d") if number % 2 == 0 else ("open3d", "ours"):
-                runs[side].append(run(side, folder))
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+        results = alternate(sides, folder, options.runs)
+    if "ours" not in results:
+        return
     sizes = ", ".join(f"{len(cloud):,}" for cloud in scene.candidates.values())
-    print(f"{sizes} against {arguments.points:,} points; {arguments.runs} alternating runs, medians")
-    print(f"commit {commit}, {platform.machine()}, {len(os.sched_getaffinity(0))} cores\n")
-    print(f"{'wall seconds':22}{'pcbench':>10}{'Open3D':>10}{'ratio':>8}")
-    for step in STEPS:
-        a, b = (statistics.median(r["steps"][step][0] for r in runs[side]) for side in ("ours", "open3d"))
-        print(f"{step:22}{a:10.2f}{b:10.2f}{b / a:8.1f}")
-    a, b = (statistics.median(r["steps"]["total"][1] for r in runs[side]) for side in ("ours", "open3d"))
-    print(f"{'total, CPU seconds':22}{a:10.2f}{b:10.2f}{b / a:8.1f}")
-    a, b = (statistics.median(r["peak"] for r in runs[side]) / 2**20 for side in ("ours", "open3d"))
-    print(f"{'peak memory, MiB':22}{a:10.0f}{b:10.0f}{b / a:8.1f}\n")
-    print(f"{'':22}{'pcbench':>14}{'Open3D':>14}{'at its transform':>20}")
-    for candidate, values in runs["ours"][0]["values"].items():
-        open3d_values = runs["open3d"][0]["values"][candidate]
-        pcbench_values = metrics_at_transform(scene.reference, scene.candidates[candidate], open3d_values["T"])
-        for metric, value in values.items():
-            print(
-                f"{candidate + ' ' + metric:22}{value:14.9g}{open3d_values[metric]:14.9g}{pcbench_values[metric]:20.9g}"
-            )
-    print("\nlast column: pcbench's metrics with Open3D's registration, which separates search from registration")
+    print(f"{sizes} against {options.points:,} points; {options.runs} alternating runs, medians")
+    print(f"{setting()}, {len(os.sched_getaffinity(0))} usable\n")
+    print_steps(results)
+    print_stages(results["ours"])
+    print_values(results, scene)
+    print_scope(list(results))
 
 
 if __name__ == "__main__":

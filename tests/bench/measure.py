@@ -19,13 +19,16 @@ class Seconds(NamedTuple):
 
 
 def alternate(contestants: dict[str, Callable[[], object]], runs: int) -> dict[str, Seconds]:
-    """Return median wall and CPU seconds per contestant; runs alternate, so that load affects all of them equally."""
+    """Return median wall and CPU seconds per contestant.
+
+    Runs alternate, and each second round is in reverse order, so that load affects all of them equally.
+    """
     samples: dict[str, list[Seconds]] = {name: [] for name in contestants}
-    for _ in range(runs):
-        for name, run in contestants.items():
+    for number in range(runs):
+        for name in list(contestants)[:: 1 if number % 2 == 0 else -1]:
             gc.collect()
             wall, cpu = time.perf_counter(), time.process_time()
-            run()
+            contestants[name]()
             samples[name].append(Seconds(time.perf_counter() - wall, time.process_time() - cpu))
     return {
         name: Seconds(statistics.median(s.wall for s in seconds), statistics.median(s.cpu for s in seconds))
@@ -39,13 +42,17 @@ def limit_threads(threads: int) -> None:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
+def commit() -> str:
+    """Return the commit of the working tree, with `-dirty` if files have changed since."""
+    command = ["git", "describe", "--always", "--dirty"]
+    output = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True).stdout
+    return output.strip() or "unknown"
+
+
 def setting() -> str:
     """Return commit and machine, for the head of a table."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
-    ).stdout.strip()
     model = next(
         (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
         platform.processor(),
     )
-    return f"commit {commit or 'unknown'}; {model}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"
+    return f"commit {commit()}; {model}, {os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}"

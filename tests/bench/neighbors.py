@@ -3,7 +3,7 @@ tests/bench/neighbors.py
 
 --sizes 1e4,1e5,1e6   points of the reference; the candidate has a fifth
 --threads 1,2         numbers of threads, each in a separate process
---runs 5              alternating runs; medians are printed
+--runs 5              runs in which the libraries alternate; medians are printed, with their ratios to pcbench's
 --chart FILE          log-log chart of the wall seconds with the most threads
 """
 
@@ -129,7 +129,11 @@ def main() -> None:
         f"{setting()}; median of {options.runs} alternating runs"
         + (f"; missing: {missing_peers}" if missing_peers else "")
     )
-    print(f"{'density':14}{'points':>10}{'threads':>8}  {'library':18}{'wall s':>9}{'CPU s':>9}{'ratio':>7}")
+    print(f"{'':56}{'ratio':>16}")
+    print(
+        f"{'density':14}{'points':>10}{'threads':>8}  {'library':18}"
+        + f"{'wall s':>9}{'CPU s':>9}{'wall':>7}{'CPU':>7}"
+    )
     rows = []
     for density in options.densities.split(","):
         for size in (round(float(text)) for text in options.sizes.split(",")):
@@ -144,8 +148,9 @@ def main() -> None:
                 seconds = json.loads(process.stdout)
                 rows.append({"density": density, "size": size, "threads": threads, "seconds": seconds})
                 for name, (wall, cpu) in seconds.items():
-                    ratio = wall / seconds["pcbench"][0]
-                    print(f"{density:14}{size:10}{threads:8}  {name:18}{wall:9.4f}{cpu:9.4f}{ratio:7.1f}", flush=True)
+                    ours = seconds["pcbench"]
+                    row = f"{density:14}{size:10}{threads:8}  {name:18}{wall:9.4f}{cpu:9.4f}"
+                    print(f"{row}{wall / ours[0]:7.1f}{cpu / ours[1]:7.1f}", flush=True)
     if options.chart:
         draw(rows, max(map(int, options.threads.split(","))), options.chart)
 
