@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
+from pcbench.geometry.order_statistics import median
 from pcbench.native import _core
 
 __all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions", "median_spacing"]
@@ -88,28 +89,31 @@ class Index:
         """Memory of the tree in bytes, without the points."""
         return self._tree.bytes
 
-    def query(self, queries: ArrayLike, k: int = 1) -> Matches:
+    def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query.
 
         Args:
             queries: (M, 3) coordinates.
             k: number of neighbours.
+            hint: for k = 1, indices (M,) of points near the result; see `nearest_of_moved`.
 
         Returns:
             Distances, in the unit of the coordinates, and indices: (M,) for k = 1, else (M, k), sorted by
             (distance, index).
 
         Raises:
-            InputError: k is less than 1 or exceeds the number of points, or a coordinate is not finite.
+            InputError: k is less than 1 or exceeds the number of points, a coordinate is not finite, or hints are not
+                indices of points, one for each query.
         """
         query_points = _as_points(queries, "queries")
+        hint = self._as_hints(hint, len(query_points))
         if not 1 <= k <= len(self):
             raise InputError(f"k: expected 1 to {len(self)} (the number of points), got {k}")
         shape = (len(query_points),) if k == 1 else (len(query_points), k)
         matches = Matches(np.empty(shape, np.float64), np.empty(shape, np.int64))
         try:
             if k == 1:
-                self._tree.nearest(query_points, *matches)
+                self._tree.nearest(query_points, hint, *matches)
             else:
                 self._tree.knearest(query_points, *matches)
         except ValueError as error:
@@ -226,14 +230,20 @@ class Index:
         """
         moved, matches = np.empty((len(queries), 3)), Matches(np.empty(len(queries)), np.empty(len(queries), np.int64))
         rows = np.ascontiguousarray(motion[:3], np.float64)
-        hint = None if hint is None else self._as_indices(hint, "hint")
-        if hint is not None and len(hint) != len(queries):
-            raise InputError(f"hint: expected one index for each of the {len(queries)} queries, got {len(hint)}")
+        hint = self._as_hints(hint, len(queries))
         try:
             self._tree.nearest_of_moved(queries._tree, rows, hint, moved, *matches)
         except ValueError as error:
             _raise_bad_coordinates(error, moved, "queries")
         return moved, matches
+
+    def _as_hints(self, values: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
+        if values is None:
+            return None
+        hints = self._as_indices(values, "hint")
+        if len(hints) != count:
+            raise InputError(f"hint: expected one index for each of the {count} queries, got {len(hints)}")
+        return hints
 
     def _as_indices(self, values: ArrayLike, name: str) -> NDArray[np.int64]:
         rows: NDArray[Any] = np.asarray(values)
@@ -269,13 +279,14 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     if len(index) < 2:
         return 0.0
     if nearest_other is None:
-        distances = _nonzero_nearest_distances(index, np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE)))
+        rows = np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE))
+        distances = index.query(index.points[rows], k=2).distances[:, 1]
     else:
-        distances = nearest_other.distances
-        duplicates = np.flatnonzero(distances == 0)
-        if len(duplicates):
-            distances = np.concatenate([distances[distances > 0], _nonzero_nearest_distances(index, duplicates)])
-    return float(np.median(distances)) if len(distances) else 0.0
+        rows, distances = np.arange(len(index)), nearest_other.distances
+    is_duplicate = distances == 0
+    if is_duplicate.any():
+        distances = np.concatenate([distances[~is_duplicate], _nonzero_nearest_distances(index, rows[is_duplicate])])
+    return median(distances) if len(distances) else 0.0
 
 
 def _nonzero_nearest_distances(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry import order_statistics
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index
@@ -120,7 +121,8 @@ def harmonic_mean(precision: float, recall: float) -> float:
 def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _PERCENTILE_RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
-    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, np.percentile(values, ranks), strict=True)}
+    found = order_statistics.percentiles(values, ranks)
+    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, found, strict=True)}
 
 
 def nmad(values: ArrayLike) -> float:
@@ -131,7 +133,7 @@ def nmad(values: ArrayLike) -> float:
     beside the standard deviation.
     """
     numbers = _distances(values, None)
-    return NORMAL_MAD * float(np.median(np.abs(numbers - np.median(numbers))))
+    return NORMAL_MAD * order_statistics.median_distance(numbers, order_statistics.median(numbers))
 
 
 def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:

@@ -44,13 +44,19 @@ public:
     const pcbench::Tree& tree() const { return index_->tree(); }
     size_t bytes() const { return index_->bytes(); }
 
-    void nearest(Points queries, Out<double, nb::shape<-1>> distances, Out<int64_t, nb::shape<-1>> indices) const {
+    void nearest(Points queries, std::optional<Indices> hints, Out<double, nb::shape<-1>> distances,
+                 Out<int64_t, nb::shape<-1>> indices) const {
         const size_t count = queries.shape(0);
         check(distances.shape(0) == count && indices.shape(0) == count, "nearest: expected one row per query");
+        if (hints) {
+            check(hints->shape(0) == count, "nearest: expected one hint per query");
+            check_rows(*hints, "nearest: expected hints that are indices of points");
+        }
         for_query_batches(
             queries, [&](const pcbench::SortedPoints& batch, size_t offset, pcbench::Interrupt& interrupt) {
-                pcbench::kernels().nearest(tree(), batch.leaves.get(), batch.leaf_count, nullptr, false,
-                                           distances.data() + offset, indices.data() + offset, {}, interrupt);
+                pcbench::kernels().nearest(tree(), batch.leaves.get(), batch.leaf_count,
+                                           hints ? hints->data() + offset : nullptr, false, distances.data() + offset,
+                                           indices.data() + offset, {}, interrupt);
             });
     }
 
@@ -234,8 +240,8 @@ NB_MODULE(_core, m) {
     nb::class_<PointIndex>(m, "PointIndex", "A search tree over points. Results are written into the given arrays.")
         .def(nb::init<Points>(), nb::arg("points").noconvert())
         .def_prop_ro("bytes", &PointIndex::bytes, "Memory of the tree in bytes, without the points.")
-        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("distances").noconvert(),
-             nb::arg("indices").noconvert())
+        .def("nearest", &PointIndex::nearest, nb::arg("queries").noconvert(), nb::arg("hints").noconvert().none(),
+             nb::arg("distances").noconvert(), nb::arg("indices").noconvert())
         .def("nearest_of", &PointIndex::nearest_of, nb::arg("queries"), nb::arg("distances").noconvert(),
              nb::arg("indices").noconvert(), nb::arg("slack") = 0.0, nb::arg("tied").noconvert().none() = nb::none(),
              "Nearest points to the points of another index, or of this one (no point is then its own neighbour). tied:"

@@ -133,7 +133,7 @@ def run_both_stages(problem: IcpProblem, start: Start, constrained: FloatArray) 
     rigid = settings.with_scale and start.kept_share < 1 and not constrained.shape[1]
     coarse = (replace(settings, with_scale=False), np.zeros((6, 0))) if rigid else (settings, constrained)
     T = Similarity.identity()
-    closest = target.surface.index.query(problem.sample.points)
+    closest = target.surface.index.query_index(problem.sample)
     if closest.distances.max() <= rounding_bound(problem.sample.points, np.zeros(3)):
         return IcpResult(T, 0, True, closest.indices)  # a candidate on the reference stays exactly where it is
     stages = (target.coarse, problem.coarse_sample), (target.surface, problem.sample)

@@ -105,6 +105,22 @@ def test_a_hint_does_not_change_the_result(shape):
     index, source, expected = Index(points), Index(queries), brute_force_nearest(queries, points)
     for hint in (expected[1], rng.integers(0, 700, len(queries))):
         assert_matches(index.nearest_of_moved(source, np.eye(4), hint)[1], expected)
+        assert_matches(index.query(queries, hint=hint), expected)
+
+
+def test_few_queries_of_many_points_equal_brute_force(shape):
+    """Fewer queries than a fiftieth of the points are searched for one by one, not in groups of eight."""
+    rng = np.random.default_rng(8)
+    points = shape(rng, 4000)
+    index = Index(points)
+    for n in (1, 5, 15):
+        queries = near_and_far_queries(rng, points, n)
+        expected = brute_force_nearest(queries, points)
+        assert_matches(index.query(queries), expected)
+        for hint in (expected[1], rng.integers(0, len(points), len(queries))):
+            assert_matches(index.query(queries, hint=hint), expected)
+            assert_matches(index.nearest_of_moved(Index(queries), np.eye(4), hint)[1], expected)
+        assert_matches(index.query_index(Index(queries)), expected)
 
 
 @pytest.mark.parametrize("n", [2, 8, 9, 65, 900])
@@ -165,6 +181,14 @@ def test_ties_of_many_duplicates_cost_no_more_than_matches():
         matches, tied = Index(points).query_index_with_ties(Index(points.copy()), 1e-8)
         assert tied.all()
         assert not matches.distances.any()
+
+
+def test_planes_of_many_equal_points_are_fast():
+    """In quadratic time, this would take many hours."""
+    points = np.full((1_000_000, 3), 7.0)
+    planes = Index(points).local_planes(20)
+    np.testing.assert_array_equal(planes.nearest_other.distances, 0)
+    np.testing.assert_array_equal(planes.nearest_other.indices, np.where(np.arange(len(points)) == 0, 1, 0))
 
 
 def test_every_point_but_the_match_counts_as_a_tie():
@@ -292,6 +316,8 @@ def query_with_hint(hint):
         lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), 0),
         lambda: query_with_hint([3]),
         lambda: query_with_hint([0, 1]),
+        lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[3]),
+        lambda: Index(np.zeros((3, 3))).query(np.zeros((1, 3)), hint=[0, 1]),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), -1.0),
         lambda: Index(np.zeros((3, 3))).query_radius(np.zeros((1, 3)), np.nan),
         lambda: Index(np.zeros((3, 3))).query_cylinder([[0, 0, 0]], [[0, 0, 2]], 1, 1),

@@ -77,6 +77,21 @@ def test_uncomputed_rows_are_nan(has_normals):
     np.testing.assert_allclose(surface.compute_normals(None), np.tile([0, 0, 1.0], (100, 1)), atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [1, 40, 150, 199])
+def test_selected_rows_have_the_normals_of_all_rows(count):
+    """The planes of few rows, of many, and of all are computed in different ways, with the same bits."""
+    points, directions = shapes.sphere(200)
+    rows = np.random.default_rng(2).permutation(200)[:count]
+    surface, whole = Surface(Index(points)), Surface(Index(points))
+    np.testing.assert_array_equal(surface.normals(rows), whole.normals(np.arange(200))[rows])
+    np.testing.assert_array_equal(surface.compute_normals(None), whole.compute_normals(None))
+    np.testing.assert_array_equal(surface.variation(rows), whole.variation(rows))
+    partly = np.where(np.arange(200)[:, None] < 20, directions, 0)
+    completed = Surface(Index(points), given=partly).compute_normals(None)
+    np.testing.assert_allclose(completed[:20], directions[:20], rtol=1e-15)  # scaled to unit length again: a few ulp
+    np.testing.assert_array_equal(completed[20:], whole.compute_normals(None)[20:])
+
+
 def test_duplicates_are_accepted_and_too_few_points_refused():
     points = np.zeros((10, 3))
     assert np.isfinite(estimate_normals(Index(points), 5).directions).all()

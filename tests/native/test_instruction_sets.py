@@ -118,7 +118,8 @@ for shape in SHAPES:
     a, b = shape(rng, 40_000 if large else 4_000), shape(rng, 3_000)
     index, axes = Index(a), np.tile([0.6, 0.0, 0.8], (20, 1))
     extent = np.ptp(a, axis=0).max()
-    results = [*match_both_directions(index, Index(b)), index.query(b), index.query(b[:500], 7), index.nearest_other()]
+    results = [*match_both_directions(index, Index(b)), index.query(b), index.query(b[:20]), index.nearest_other()]
+    results += [index.query(b[:500], 7), index.local_planes(8, np.arange(0, len(a), 211))[:2]]
     planes, turn = index.local_planes(8, np.arange(0, len(a), 11)), np.eye(4)[[1, 0, 2, 3]]
     results += [planes[:2], planes.nearest_other, index.nearest_of_moved(Index(b), turn)[1]]
     results += [index.query_radius(b[:20], 0.01 * extent), index.query_cylinder(b[:20], axes, 0.01 * extent, extent)]

@@ -35,7 +35,7 @@ def test_ctrl_c_stops_a_search():
     assert_ctrl_c_stops(partial(index.knearest, points, distances, indices))
     assert (indices == -1).any()
     nearest, row = np.empty(9), np.empty(9, np.int64)
-    index.nearest(points[:9], nearest, row)
+    index.nearest(points[:9], None, nearest, row)
     np.testing.assert_array_equal(row, np.arange(9))
 
 

@@ -5,10 +5,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <optional>
 #include <vector>
 
 #include "common/arrays.h"
+#include "common/order_statistics.h"
 #include "pairs/pairs.h"
 #include "pairs/polynomials.h"
 #include "points/cells.h"
@@ -76,6 +78,22 @@ void rounded_squares(Points queries, Points closest, Indices rows, Out<double, n
     const pcbench::Rows q = rows_of(queries, std::nullopt, count), c = rows_of(closest, rows, count);
     nb::gil_scoped_release release;
     pcbench::rounded_squares(count, q, c, squares.data());
+}
+
+bool order_statistics(Column values, std::optional<double> center, Indices ranks, Out<double, nb::shape<-1>> found) {
+    const size_t count = values.shape(0), rank_count = ranks.shape(0);
+    check(found.shape(0) == rank_count, "order_statistics: expected one result per rank");
+    std::vector<size_t> selected(ranks.data(), ranks.data() + rank_count);
+    check(std::is_sorted(selected.begin(), selected.end()) && (rank_count == 0 || selected.back() < count),
+          "order_statistics: expected ascending ranks below the number of values");
+    const double* data = values.data();
+    nb::gil_scoped_release release;
+    if (!center)
+        return pcbench::order_statistics(
+            count, [=](size_t i) { return data[i]; }, selected.data(), rank_count, found.data());
+    const double c = *center;
+    return pcbench::order_statistics(
+        count, [=](size_t i) { return std::fabs(data[i] - c); }, selected.data(), rank_count, found.data());
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
@@ -160,6 +178,11 @@ void bind_loops(nb::module_& m) {
     m.def("rounded_squares", &rounded_squares, nb::arg("queries").noconvert(), nb::arg("closest").noconvert(),
           nb::arg("closest_rows").noconvert(), nb::arg("squares").noconvert(),
           "Squared distances (M,), written in place, from coordinate differences rounded to float32.");
+    m.def(
+        "order_statistics", &order_statistics, nb::arg("values").noconvert(), nb::arg("center").none(),
+        nb::arg("ranks").noconvert(), nb::arg("found").noconvert(),
+        "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
+        "written in place. Returned is False, and nothing is written, if a value is NaN.");
     m.def(
         "weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
         nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("max_distance"), nb::arg("robust"),

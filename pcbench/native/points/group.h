@@ -12,10 +12,14 @@ struct QueryGroup {
     int count;             // number of queries; the other lanes repeat the first
     Box box;
 
-    explicit QueryGroup(const Leaf& leaf) : count(0) {
-        for (size_t l = 0; l < kFanout; ++l) {
-            const size_t from = leaf.row[l] == kNoRow ? 0 : l;
-            count += from == l;
+    explicit QueryGroup(const Leaf& leaf) : QueryGroup(leaf, 0, kFanout) {}
+
+    // Up to `size` queries of the leaf, from position `first` on.
+    QueryGroup(const Leaf& leaf, size_t first, size_t size) : count(0) {
+        for (size_t l = 0; l < kLanes; ++l) {
+            const bool is_query = l < size && leaf.row[first + l] != kNoRow;
+            const size_t from = is_query ? first + l : first;
+            count += is_query;
             x[l] = leaf.x[from], y[l] = leaf.y[from], z[l] = leaf.z[from],
             row[l] = point[l] = static_cast<size_t>(leaf.row[from]);
         }

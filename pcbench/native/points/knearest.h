@@ -12,6 +12,13 @@ public:
     NearestK(const Tree& tree, const double* query, size_t k, double* squared, int64_t* rows)
         : tree_(tree), query_(query), box_(box_of_point(query)), k_(k), squared_(squared), rows_(rows) {}
 
+    // For k = 1. Any point is valid; a near one gives a low first bound, which prunes more.
+    void start(int64_t hint) {
+        const double* p = tree_.points + 3 * hint;
+        const double dx = query_[0] - p[0], dy = query_[1] - p[1], dz = query_[2] - p[2];
+        insert((dx * dx + dy * dy) + dz * dz, static_cast<double>(hint));
+    }
+
     Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, box_); }
     double bound() const { return count_ < k_ ? kUnbounded : squared_[k_ - 1]; }
     uint32_t last_tie() const { return count_ < k_ ? UINT32_MAX : static_cast<uint32_t>(rows_[k_ - 1]); }

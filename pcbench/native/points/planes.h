@@ -47,7 +47,7 @@ public:
 
     Vector squared_gaps(const Node& node) const { return pcbench::PCB_ISA::squared_gaps(node, group_.box); }
     double bound() const { return bound_; }
-    uint32_t last_tie() const { return UINT32_MAX; }
+    uint32_t last_tie() const { return bound_ == 0.0 ? static_cast<uint32_t>(max_lane(load(last_row_))) : UINT32_MAX; }
 
     void leaf(uint32_t id, const Node& parent, int child) {
         if (!bits(group_.squared_gaps_to(parent, child) <= load(limit_))) return;
@@ -162,9 +162,11 @@ private:
         }
         store(limit_, high);
         store(last_row_, splat(kNoRow));
-        unsigned tied = surplus == 0 ? ~bits(within <= max_within) & 0xff : 0;
-        for (; tied; tied &= tied - 1) resolve_ties(__builtin_ctz(tied));
         bound_ = max_lane(load(limit_));
+        // At distance 0, points with higher rows than the k-th are skipped: many duplicates would cost quadratic time.
+        unsigned tied = surplus == 0 ? ~bits(within <= max_within) & 0xff : 0;
+        if (bound_ == 0.0) tied = 0xff;
+        for (; tied; tied &= tied - 1) resolve_ties(__builtin_ctz(tied));
         drop_unselected();
     }
 
@@ -220,15 +222,20 @@ private:
 inline void planes(const Tree& tree, const Leaf* queries, size_t leaf_count, const int64_t* rows, size_t k,
                    double* normals, double* variation, double* distances, int64_t* indices, double* const* scratch,
                    Interrupt& interrupt) {
+    // Queries that are far apart share no candidates. Measured on cities of 250,000 and 5,000,000 points: below a
+    // twentieth of the points, one query at a time is faster.
+    const size_t group_size = 20 * leaf_count < tree.leaf_count ? 1 : kFanout;
 #pragma omp parallel for schedule(dynamic, 64)
     for (size_t q = 0; q < leaf_count; ++q) {
         if (q % 16 == 0 && interrupt.requested()) continue;
-        QueryGroup group(queries[q]);
-        if (rows)
-            for (size_t& point : group.point) point = static_cast<size_t>(rows[point]);
-        GroupPlanes planes_of_group(tree, group, k, scratch[omp_get_thread_num()]);
-        traverse(tree, planes_of_group);
-        planes_of_group.fit(normals, variation, distances, indices);
+        for (size_t first = 0; first < kFanout && queries[q].row[first] != kNoRow; first += group_size) {
+            QueryGroup group(queries[q], first, group_size);
+            if (rows)
+                for (size_t& point : group.point) point = static_cast<size_t>(rows[point]);
+            GroupPlanes planes_of_group(tree, group, k, scratch[omp_get_thread_num()]);
+            traverse(tree, planes_of_group);
+            planes_of_group.fit(normals, variation, distances, indices);
+        }
     }
 }
 

@@ -1,0 +1,67 @@
+"""Percentiles, medians and median absolute deviations of one array, equal to numpy's to the last bit.
+
+`numpy.percentile` and `numpy.median` copy and partition the array. The compiled selection reads it twice, and copies
+only the values near the requested ranks: for a million distances it is three to five times faster. Coordinates far
+from zero have common leading bits and gain nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.native import _core
+
+_MAX_PARTITIONED = 20_000  # smaller arrays are partitioned by numpy: the selection's histogram has a fixed cost
+
+
+def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
+    """Percentiles (R,) of values (N,), N >= 1, with linear interpolation: `numpy.percentile(values, ranks)`.
+
+    All are NaN if a value is NaN.
+
+    Args:
+        values: (N,) values.
+        ranks: (R,) ranks from 0 to 100.
+    """
+    if len(values) <= _MAX_PARTITIONED:
+        return np.asarray(np.percentile(values, ranks), dtype=np.float64)
+    position = (len(values) - 1) * (np.asarray(ranks, dtype=np.float64) / 100)
+    lower = np.floor(position).astype(np.int64)
+    share = position - lower
+    below, above = _order_statistics(values, None, np.array([lower, np.minimum(lower + 1, len(values) - 1)]))
+    with np.errstate(invalid="ignore"):  # between infinite values
+        step = above - below
+        found: FloatArray = np.where(share >= 0.5, above - step * (1 - share), below + step * share)
+    return found
+
+
+def median(values: FloatArray) -> float:
+    """Median of values (N,), N >= 1: `numpy.median(values)`. It is NaN if a value is NaN."""
+    if len(values) <= _MAX_PARTITIONED:
+        return float(np.median(values))
+    return _middle(values, None)
+
+
+def median_distance(values: FloatArray, center: float = 0.0) -> float:
+    """Median distance of values (N,), N >= 1, from a number: `numpy.median(numpy.abs(values - center))`."""
+    if len(values) <= _MAX_PARTITIONED:
+        return float(np.median(np.abs(values - center)))
+    return _middle(values, center)
+
+
+def _middle(values: FloatArray, center: float | None) -> float:
+    count = len(values)
+    low, high = _order_statistics(values, center, np.array([(count - 1) // 2, count // 2]))
+    return 0.5 * (float(low) + float(high))
+
+
+def _order_statistics(values: FloatArray, center: float | None, ranks: IntArray) -> FloatArray:
+    """Return the values of ranks (...,) from 0 among values (N,), or among their distances from `center`."""
+    ascending, inverse = np.unique(ranks, return_inverse=True)
+    found = np.full(len(ascending), np.nan)
+    _core.order_statistics(np.ascontiguousarray(values, np.float64), center, ascending, found)
+    selected: FloatArray = found[inverse].reshape(ranks.shape)
+    return selected

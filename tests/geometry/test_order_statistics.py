@@ -1,0 +1,90 @@
+"""Percentiles and medians are those of numpy, bit for bit."""
+
+import numpy as np
+import pytest
+
+from pcbench.geometry import order_statistics
+from pcbench.native import _core
+
+RANKS = (0.0, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 99.99, 100.0)
+
+
+def _inputs():
+    rng = np.random.default_rng(5)
+    for count in (1, 2, 3, 4, 5, 100, 30_001):
+        normal = rng.normal(size=count)
+        yield f"normal {count}", normal
+        yield f"distances {count}", np.abs(normal)
+        yield f"ties {count}", np.round(normal)
+        yield f"equal {count}", np.full(count, -2.5)
+        yield f"far from zero {count}", normal + 4e6
+        yield f"many magnitudes {count}", np.sign(normal) * 10.0 ** rng.uniform(-300, 300, count)
+        yield f"subnormal {count}", normal * 5e-324 * 1000
+        infinite = normal.copy()
+        infinite[:: max(1, count // 3)] = np.inf
+        infinite[1 :: max(1, count // 4)] = -np.inf
+        yield f"infinite {count}", infinite
+
+
+INPUTS = dict(_inputs())
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", 0)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+@pytest.mark.parametrize("name", INPUTS)
+def test_values_of_numpy(name):
+    values = INPUTS[name]
+    before = values.copy()
+    np.testing.assert_array_equal(order_statistics.percentiles(values, RANKS), np.percentile(values, RANKS))
+    np.testing.assert_array_equal(order_statistics.median(values), np.median(values))
+    np.testing.assert_array_equal(order_statistics.median_distance(values), np.median(np.abs(values)))
+    center = 0.5 if np.isinf(values).any() else float(np.median(values))
+    np.testing.assert_array_equal(order_statistics.median_distance(values, center), np.median(np.abs(values - center)))
+    np.testing.assert_array_equal(values, before)
+
+
+def test_ranks_in_any_order_and_repeated():
+    values = INPUTS["normal 100"]
+    ranks = [90.0, 10.0, 90.0, 50.0]
+    np.testing.assert_array_equal(order_statistics.percentiles(values, ranks), np.percentile(values, ranks))
+
+
+def test_all_ranks():
+    values = INPUTS["ties 30001"]
+    found = np.empty(len(values))
+    assert _core.order_statistics(values, None, np.arange(len(values)), found)
+    np.testing.assert_array_equal(found, np.sort(values))
+
+
+@pytest.mark.parametrize("nan", [np.nan, -np.nan])
+def test_nan_makes_all_results_nan(nan):
+    values = INPUTS["normal 100"].copy()
+    values[7] = nan
+    assert np.isnan(order_statistics.percentiles(values, RANKS)).all()
+    assert np.isnan(order_statistics.median(values))
+    assert np.isnan(order_statistics.median_distance(values, 1.0))
+
+
+def test_strided_arrays():
+    rows = np.random.default_rng(6).normal(size=(1000, 3))
+    assert order_statistics.median(rows[:, 1]) == np.median(rows[:, 1])
+
+
+def test_few_values_are_left_to_numpy(monkeypatch):
+    monkeypatch.setattr(order_statistics, "_MAX_PARTITIONED", 100)
+    monkeypatch.setattr(order_statistics, "_core", None)
+    values = INPUTS["normal 100"]
+    np.testing.assert_array_equal(order_statistics.percentiles(values, RANKS), np.percentile(values, RANKS))
+    assert order_statistics.median(values) == np.median(values)
+    assert order_statistics.median_distance(values, 0.5) == np.median(np.abs(values - 0.5))
+
+
+def test_wrong_arguments_are_refused():
+    values, found = np.arange(5.0), np.empty(2)
+    for ranks in ([3, 1], [0, 5], [-1, 2], [0]):
+        with pytest.raises(ValueError, match="order_statistics"):
+            _core.order_statistics(values, None, np.array(ranks), found)
