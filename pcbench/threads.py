@@ -1,4 +1,4 @@
-"""Limit the number of threads before numpy and the compiled core are loaded.
+"""Limits of the numbers of threads: before numpy and the compiled core are loaded, and during linear algebra.
 
 Their libraries end the process if a thread cannot be started.
 """
@@ -6,6 +6,11 @@ Their libraries end the process if a thread cannot be started.
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import NamedTuple
 
 from pcbench.errors import InputError
 from pcbench.systems import cpu_count, memory_limit
@@ -13,6 +18,13 @@ from pcbench.systems import cpu_count, memory_limit
 _MAX_THREADS = 1024  # or the number of CPUs if that is larger
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _BYTES_PER_THREAD = 256 << 20  # of limited address space, for stack, heap and buffers of one thread
+# Names of OpenBLAS's functions in numpy's wheels and in Linux distributions, with {} for `get` or `set`.
+_BLAS_FUNCTIONS = (
+    "scipy_openblas_{}_num_threads64_",
+    "scipy_openblas_{}_num_threads",
+    "openblas_{}_num_threads64_",
+    "openblas_{}_num_threads",
+)
 
 
 def limit_threads() -> None:
@@ -34,6 +46,71 @@ def limit_threads() -> None:
         for name, count in requested.items():
             if (count or cpu_count()) > fitting:
                 os.environ[name] = str(fitting)
+
+
+class _BlasThreads(NamedTuple):
+    """Functions that read and set the number of threads of numpy's BLAS library."""
+
+    get: Callable[[], int]
+    set: Callable[[int], object]
+
+
+class _BlasLimit:
+    """State of the limit: the number of open blocks, and of the library's threads before the first of them."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.blocks = 0
+        self.threads_before = 1
+
+
+_blas_limit = _BlasLimit()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit numpy's BLAS library to one thread within a `with` block.
+
+    More threads do not accelerate small matrices, but wait for each other in busy loops, and change the order of sums.
+    Blocks may be nested and may run in several threads; the limit ends with the last of them. It is silently omitted if
+    the library is not OpenBLAS.
+    """
+    blas, limit = _blas_threads(), _blas_limit
+    if blas is None:
+        yield
+        return
+    with limit.lock:
+        if limit.blocks == 0:
+            limit.threads_before = blas.get()
+            blas.set(1)
+        limit.blocks += 1
+    try:
+        yield
+    finally:
+        with limit.lock:
+            limit.blocks -= 1
+            if limit.blocks == 0:
+                blas.set(limit.threads_before)
+
+
+@cache
+def _blas_threads() -> _BlasThreads | None:
+    """Return the functions of numpy's OpenBLAS; None if it uses another library."""
+    import ctypes
+
+    from numpy.linalg import _umath_linalg  # linked to the library
+
+    try:
+        # Names are looked up in the module and in the libraries it is linked to, except on Windows.
+        module = ctypes.CDLL(_umath_linalg.__file__)
+    except OSError:
+        return None
+    for name in _BLAS_FUNCTIONS:
+        try:
+            return _BlasThreads(getattr(module, name.format("get")), getattr(module, name.format("set")))
+        except AttributeError:
+            pass
+    return None
 
 
 def _first_number(text: str) -> int | None:

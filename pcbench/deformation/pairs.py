@@ -19,7 +19,7 @@ from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 
@@ -122,40 +122,67 @@ class Pairs:
 
 
 def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pair evenly spread points of the sparser cloud with tangent planes at their closest points of the denser one.
+    """Pair points of the sparser cloud with tangent planes of the denser one; see `PairSearch`."""
+    search = PairSearch.of(reference, candidate)
+    return None if search is None else search.find(follow)
+
+
+@dataclass(frozen=True, eq=False)
+class PairSearch:
+    """Search for pairs of evenly spread points of the sparser cloud and tangent planes of the denser one.
 
     The maximum correspondence distance shrinks while the largest model is fitted; then Tukey's biweight sets the
     weights.
 
-    Args:
-        reference: the reference.
-        candidate: the aligned candidate.
-        follow: whether closest points are searched after the model's displacement is removed, or at the points as they
-            are.
-
-    Returns:
-        The pairs; None if there are too few.
+    Attributes:
+        queries: the sparser cloud.
+        surface: the denser cloud.
+        sign: factor that turns query minus closest point into candidate minus reference.
+        rows: (M,) rows of the query points.
+        closest: points of the denser cloud closest to them.
     """
-    swapped = len(candidate.surface) > len(reference.surface)
-    queries, surface = (reference, candidate) if swapped else (candidate, reference)
-    sign = -1.0 if swapped else 1.0  # query minus closest point, times the sign: candidate minus reference
-    rows = _spread_queries(queries, surface)
-    if rows is None:
-        return None
-    lower, upper = np.percentile(queries.surface.points[rows], [1, 99], axis=0)
-    field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
-    matches: _PlanePairs | None = None
-    points = queries.surface.points[rows]
-    for _ in range(_MAX_WIDENINGS if follow else 1):
-        near, max_distance = _near_queries(queries, surface, rows, field, sign=sign)
-        fitted = _graduated_fit(queries, surface, near, field, max_distance, sign=sign, follow=follow)
-        if fitted is None:
-            break
-        change = np.sqrt(np.square(fitted[1](points) - field(points)).sum(axis=1).mean())
-        matches, field = fitted
-        if change <= max(_MIN_FIELD_CHANGE * surface.surface.spacing, matches.noise):
-            break
-    return None if matches is None else _freeze(matches, field, surface.surface)
+
+    queries: Side
+    surface: Side
+    sign: float
+    rows: IntArray
+    closest: Matches
+
+    @classmethod
+    def of(cls, reference: Side, candidate: Side) -> PairSearch | None:
+        """Return the search for pairs of a reference and its aligned candidate; None if there are too few points."""
+        swapped = len(candidate.surface) > len(reference.surface)
+        queries, surface = (reference, candidate) if swapped else (candidate, reference)
+        rows = _spread_queries(queries, surface)
+        if rows is None:
+            return None
+        closest = surface.surface.index.query(queries.surface.points[rows])
+        return cls(queries, surface, -1.0 if swapped else 1.0, rows, closest)
+
+    def find(self, follow: bool) -> Pairs | None:
+        """Return the pairs; None if there are too few.
+
+        Args:
+            follow: whether closest points are searched after the model's displacement is removed, or at the points as
+                they are.
+        """
+        points, surface = self.queries.surface.points[self.rows], self.surface.surface
+        lower, upper = np.percentile(points, [1, 99], axis=0)
+        field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
+        pairs, closest, bend = None, self.closest, np.zeros_like(points)
+        for _ in range(_MAX_WIDENINGS if follow else 1):
+            near, max_distance = _near_queries(closest.distances, bend, surface.spacing)
+            matches = Matches(closest.distances[near], closest.indices[near])
+            fitted = _graduated_fit(self, self.rows[near], matches, field, max_distance, follow=follow)
+            if fitted is None:
+                break
+            pairs, field = fitted
+            before, bend = bend, field(points)
+            change = np.sqrt(np.square(bend - before).sum(axis=1).mean())
+            if change <= max(_MIN_FIELD_CHANGE * surface.spacing, pairs.noise):
+                break
+            closest = surface.index.query(points - self.sign * bend, hint=closest.indices)
+        return None if pairs is None else _freeze(pairs, field, surface)
 
 
 class _PlanePairs(NamedTuple):
@@ -184,41 +211,57 @@ def _spread_queries(queries: Side, surface: Side) -> IntArray | None:
     return rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
 
 
-def _near_queries(
-    queries: Side, surface: Side, rows: IntArray, field: Displacement, *, sign: float
-) -> tuple[IntArray, float]:
+def _near_queries(distances: FloatArray, bend: FloatArray, spacing: float) -> tuple[IntArray, float]:
     """Select the query points that may have a counterpart under a displacement, and the maximum distance for that.
 
     The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
     downsampling favours outliers, which fill space, so distant points are removed before the final selection.
+
+    Args:
+        distances: (M,) distances of the displaced points to their closest points.
+        bend: (M, 3) displacements.
+        spacing: spacing of the searched cloud.
     """
-    points = queries.surface.points[rows]
-    bend = field(points)
-    distances = surface.surface.index.query(points - sign * bend).distances
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
     reach = _FIELD_REACH * float(np.percentile(np.linalg.norm(bend, axis=1), 95))
-    max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * surface.surface.spacing, reach)
-    near = rows[distances <= max_distance]
+    max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * spacing, reach)
+    near = np.flatnonzero(distances <= max_distance)
     return near[:: max(1, -(-len(near) // _MAX_PAIRS))], max_distance
 
 
 def _graduated_fit(
-    queries: Side,
-    surface: Side,
+    search: PairSearch,
     rows: IntArray,
+    matches: Matches,
     field: Displacement,
     max_distance: float,
     *,
-    sign: float,
     follow: bool,
 ) -> tuple[_PlanePairs, Displacement] | None:
-    """Fit the largest model in rounds of closest points; return the pairs of the last round and the fitted model."""
-    step = max(1, len(rows) // _MAX_COARSE_PAIRS)
-    min_distance = 4 * surface.surface.spacing
+    """Fit the largest model in rounds of closest points; return the pairs of the last round and the fitted model.
+
+    Args:
+        search: both clouds.
+        rows: (N,) rows of the query points.
+        matches: their closest points under `field`.
+        field: the model found so far.
+        max_distance: initial maximum correspondence distance.
+        follow: whether closest points are searched after the model's displacement is removed.
+    """
+    coarse_step = max(1, len(rows) // _MAX_COARSE_PAIRS)
+    surface, last_closest = search.surface.surface, matches.indices.copy()
+    min_distance = 4 * surface.spacing
     for number in range(_ROUNDS):
         final = number >= _ROUNDS - 3
-        some = rows if final else rows[::step]
-        found = _closest_planes(queries, surface, some, field, max_distance, sign=sign, follow=follow, final=final)
+        some = slice(None, None, 1 if final else coarse_step)
+        points = search.queries.surface.points[rows[some]]
+        bend = field(points)
+        if follow and number > 0:
+            closest = surface.index.query(points - search.sign * bend, hint=last_closest[some])
+            last_closest[some] = closest.indices
+        else:
+            closest = Matches(matches.distances[some], matches.indices[some])
+        found = _weighted_planes(search, rows[some], closest, bend, max_distance, final=final)
         if found is None or not found.weights.any():
             return None
         pairs = found
@@ -228,38 +271,26 @@ def _graduated_fit(
     return pairs, field
 
 
-def _closest_planes(
-    queries: Side,
-    surface: Side,
-    rows: IntArray,
-    field: Displacement,
-    max_distance: float,
-    *,
-    sign: float,
-    follow: bool,
-    final: bool,
+def _weighted_planes(
+    search: PairSearch, rows: IntArray, matches: Matches, bend: FloatArray, max_distance: float, *, final: bool
 ) -> _PlanePairs | None:
-    """Pair query points with tangent planes within a distance, with weights; None if there are too few.
+    """Weight the pairs of query points and tangent planes within a distance; None if there are too few.
 
     Args:
-        queries: the sparser cloud.
-        surface: the denser cloud.
-        rows: rows of the query points.
-        field: the current model.
+        search: both clouds.
+        rows: (N,) rows of the query points.
+        matches: their closest points.
+        bend: (N, 3) displacements by the current model.
         max_distance: maximum correspondence distance.
-        sign: factor that turns query minus closest point into candidate minus reference.
-        follow: whether closest points are searched after the model's displacement is removed.
         final: whether the weights use the local noise; before, nearly all pairs within the distance count.
     """
-    points, index = queries.surface.points[rows], surface.surface.index
-    bend = field(points)
-    distances, closest = index.query(points - sign * bend if follow else points)
-    near = np.flatnonzero(distances <= max_distance)
+    queries, surface = search.queries, search.surface
+    near = np.flatnonzero(matches.distances <= max_distance)
     if len(near) < MIN_PAIRS:
         return None
-    points, closest = points[near], closest[near]
+    points, closest = queries.surface.points[rows[near]], matches.indices[near]
     normals = surface.surface.normals(closest)
-    residuals = sign * np.einsum("ni,ni->n", points - index.points[closest], normals)
+    residuals = search.sign * np.einsum("ni,ni->n", points - surface.surface.points[closest], normals)
     left = residuals - np.einsum("ni,ni->n", bend[near], normals)
     noise = 1.4826 * float(np.median(np.abs(left)))
     variation = surface.surface.variation(closest)
@@ -269,7 +300,7 @@ def _closest_planes(
     return _PlanePairs(
         points,
         closest,
-        distances[near],
+        matches.distances[near],
         normals,
         residuals,
         quality,

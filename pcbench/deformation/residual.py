@@ -11,7 +11,7 @@ from pcbench.deformation.answer import describe
 from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import projected_share
 from pcbench.deformation.field import local_changes
-from pcbench.deformation.pairs import MIN_PAIRS, Pairs, Side, extent, find_pairs, tile_sums
+from pcbench.deformation.pairs import MIN_PAIRS, Pairs, PairSearch, Side, extent, tile_sums
 from pcbench.deformation.result import BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED, RESOLUTION_SHARE, Deformation
 from pcbench.deformation.verdict import Finding, PairEvidence, decide
 from pcbench.errors import Notice
@@ -19,6 +19,7 @@ from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.geometry.crs import euclidean_offsets
 from pcbench.registration import Registration
 from pcbench.registration.result import UNOBSERVABLE
+from pcbench.threads import one_blas_thread
 
 _MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which the pairs disagree
 _MAX_MOVED_SHARE = 0.1  # maximum share of the cells to exclude as moved
@@ -32,6 +33,7 @@ _DOUBTFUL = "doubtful-registration"
 _POSE_CODES = (_DOUBTFUL, POSE_NOT_FIXED)
 
 
+@one_blas_thread()
 def residual_deformation(
     reference: Side, candidate: Side, registration: Registration, origin: FloatArray, *, seed: int = 0
 ) -> Deformation:
@@ -44,8 +46,14 @@ def residual_deformation(
         origin: (3,) local origin.
         seed: random seed for the folds of the cross-validation.
     """
-    pairs = find_pairs(reference, candidate)
-    if pairs is None or np.count_nonzero(pairs.weights) < MIN_PAIRS or extent(pairs.places[pairs.weights > 0]) == 0:
+    search = PairSearch.of(reference, candidate)
+    pairs = None if search is None else search.find(follow=True)
+    if (
+        search is None
+        or pairs is None
+        or np.count_nonzero(pairs.weights) < MIN_PAIRS
+        or extent(pairs.places[pairs.weights > 0]) == 0
+    ):
         count = 0 if pairs is None else int(np.count_nonzero(pairs.weights))
         text = f"only {count} pairs of points: too few to distinguish a deformation from noise"
         return Deformation.undecided_because(Notice("few-pairs", text))
@@ -59,7 +67,7 @@ def residual_deformation(
     finding = decide(views, metric=metric, resolution=resolution)
     if finding.verdict != "none":
         # A claim has to hold without the model being assumed.
-        plain = find_pairs(reference, candidate, follow=False)
+        plain = search.find(follow=False)
         if plain is not None:
             plain, _ = _without_map_projection(plain, reference, candidate, registration, origin)
             wholes.append(PairEvidence.of(tile_sums(plain)))
