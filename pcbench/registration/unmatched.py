@@ -2,7 +2,8 @@
 
 A part of a scene may slide onto another part: half of a room fits the other half, and streets fit streets. Most points
 then lie on the other cloud, and every displacement worsens the fit. But the furniture or the houses of either cloud
-stand where the other one has nothing. At a right pose only the points outside the other cloud have no counterpart.
+stand where the other one has nothing. At a right pose only the points outside the other cloud have no counterpart, and
+outliers.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ MAX_UNMATCHED_SHARE = 0.025
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_SPACINGS = 5.0  # and at least this multiple of the larger point spacing
 _MAX_SAMPLE = 30_000  # points of the reference that are tested
+_SURFACE_NEIGHBORS = 15  # own points within the distance around a point on a surface; a strewn outlier has fewer
 _MIN_INSIDE = 50  # points inside the other cloud: with fewer the share means nothing
 _DIRECTIONS = 60  # slabs whose intersection encloses a cloud
 _OUTER_PERCENT = 1.0  # points cut off at either side of each slab: outliers would enclose empty space
@@ -27,6 +29,8 @@ _OUTER_PERCENT = 1.0  # points cut off at either side of each slab: outliers wou
 
 def unmatched_share(target: Target, moved: FloatArray) -> float:
     """Return the share of points inside the other cloud that have no counterpart: the larger of both directions.
+
+    Outliers that are strewn in space do not count: they have few neighbours in their own cloud.
 
     Args:
         target: reference.
@@ -38,16 +42,21 @@ def unmatched_share(target: Target, moved: FloatArray) -> float:
     candidate_inside = moved[_is_inside(moved, reference)]
     reference_inside = reference[_is_inside(reference, moved)]
     return max(
-        _share_beyond(target.surface.index, candidate_inside, max_distance),
-        _share_beyond(candidate, reference_inside, max_distance),
+        _share_beyond(target.surface.index, candidate_inside, candidate, max_distance),
+        _share_beyond(candidate, reference_inside, Index(reference), max_distance),
     )
 
 
-def _share_beyond(index: Index, points: FloatArray, max_distance: float) -> float:
-    """Return the share of points (N, 3) that are farther than `max_distance` from a cloud; 0 for few points."""
-    if len(points) < _MIN_INSIDE:
+def _share_beyond(index: Index, points: FloatArray, own: Index, max_distance: float) -> float:
+    """Return the share of points (N, 3) that lie on surfaces of one cloud, but not within a distance of another.
+
+    For few points it is 0.
+    """
+    if len(points) < _MIN_INSIDE or len(own) < _SURFACE_NEIGHBORS:
         return 0.0
-    return float(np.mean(index.query(points).distances > max_distance))
+    beyond = points[index.query(points).distances > max_distance]
+    on_surface = own.query(beyond, k=_SURFACE_NEIGHBORS).distances[:, -1] <= max_distance
+    return float(np.count_nonzero(on_surface) / len(points))
 
 
 def _is_inside(points: FloatArray, cloud: FloatArray) -> NDArray[np.bool_]:

@@ -54,6 +54,16 @@ def test_parts_that_overlap_little_match_inside_each_other(room, half_width):
     assert share(room[room[:, 0] <= half_width], room[room[:, 0] >= -half_width]) == 0
 
 
+def test_strewn_outliers_do_not_count(room):
+    rng = np.random.default_rng(0)
+    outliers = rng.uniform(-5, 5, (len(room) // 10, 3))
+    # Among 9 % of outliers only a few near the surfaces have enough neighbours.
+    assert share(room, np.concatenate([room, outliers])) < 0.005
+    assert share(np.concatenate([room, outliers]), room) < 0.005
+    clump = rng.normal([0, 0, 0], 0.5, (len(room) // 10, 3))
+    assert share(room, np.concatenate([room, clump])) > len(clump) / (len(room) + len(clump))  # some walls are cut off
+
+
 def test_few_points_say_nothing(room):
     assert share(room, room[:20] @ HALF_TURN) == 0
 
