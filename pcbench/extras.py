@@ -28,6 +28,7 @@ LIBRARIES = {
     "point_cloud_utils": _Library("point-cloud-utils", ""),
     "pycolmap": _Library("pycolmap", "sfm"),
     "pye57": _Library("pye57", "e57"),
+    "pymeshlab": _Library("pymeshlab", "meshlab"),
     "pyproj": _Library("pyproj", "las"),
     "pyvista": _Library("pyvista", "plot"),
     "small_gicp": _Library("small_gicp", ""),
@@ -59,7 +60,7 @@ def require(module: str, extra: str | None = None) -> Any:
     try:
         return import_module(module)
     except Exception as error:  # importing a library may raise anything
-        raise _missing_extra(module, extra, error) from error
+        raise missing_extra(module, error, extra) from error
 
 
 def import_problem(*libraries: str, extra: str | None = None) -> str | None:
@@ -102,7 +103,8 @@ def debian_package(library: str) -> str:
     return f"{name}-{version}" if name[-1].isdigit() and version else f"{name}{version}"
 
 
-def _missing_extra(module: str, extra: str | None, error: Exception) -> MissingExtra:
+def missing_extra(module: str, error: Exception, extra: str | None = None) -> MissingExtra:
+    """Return the error for a module whose import raised `error`; `extra` as in `require`."""
     root = module.partition(".")[0]
     name, default = LIBRARIES.get(root, _Library(root, ""))
     extra = extra or default

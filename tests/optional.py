@@ -17,7 +17,7 @@ NO_LIBUSB = "OSError('libusb-1.0.so.0: cannot open shared object file: No such f
 _OPENGL = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 SYSTEM_LIBRARIES = ("libusb-1.0.so.0", "libGL.so.1", *_OPENGL)
 _PEERS = ("fricp_cpp", "point_cloud_utils", "small_gicp")  # compared in the stress study if they are installed
-_TEST_LIBRARIES = ("laspy", "pymeshlab", "skimage.metrics", "nbclient")
+_TEST_LIBRARIES = ("laspy", "skimage.metrics", "nbclient")
 
 
 def import_or_skip(module):

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     "maps",
     multiple=True,
     metavar="NAME",
-    help="Also compute this deviation map: poisson or m3c2 (repeatable).",
+    help="Also compute this deviation map: poisson, poisson-meshlab or m3c2 (repeatable).",
 )
 @click.option(
     "--m3c2",

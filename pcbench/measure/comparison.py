@@ -77,9 +77,9 @@ def compare(
     shared: dict[str, float] = {}
     with _record_time(shared, "reference"):
         prepared = Reference.prepare(given, settings)
-    if "poisson" in settings.maps:
+    for name in _poisson_maps(settings):
         step("reconstructing the reference's surface")
-        prepared = prepared.with_poisson_mesh()
+        prepared = prepared.with_poisson_mesh(name)
     results, measured = [], []
     for name, cloud in clouds.items():
         result, measurement = _compare_one(prepared, name, cloud, read, step)
@@ -93,12 +93,16 @@ def compare(
 def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], settings: Settings) -> list[float]:
     """Estimate the duration of each announced step, in seconds, for progress bars."""
     first = len(reference) / 1e6 if isinstance(reference, Cloud) else 1.0
-    expected = [0.2 + 2 * first, *([20.0 + 30 * first] if "poisson" in settings.maps else [])]
+    expected = [0.2 + 2 * first, *(20.0 + 30 * first for _ in _poisson_maps(settings))]
     for cloud in candidates.values():
         both = first + len(cloud) / 1e6
         m3c2_too = 5.0 + 5 * both if "m3c2" in settings.maps else 0.0
         expected += [0.3 + 3 * both, 0.1 + 0.5 * both, 0.2 + 1 * both + m3c2_too, 1.0 + 4 * both]
     return expected
+
+
+def _poisson_maps(settings: Settings) -> list[str]:
+    return [name for name in settings.maps if name.startswith("poisson")]
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,20 +76,25 @@ class Reference:
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
         )
 
-    def with_poisson_mesh(self) -> Reference:
+    def with_poisson_mesh(self, map_name: str) -> Reference:
         """Add a Poisson mesh of the reference, voxel-downsampled if it is large, to measure distances to.
+
+        Args:
+            map_name: name of the map: `poisson` (by Open3D) or `poisson-meshlab` (by pymeshlab).
 
         Raises:
             InputError: the reference is too small for normals.
+            MissingExtra: the library is not installed.
         """
-        from pcbench.geometry.poisson import orient_normals, poisson_mesh
+        from pcbench.geometry.poisson import orient_normals, poisson_mesh, poisson_mesh_by_meshlab
 
         if not self.has_normals:
-            raise InputError("expected at least 3 reference points for the map `poisson`: it needs normals")
+            raise InputError(f"expected at least 3 reference points for the map `{map_name}`: it needs normals")
         rows = voxel_downsample_to(self.points, _MAX_POISSON_POINTS, start=self.spacing)
         cloud = Cloud(self.points[rows], normals=self.surface.normals(rows))
-        mesh = poisson_mesh(cloud if self.cloud.normals is not None else orient_normals(cloud))
-        return replace(self, meshes={**self.meshes, "poisson_distance": MeshIndex(mesh)})
+        oriented = cloud if self.cloud.normals is not None else orient_normals(cloud)
+        mesh = poisson_mesh(oriented) if map_name == "poisson" else poisson_mesh_by_meshlab(oriented)
+        return replace(self, meshes={**self.meshes, f"{map_name.replace('-', '_')}_distance": MeshIndex(mesh)})
 
     @property
     def surface(self) -> Surface:

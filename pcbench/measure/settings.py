@@ -17,7 +17,7 @@ from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.registration import Method, as_method, as_similarity
 
-MAPS = ("poisson", "m3c2")
+MAPS = ("poisson", "poisson-meshlab", "m3c2")
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Settings:
         thresholds: distance thresholds of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's
             median spacing.
         presets: definitions of other tools and papers to report too; `gao2025` and `mpeg` are always included.
-        maps: further deviation maps: `poisson` (to a Poisson mesh of the reference) and `m3c2`.
+        maps: further deviation maps: `poisson` (to a Poisson mesh of the reference, by Open3D), `poisson-meshlab`
+            (by pymeshlab) and `m3c2`.
         m3c2: settings of M3C2: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; implies the map `m3c2`.
         seed: random seed: for points sampled from a reference mesh, for the sample behind the floor of D2 from
             reference to candidate, and for the folds of the cross-validation of deformation models.
@@ -74,7 +75,7 @@ class Settings:
         if unknown := [name for name in wanted if name not in presets.NAMES]:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
         if unknown := [name for name in maps if name not in MAPS]:
-            raise InputError(f"unknown map {unknown[0]!r}: expected {' or '.join(MAPS)}")
+            raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}")
         always = [name for name in ("gao2025", "mpeg") if name not in wanted]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(wanted)))
         if isinstance(self.m3c2, str):

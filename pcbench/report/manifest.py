@@ -42,6 +42,7 @@ _CANDIDATE_PICTURES = (
     "_plane_distance",
     "_mesh_distance",
     "_poisson_distance",
+    "_poisson_meshlab_distance",
     "_m3c2_distance",
     "_completeness",
     "_deformation",

@@ -10,7 +10,7 @@ from typing import Any
 
 from pcbench.errors import InputError
 
-_MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suffix is `_poisson_distance.png`
+_MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suffix is `_poisson_meshlab_distance.png`
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # characters that would break table lines
 
 

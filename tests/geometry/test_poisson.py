@@ -7,25 +7,27 @@ from shapes import UTM, fibonacci_sphere
 from wording import check_error
 
 from pcbench.errors import MissingExtra
-from pcbench.extras import import_problem
 from pcbench.geometry import poisson
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.geometry.poisson import poisson_mesh
+from pcbench.geometry.meshlab import decimate
+from pcbench.geometry.poisson import poisson_mesh, poisson_mesh_by_meshlab
+
+ENGINES = {"open3d": poisson_mesh, "pymeshlab": poisson_mesh_by_meshlab}
 
 
-@pytest.fixture
-def poisson_library():
-    if import_problem("open3d"):
-        import_or_skip("pymeshlab")
+def engine_or_skip(name):
+    import_or_skip(name)
+    return ENGINES[name]
 
 
 def cloud_with_normals(points, normals, **fields):
     return Cloud(points, normals=normals, **fields)
 
 
-@pytest.mark.usefixtures("poisson_library")
-def test_sphere_far_from_the_origin():
+@pytest.mark.parametrize("engine", ENGINES)
+def test_sphere_far_from_the_origin(engine):
+    poisson_mesh = engine_or_skip(engine)
     points, normals = fibonacci_sphere(4000, 10.0)
     mesh = poisson_mesh(cloud_with_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
     radii = np.linalg.norm(mesh.vertices - UTM, axis=1)
@@ -36,8 +38,9 @@ def test_sphere_far_from_the_origin():
     assert MeshIndex(mesh).query([UTM], signed=True).distances[0] == pytest.approx(-10, abs=0.1)
 
 
-@pytest.mark.usefixtures("poisson_library")
-def test_an_open_surface_ends_where_its_points_end():
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_open_surface_ends_where_its_points_end(engine):
+    poisson_mesh = engine_or_skip(engine)
     points, normals = fibonacci_sphere(6000, 10.0)
     half = points[:, 2] > 0
     mesh = poisson_mesh(cloud_with_normals(points[half], normals[half]))
@@ -47,8 +50,9 @@ def test_an_open_surface_ends_where_its_points_end():
     assert MeshIndex(mesh).query(points[half]).distances.max() < spacing
 
 
-@pytest.mark.usefixtures("poisson_library")
-def test_reconstruction_is_reproducible():
+@pytest.mark.parametrize("engine", ENGINES)
+def test_reconstruction_is_reproducible(engine):
+    poisson_mesh = engine_or_skip(engine)
     points, normals = fibonacci_sphere(3000)
     first, second = (poisson_mesh(cloud_with_normals(points, normals), depth=6) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
@@ -70,19 +74,28 @@ def test_a_missing_library_is_reported(monkeypatch, tmp_path):
     break_library(monkeypatch, tmp_path, "pymeshlab", None)
     break_library(monkeypatch, tmp_path, "open3d", None)
     cloud = cloud_with_normals(*fibonacci_sphere(60))
-    for call in (poisson_mesh, poisson.orient_normals):
+    for call in (poisson_mesh, poisson_mesh_by_meshlab, poisson.orient_normals):
         with check_error(MissingExtra):
             call(cloud)
 
 
-def test_pymeshlab_is_used_if_open3d_does_not_load(monkeypatch, tmp_path):
-    import_or_skip("pymeshlab")
-    break_library(monkeypatch, tmp_path, "open3d")
-    points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(cloud_with_normals(points, normals))
-    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 10).max() < 0.1  # a fifth of the spacing
+def test_a_library_that_cannot_be_loaded_in_the_child_is_reported(monkeypatch, tmp_path):
+    break_library(monkeypatch, tmp_path, "pymeshlab")
     with check_error(MissingExtra):
-        poisson.orient_normals(cloud_with_normals(points, normals))
+        poisson_mesh_by_meshlab(cloud_with_normals(*fibonacci_sphere(60)))
+
+
+def test_decimation_keeps_a_sphere():
+    import_or_skip("pymeshlab")
+    points, normals = fibonacci_sphere(4000, 10.0)
+    mesh = poisson_mesh_by_meshlab(cloud_with_normals(points + UTM, normals))
+    coarse = decimate(mesh, len(mesh) // 10)
+    assert len(coarse) == pytest.approx(len(mesh) / 10, rel=0.01)
+    # Chords of edge length a lie a^2 / 8R inside; the coarse faces have a of about 2.5.
+    radii = np.linalg.norm(coarse.vertices - UTM, axis=1)
+    assert np.abs(radii - 10).max() < 0.15
+    with check_error():
+        decimate(coarse, len(coarse) + 1)
 
 
 def test_orientation_is_consistent_over_a_sphere():
@@ -92,3 +105,13 @@ def test_orientation_is_consistent_over_a_sphere():
     oriented_normals = poisson.orient_normals(Cloud(points, normals=signs[:, None] * normals)).normals
     outward = (oriented_normals * normals).sum(axis=1) > 0
     assert outward.all() or not outward.any()
+
+
+def test_normals_of_a_plane_get_one_sign():
+    import_or_skip("open3d")
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(0, 10, (500, 2)), np.zeros(500)])
+    normals = np.outer(rng.choice([-1.0, 1.0], 500), [0.0, 0.0, 1.0])
+    tilt = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    oriented = poisson.orient_normals(cloud_with_normals(points @ tilt, normals @ tilt)).normals
+    assert np.ptp(oriented, axis=0).max() < 1e-12 and oriented[0, 2] > 0

@@ -24,6 +24,7 @@ LABELS = {
     "plane_distance": "signed distance to the reference's tangent plane",
     "mesh_distance": "distance to the reference mesh",
     "poisson_distance": "distance to the reference's Poisson mesh",
+    "poisson_meshlab_distance": "distance to the reference's Poisson mesh by pymeshlab",
     "m3c2_distance": "M3C2 distance along the reference's normal",
 }
 _DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
