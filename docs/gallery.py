@@ -1,12 +1,16 @@
 """Create the pictures of the documentation: `make gallery`, or some of them: `python docs/gallery.py city bench`."""
 
+import os
 import shlex
 import sys
 from pathlib import Path
 from subprocess import run
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from PIL import Image
+
+from pcbench import read_cloud, write_cloud
 
 HERE = Path(__file__).parent / "gallery"
 CITY_IMAGES = "0014.png", "0034.png"  # from the third and the sixth circle of cameras
@@ -92,6 +96,27 @@ def breaks(folder: Path) -> None:
         save_compressed(folder / "stress" / "figures" / f"{name}.png", f"stress_{name.replace('-', '_')}")
 
 
+def tradeoff(folder: Path) -> None:
+    """Create the charts of cheaper comparisons for the demo and for random halves of two airborne scans, print tables.
+
+    The scans are `autzen_trim.las` of PDAL and `MixedConifer.laz` of lidR, in the folder PCBENCH_DATA.
+    """
+    data = Path(os.environ.get("PCBENCH_DATA", "../shared/data"))
+    pcbench("demo --points 50000 --no-bench --no-figures --quiet --out FOLDER/demo", folder)
+    pairs = {"demo": "FOLDER/demo/clouds/reference.ply FOLDER/demo/clouds/densified.ply"}
+    for name, scan in (("autzen", "autzen/autzen_trim.las"), ("forest", "wild/MixedConifer.laz")):
+        cloud = read_cloud(data / scan)
+        rows = np.random.default_rng(0).permutation(len(cloud))
+        for half, its_rows in zip("ab", np.array_split(rows, 2), strict=True):
+            write_cloud(folder / f"{name}_{half}.ply", cloud.select(np.sort(its_rows)))
+        pairs[name] = f"FOLDER/{name}_a.ply FOLDER/{name}_b.ply"
+    for name, clouds in pairs.items():
+        print(f"{name}:", flush=True)
+        pcbench(f"tradeoff {clouds} --levels 50%,25%,10% --seeds 3 --out FOLDER/{name}_study", folder)
+        for chart in ("errors", "bias"):
+            save_compressed(folder / f"{name}_study" / "figures" / f"{chart}.png", f"tradeoff_{name}_{chart}")
+
+
 def main() -> None:
     """Create the pictures named on the command line, or all of them."""
     pictures = {
@@ -103,6 +128,7 @@ def main() -> None:
         "gao": gao,
         "stress": stress,
         "breaks": breaks,
+        "tradeoff": tradeoff,
     }
     for name in sys.argv[1:] or pictures:
         with TemporaryDirectory() as folder:

@@ -124,6 +124,14 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _rss_unit()
 
 
+def release_free_memory() -> None:
+    """Return freed memory of this process to the system, where the C library can (glibc)."""
+    import ctypes
+
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def reset_peak_memory() -> int | None:
     """Reset the peak resident memory of this process, and return its memory in bytes; None if the system cannot."""
     try:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import click
 
 from pcbench import __version__
-from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, stress, studies
+from pcbench.cli import clouds, experiments, reconstruction, reports, scenes, stress, studies, tradeoff
 from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
@@ -33,7 +33,7 @@ for _command in (
     *(clouds.info, clouds.crop, clouds.register, clouds.convert),
     *(scenes.scene, scenes.synth),
     *(reconstruction.plugins, reconstruction.reconstruct),
-    *(studies.demo, studies.bench, studies.views, stress.stress, experiments.experiment),
+    *(studies.demo, studies.bench, studies.views, stress.stress, tradeoff.tradeoff, experiments.experiment),
 ):
     log_settings(_command)
     app.add_command(_command)

@@ -7,19 +7,19 @@ A study of many runs takes hours. All studies therefore work in the same way:
 2. Slow results are saved for later runs: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
    `write_record`, which `read_record` returns for the same inputs only. A failure that may be temporary (a full disk, a
    missing library) is raised and never saved.
-3. `write_pages` writes the results. The document that other programs read is written last.
+3. `save_charts` and `write_pages` write the results. The document that other programs read is written last.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, MissingExtra, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
 from pcbench.scratch import lock_output
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MARK = "study.json"
+FIGURES = "figures"
 SCHEMA = "pcbench.study/1"
 _KEY = "key"  # in a record: the inputs that its values depend on
 
@@ -136,6 +137,42 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
     for name, text in texts.items():
         with atomic_write(out / name) as file:
             file.write(text.encode(errors="backslashreplace"))
+
+
+def draw_if_installed(draw: Callable[[], list[str]]) -> tuple[list[str], str | None]:
+    """Draw charts; return their file names, and if a library for them is not installed, the error, else None."""
+    try:
+        return draw(), None
+    except MissingExtra as error:
+        return [], record_error(error)
+
+
+def save_charts(out: Path, charts: Iterable[tuple[str, Any]]) -> list[str]:
+    """Save matplotlib figures by name as PNG files in `figures/` of a study's folder, and return their file names.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    figures = out / FIGURES
+    figures.mkdir(exist_ok=True)
+    names = []
+    for name, figure in charts:
+        with atomic_write(figures / f"{name}.png") as file:
+            figure.savefig(file, format="png")
+        names.append(f"{name}.png")
+    return names
+
+
+def delete_former_charts(out: Path, names: Iterable[str]) -> None:
+    """Delete the PNG files in `figures/` of a study's folder whose names are not among `names`.
+
+    Raises:
+        OSError: a file cannot be deleted.
+    """
+    current = set(names)
+    for former in (out / FIGURES).glob("*.png"):
+        if former.name not in current:
+            former.unlink()
 
 
 def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict[str, Path]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.extras import require
-from pcbench.io.files import atomic_write
+from pcbench.studies.folder import FIGURES, delete_former_charts, save_charts
 from pcbench.studies.stress.curves import (
     coverage_chart,
     profile_chart,
@@ -20,8 +20,6 @@ from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_char
 from pcbench.studies.stress.reconstructors.charts import score_charts
 from pcbench.studies.stress.results import ALL_SUBJECTS, StressStudy
 from pcbench.studies.stress.worst import draw_worst
-
-FIGURES = "figures"
 
 
 def draw_charts(study: StressStudy, folder: Path) -> list[str]:
@@ -39,20 +37,12 @@ def draw_charts(study: StressStudy, folder: Path) -> list[str]:
         OSError: a file cannot be written.
     """
     require("matplotlib.figure")
-    figures = folder / FIGURES
-    figures.mkdir(exist_ok=True)
-    names = []
-    for name, figure in _charts(study):
-        with atomic_write(figures / f"{name}.png") as file:
-            figure.savefig(file, format="png")
-        names.append(f"{name}.png")
+    names = save_charts(folder, _charts(study))
     for number, failure in enumerate(study.worst, 1):
         name = f"worst_{number}.png"
-        draw_worst(study, failure, folder, figures / name)
+        draw_worst(study, failure, folder, folder / FIGURES / name)
         names.append(name)
-    for former in figures.glob("*.png"):
-        if former.name not in names:
-            former.unlink()
+    delete_former_charts(folder, names)
     return names
 
 

@@ -16,13 +16,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra, record_error
+from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, digest
 from pcbench.report import to_json
 from pcbench.report.document import provenance
-from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
+from pcbench.studies.folder import StudyKind, check_folder, draw_if_installed, study_folder, write_pages
 from pcbench.studies.stress.cells import (
     RunPlan,
     RunResult,
@@ -248,10 +248,7 @@ def write_study(
     drawn: list[str] = []
     if figures:
         step("drawing charts")
-        try:
-            drawn = draw_charts(study, out)
-        except MissingExtra as error:
-            without_figures = record_error(error)
+        drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
     table = stress_table(study)
     pages = {
         CSV: csv_text(study),

@@ -1,0 +1,133 @@
+"""The command `pcbench tradeoff`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pcbench.cli.json_output import JsonOutput, json_option
+from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, split_names
+
+
+@click.command(short_help="Find a cheaper comparison that is accurate enough.")
+@click.argument("reference", type=FILE)
+@click.argument("candidate", type=FILE)
+@click.option("--out", type=FILE, metavar="FOLDER", help="Folder for results; a later run resumes from it.")
+@click.option(
+    "--tolerance",
+    default="1%",
+    show_default=True,
+    metavar="PERCENT",
+    help="Largest relative error of the recommended settings.",
+)
+@click.option(
+    "--levels",
+    metavar="PERCENT,...",
+    help="Shares of points or faces to keep.  [default: 50%,25%,10%,5%; with --quick 50%,10%]",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(3, 100),
+    metavar="N",
+    help="Rounds, each with another random seed.  [default: 5; with --quick 3]",
+)
+@click.option(
+    "--only",
+    metavar="TEXT",
+    help="Run only approximations whose name contains TEXT, such as random or ICP; several texts with commas.",
+)
+@click.option("--quick", is_flag=True, help="Run few approximations.")
+@register_option()
+@json_option("tradeoff.json")
+@no_figures_option("charts")
+@seed_option("First random seed.")
+@quiet_option
+def tradeoff(
+    reference: Path,
+    candidate: Path,
+    out: Path | None,
+    tolerance: str,
+    levels: str | None,
+    seeds: int | None,
+    only: str | None,
+    quick: bool,
+    register: str,
+    json_file: str | None,
+    no_figures: bool,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Measure what cheaper comparisons of CANDIDATE with REFERENCE cost in accuracy, and recommend one.
+
+    Approximations run beside the exact comparison: subsampling of either cloud, float32, approximate search, normals
+    from fewer neighbours, a cheaper ICP, and decimation if REFERENCE is a mesh (extra meshlab). Each has the error of
+    each metric with its interval, CPU seconds and memory.
+
+    \b
+    Example: pcbench tradeoff ref.ply cloud.ply --tolerance 1% --out tradeoff/
+    """
+    from pcbench.errors import InputError
+    from pcbench.io import read_cloud
+    from pcbench.io.meshes import holds_mesh, read_mesh
+    from pcbench.studies.tradeoff.results import TradeoffSettings, document
+    from pcbench.studies.tradeoff.study import run_tradeoff
+    from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, verdict_sentences
+
+    changes = {
+        "tolerance": _share("--tolerance", tolerance),
+        "seed": seed,
+        "register": register,
+        "only": split_names((only,)) if only else (),
+        **({} if levels is None else {"levels": tuple(_share("--levels", text) for text in levels.split(","))}),
+        **({} if seeds is None else {"seeds": seeds}),
+    }
+    settings = TradeoffSettings.quick_plan(**changes) if quick else TradeoffSettings(**changes)  # type: ignore[arg-type]
+    output = JsonOutput(json_file)
+    output.check([reference, candidate], folder=out)
+    for path in (reference, candidate):
+        if out is not None and path.resolve().is_relative_to(out.resolve()):
+            raise InputError(f"{path}: the study replaces files in {out}: choose another --out")
+    with steps(quiet) as step:
+        step(f"reading {reference}")
+        read = read_mesh if holds_mesh(reference) else read_cloud
+        first = read(reference, on_warning=warn_unless(quiet))
+        step(f"reading {candidate}")
+        second = read_cloud(candidate, on_warning=warn_unless(quiet))
+        outcome = run_tradeoff(first, second, settings, out=out, figures=not no_figures, step=step)
+    if json_file is not None:
+        output.write(document(outcome.study))
+    if not quiet and not output.on_stdout:
+        for sentence in answer(outcome.study):
+            click.echo(sentence)
+        for line in caveats(outcome.study):
+            click.echo(line)
+        click.echo()
+        click.echo(outcome.table)
+        click.echo()
+        for sentence in (*bias_sentences(outcome.study), *verdict_sentences(outcome.study)):
+            click.echo(sentence)
+        if out is not None:
+            click.echo()
+            click.echo(
+                f"report: {out}/ has tradeoff.md (all sentences, tables and charts), tradeoff.csv and tradeoff.json"
+            )
+    if outcome.without_figures:
+        warn(outcome.without_figures)
+
+
+def _share(option: str, text: str) -> float:
+    """Parse a percentage such as 1%, or a share such as 0.01.
+
+    Raises:
+        InputError: the text is neither.
+    """
+    from pcbench.errors import InputError
+
+    number = text.strip().removesuffix("%")
+    try:
+        value = float(number)
+    except ValueError:
+        raise InputError(f"expected {option} as a percentage such as 1%, got {text!r}") from None
+    return value / 100 if text.strip().endswith("%") else value

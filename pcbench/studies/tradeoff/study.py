@@ -1,0 +1,134 @@
+"""`pcbench tradeoff`: measure what cheaper comparisons of a pair cost in accuracy, and recommend one.
+
+Rounds of the exact comparison and of each approximation give errors with intervals, CPU seconds and memory. The
+recommended approximation is the cheapest whose errors stay within a tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pcbench.errors import InputError
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.io import CloudLike, to_cloud
+from pcbench.measure.settings import Settings
+from pcbench.report import to_json
+from pcbench.report.document import provenance
+from pcbench.studies.folder import StudyKind, check_folder, draw_if_installed, study_folder, write_pages
+from pcbench.studies.tradeoff.approximations import Pair, plan
+from pcbench.studies.tradeoff.charts import draw_charts
+from pcbench.studies.tradeoff.errors import exact_answer, rows
+from pcbench.studies.tradeoff.page import page
+from pcbench.studies.tradeoff.results import DOCUMENT, SCHEMA, Tradeoff, TradeoffSettings, document
+from pcbench.studies.tradeoff.runs import check_pair, run_all
+from pcbench.studies.tradeoff.table import tradeoff_csv, tradeoff_table
+from pcbench.studies.tradeoff.words import sentences
+
+KIND = StudyKind("tradeoff", DOCUMENT, SCHEMA)
+CSV, PAGE, TABLE, RECORDS = "tradeoff.csv", "tradeoff.md", "tradeoff.txt", "runs"
+_THRESHOLD_SPACINGS = 2.0  # threshold of the F-score over the spacing of the reference, the second default of `compare`
+
+
+@dataclass(frozen=True)
+class TradeoffOutcome:
+    """A study, its table as text, and why requested charts are missing, or None."""
+
+    study: Tradeoff
+    table: str
+    without_figures: str | None = None
+
+
+def run_tradeoff(
+    reference: CloudLike | Mesh,
+    candidate: CloudLike,
+    settings: TradeoffSettings | None = None,
+    *,
+    out: Path | None = None,
+    figures: bool = True,
+    step: Callable[[str], None] = lambda _: None,
+) -> TradeoffOutcome:
+    """Run the study of a pair; with `out`, write tradeoff.json, .csv, .txt, .md and charts to a folder.
+
+    The records of all runs stay in its folder `runs`; a later run of the same pair does not repeat finished rounds.
+
+    Args:
+        reference: reference cloud or mesh.
+        candidate: candidate cloud.
+        settings: settings of the study; None: the defaults.
+        out: output folder, or None.
+        figures: whether to draw charts into the folder.
+        step: progress callback.
+
+    Raises:
+        InputError: a cloud or a setting is not usable, the exact comparison fails, or `out` holds something else, or
+            another run is writing there,
+            or the folder holds the study of another pair.
+        OSError: a file cannot be written.
+    """
+    settings = TradeoffSettings() if settings is None else settings
+    if out is not None:
+        check_folder(out, KIND)
+    step("preparing the approximations")
+    pair = make_pair(reference, candidate, settings)
+    if out is not None:
+        check_pair(pair, out / RECORDS)
+    approximations, skipped = plan(pair, settings)
+    with nullcontext() if out is None else study_folder(out, KIND, settings):
+        records = None if out is None else out / RECORDS
+        if records is not None:
+            records.mkdir(exist_ok=True)
+        runs = list(run_all(pair, approximations, settings, records, step))
+        exact = exact_answer(pair, runs)
+        found = tuple(rows(approximations, runs, exact))
+        study = Tradeoff(settings, exact, found, tuple(skipped), provenance=provenance(settings.seed))
+        study = replace(study, sentences=sentences(study))
+        if out is None:
+            return TradeoffOutcome(study, tradeoff_table(study))
+        return write_study(out, study, figures=figures, step=step)
+
+
+def make_pair(reference: CloudLike | Mesh, candidate: CloudLike, settings: TradeoffSettings) -> Pair:
+    """Return the pair with the settings of its exact comparison: those of `compare`, with one fixed threshold.
+
+    Raises:
+        InputError: a cloud is not usable.
+    """
+    given = reference if isinstance(reference, Mesh) else to_cloud(reference)
+    cloud = to_cloud(candidate)
+    measured = cloud if isinstance(given, Mesh) else given
+    if min(len(measured), len(cloud)) < 2:
+        raise InputError("expected clouds of at least two points, got one")
+    index = Index(measured.points - measured.points.mean(axis=0))
+    spacing = median_spacing(index, index.nearest_other())
+    thresholds = (_THRESHOLD_SPACINGS * spacing,) if spacing > 0 else None
+    return Pair(given, cloud, Settings(register=settings.register, thresholds=thresholds, seed=settings.seed))
+
+
+def write_study(
+    out: Path, study: Tradeoff, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
+) -> TradeoffOutcome:
+    """Write all files of a study to its folder.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    without_figures = None
+    drawn: list[str] = []
+    if figures:
+        step("drawing charts")
+        drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
+    table = tradeoff_table(study)
+    write_pages(
+        out,
+        {
+            CSV: tradeoff_csv(study),
+            TABLE: f"{table}\n",
+            PAGE: page(study, drawn),
+            DOCUMENT: to_json(document(study)),
+        },
+    )
+    return TradeoffOutcome(study, table, without_figures)
