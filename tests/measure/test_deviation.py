@@ -8,7 +8,7 @@ from data_folder import data_folder
 from optional import import_or_skip
 from wording import check_error
 
-from pcbench import Settings, compare, read_cloud
+from pcbench import Cloud, Settings, compare, read_cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.deviation import Spread, m3c2
@@ -98,8 +98,6 @@ def test_mesh_distances_of_a_sphere():
 def test_poisson_map_and_poisson_d2_of_gao2025():
     import_or_skip("open3d")
     points, normals = shapes.fibonacci_sphere(20_000, 5.0)
-    from pcbench import Cloud
-
     settings = Settings(register="none", maps=("poisson",))
     candidate = compare(Cloud(points, normals=normals), 1.02 * points[::7], settings).candidates[0]
     # The sphere lies 0.1 outside; the Poisson surface follows the points to about a tenth of their spacing (0.1).
@@ -128,3 +126,12 @@ def test_nmad_is_robust_against_outliers():
     assert spread_with_outliers.rms**2 == pytest.approx(spread_with_outliers.bias**2 + spread_with_outliers.std**2)
     assert Spread.of(np.array([1.0, 2.0, 4.0])).nmad == pytest.approx(1.4826)
     assert Spread.of(np.zeros(0)) == Spread()
+
+
+def test_the_poisson_map_by_meshlab_is_named_in_the_result():
+    import_or_skip("pymeshlab")
+    points, normals = shapes.fibonacci_sphere(4000, 10.0)
+    settings = Settings(register="none", maps=("poisson-meshlab",))
+    candidate = compare(Cloud(points, normals=normals), Cloud(1.01 * points[::4]), settings).candidates[0]
+    # The candidate lies 0.1 outside; the mesh is within a fifth of the spacing of 0.5.
+    np.testing.assert_allclose(np.abs(candidate.deviation.scalars["poisson_meshlab_distance"]), 0.1, atol=0.05)
