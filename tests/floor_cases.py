@@ -41,7 +41,7 @@ def measure_directions(reference: np.ndarray, candidate: np.ndarray, settings: S
     prepared = Reference.prepare(Cloud(reference), settings)
     index = Index(candidate - prepared.origin)
     candidate_matches, reference_matches = prepared.index.query(index.points), index.query(prepared.points)
-    accuracy = from_candidate(prepared, index.points, candidate_matches)
+    accuracy = from_candidate(prepared, index.points, candidate_matches, seed=0)
     return accuracy, from_reference(
         prepared, index, candidate_matches.indices, reference_matches, forth=accuracy, seed=settings.seed
     )

@@ -167,6 +167,20 @@ def numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Number
         raise InputError(f"expected {option} as comma-separated numbers, got {text!r}") from None
 
 
+def share(option: str, text: str) -> float:
+    """Parse a percentage such as 1%, or a share such as 0.01.
+
+    Raises:
+        InputError: the text is neither.
+    """
+    number = text.strip().removesuffix("%")
+    try:
+        value = float(number)
+    except ValueError:
+        raise InputError(f"expected {option} as a percentage such as 1%, got {text!r}") from None
+    return value / 100 if text.strip().endswith("%") else value
+
+
 def triple(option: str, text: str) -> tuple[float, float, float]:
     """Parse three numbers x,y,z.
 

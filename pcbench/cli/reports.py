@@ -26,6 +26,7 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     seed_option,
+    share,
     splat_options,
     split_names,
 )
@@ -66,6 +67,12 @@ if TYPE_CHECKING:
     metavar="NAME=VALUE,...",
     help="Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
 )
+@click.option(
+    "--tolerance",
+    metavar="PERCENT",
+    help="For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
+    " interval of their mean square within this tolerance, such as 1%.",
+)
 @las_options("LAS files")
 @splat_options
 @seed_option("Random seed of the samples on a mesh, the sampling floors, and the folds of cross-validation.")
@@ -95,6 +102,7 @@ def compare(
     presets: tuple[str, ...],
     maps: tuple[str, ...],
     m3c2: str | None,
+    tolerance: str | None,
     classes: str | None,
     returns: str | None,
     min_opacity: float | None,
@@ -125,7 +133,7 @@ def compare(
     if settings_file is not None:
         options = [
             *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
-            *("max_axis", "seed"),
+            *("max_axis", "seed", "tolerance"),
         ]
         if reference is not None or any(is_given(context, name) for name in options):
             raise click.UsageError(
@@ -149,6 +157,7 @@ def compare(
             min_opacity=min_opacity,
             max_axis=max_axis,
             m3c2=m3c2,
+            tolerance=None if tolerance is None else share("--tolerance", tolerance),
         )
         figures = Figures().with_changes(background, color_range, figure_format)
         job = ComparisonJob.of(reference, candidates, settings, figures)

@@ -8,7 +8,7 @@ import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import steps, warn, warn_unless
-from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, split_names
+from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, share, split_names
 
 
 @click.command(short_help="Find a cheaper comparison that is accurate enough.")
@@ -76,11 +76,11 @@ def tradeoff(
     from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, verdict_sentences
 
     changes = {
-        "tolerance": _share("--tolerance", tolerance),
+        "tolerance": share("--tolerance", tolerance),
         "seed": seed,
         "register": register,
         "only": split_names((only,)) if only else (),
-        **({} if levels is None else {"levels": tuple(_share("--levels", text) for text in levels.split(","))}),
+        **({} if levels is None else {"levels": tuple(share("--levels", text) for text in levels.split(","))}),
         **({} if seeds is None else {"seeds": seeds}),
     }
     settings = TradeoffSettings.quick_plan(**changes) if quick else TradeoffSettings(**changes)  # type: ignore[arg-type]
@@ -115,19 +115,3 @@ def tradeoff(
             )
     if outcome.without_figures:
         warn(outcome.without_figures)
-
-
-def _share(option: str, text: str) -> float:
-    """Parse a percentage such as 1%, or a share such as 0.01.
-
-    Raises:
-        InputError: the text is neither.
-    """
-    from pcbench.errors import InputError
-
-    number = text.strip().removesuffix("%")
-    try:
-        value = float(number)
-    except ValueError:
-        raise InputError(f"expected {option} as a percentage such as 1%, got {text!r}") from None
-    return value / 100 if text.strip().endswith("%") else value

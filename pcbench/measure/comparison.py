@@ -195,7 +195,7 @@ def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed
     """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
     points = aligned.index.points
     queries = points if reference.region is None else points[aligned.inside]
-    forth = from_candidate(reference, queries, matched.forth)
+    forth = from_candidate(reference, queries, matched.forth, seed=seed)
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
     return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
@@ -236,10 +236,10 @@ def _warnings(
 def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, settings: Settings) -> DeviationMap:
     """Compute the deviation maps of one candidate at its points inside the region.
 
-    The distances to points and planes were already measured and are reused.
+    The distances to points and planes were already measured and are reused. Sampled ones make no map.
     """
     scalars = {"distance": forth.distances.to_points}
-    if forth.distances.to_planes is not None:
+    if isinstance(forth.distances.to_planes, np.ndarray):
         scalars["plane_distance"] = forth.distances.to_planes
     for name, mesh in reference.meshes.items():
         scalars[name] = mesh.query(forth.points, signed=mesh.supports_signed_distance).distances
@@ -251,9 +251,13 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
 
 
 def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
-    """Crop both clouds to the region and match them; without a region they are matched as they are."""
+    """Crop both clouds to the region and match them; without a region they are matched as they are.
+
+    The pair has no normals if the comparison has a tolerance: presets would need those of all points.
+    """
     rows, given = reference.rows, reference.cloud.normals
-    normals = reference.surface.compute_normals(rows) if reference.has_normals else None
+    has_all_normals = reference.has_normals and reference.tolerance is None
+    normals = reference.surface.compute_normals(rows) if has_all_normals else None
     if rows is None:
         return presets.match(reference.index, candidate, reference.nearest_other, normals, given)
     normals, given = (None if n is None else n[rows] for n in (normals, given))

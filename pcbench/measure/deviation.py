@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,7 +13,8 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.metrics import nmad, percentiles
+from pcbench.measure.metrics import NORMAL_MAD, RANKS, nmad, percentiles
+from pcbench.measure.plane_sample import PlaneSample
 
 LOD_Z = 1.96  # normal quantile of a two-sided 95 % level of detection
 _CORES_PER_BLOCK = 512
@@ -40,13 +42,33 @@ class Spread:
     nmad: float | None = None
 
     @classmethod
-    def of(cls, values: FloatArray) -> Spread:
-        """Summarise values (N,)."""
+    def of(cls, values: FloatArray | PlaneSample) -> Spread:
+        """Summarise values (N,), or estimate the summary of all values from a sample."""
+        if isinstance(values, PlaneSample):
+            return cls._of_sample(values)
         if not len(values):
             return cls()
         ranks = percentiles(values)
         rms, mean = float(np.sqrt(np.mean(np.square(values)))), float(np.mean(values))
         return cls(ranks, rms, mean, ranks["p50"], float(np.std(values)), nmad(values))
+
+    @classmethod
+    def _of_sample(cls, sample: PlaneSample) -> Spread:
+        values, weights = sample.distances, sample.weights
+
+        def quantiles(of: FloatArray, ranks: Sequence[float]) -> list[float]:
+            found: list[float] = np.percentile(of, ranks, method="inverted_cdf", weights=weights).tolist()
+            return found
+
+        (median,), mean = quantiles(values, [50]), float(np.average(values, weights=weights))
+        return cls(
+            {f"p{rank:g}": value for rank, value in zip(RANKS, quantiles(values, RANKS), strict=True)},
+            rms=math.sqrt(sample.mean_square),
+            bias=mean,
+            median=median,
+            std=math.sqrt(max(sample.mean_square - mean**2, 0.0)),
+            nmad=NORMAL_MAD * quantiles(np.abs(values - median), [50])[0],
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.measure import floors, metrics
 from pcbench.measure.metrics import Distances
+from pcbench.measure.plane_sample import PlaneSample, sample_planes
 from pcbench.measure.reference import Reference
 
 
@@ -46,17 +47,13 @@ class MeanMetric(NamedTuple):
     ranks: tuple[tuple[int | None, int | None], tuple[int | None, int | None]] = ((None, None), (None, None))
 
 
-def _squares(values: FloatArray | None) -> FloatArray | None:
-    return None if values is None else np.square(values)
-
-
 MEAN_METRICS = (
     MeanMetric(
         "d1_mse",
         "D1 MSE",
         "mean square, point to nearest point",
         2,
-        lambda distances: _squares(distances.to_points),
+        lambda distances: np.square(distances.to_points),
         "d1_rms",
         "D1 RMS",
         has_symmetric_max=True,
@@ -66,7 +63,7 @@ MEAN_METRICS = (
         "D2 MSE",
         "mean square, point to tangent plane of the reference",
         2,
-        lambda distances: _squares(distances.to_planes),
+        lambda distances: distances.plane_squares,
         "d2_rms",
         "D2 RMS",
         has_symmetric_max=True,
@@ -103,13 +100,23 @@ class Direction(NamedTuple):
     cells: IntArray
 
 
-def from_candidate(reference: Reference, queries: FloatArray, matches: Matches) -> Direction:
-    """Measure the direction candidate → reference."""
+def from_candidate(reference: Reference, queries: FloatArray, matches: Matches, *, seed: int) -> Direction:
+    """Measure the direction candidate → reference.
+
+    Args:
+        reference: the prepared reference.
+        queries: (M, 3) points of the aligned candidate.
+        matches: their closest points of the reference.
+        seed: random seed of the sample, if distances to planes are sampled.
+    """
     distances, closest = matches
-    planes = None
-    if reference.has_normals:
-        n = reference.surface.compute_normals(closest)
-        planes = metrics.plane_distances(queries, reference.points, n, closest_rows=closest, normal_rows=closest)
+
+    def measure(rows: IntArray | None) -> FloatArray:
+        at = closest if rows is None else closest[rows]
+        n = reference.surface.compute_normals(at)
+        return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
+
+    planes = _to_planes(reference, distances, measure, seed)
     floor = _means(floors.to_reference(reference, queries))
     return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
@@ -125,19 +132,44 @@ def from_reference(
         matched: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
         back: closest candidate points of the reference's measured points.
         forth: the other direction; its plane distances and their floor estimate the candidate's errors.
-        seed: random seed of the floor's sample.
+        seed: random seed of the floor's sample, and of that of the distances to planes.
     """
-    rows, queries = reference.rows, reference.measured_points
-    planes = None
-    if reference.has_normals:
-        n = reference.surface.compute_normals(rows)
-        planes = metrics.plane_distances(queries, candidate.points, n, closest_rows=back.indices, normal_rows=rows)
-    cells = reference.cells.of_point if rows is None else reference.cells.of_point[rows]
+    measured, queries = reference.rows, reference.measured_points
+
+    def measure(rows: IntArray | None) -> FloatArray:
+        at = measured if rows is None else rows if measured is None else measured[rows]
+        closest = back.indices if rows is None else back.indices[rows]
+        n = reference.surface.compute_normals(at)
+        return metrics.plane_distances(
+            queries, candidate.points, n, query_rows=rows, closest_rows=closest, normal_rows=at
+        )
+
+    planes = _to_planes(reference, back.distances, measure, seed)
+    cells = reference.cells.of_point if measured is None else reference.cells.of_point[measured]
     error = 0.0
-    if forth.distances.to_planes is not None:
-        error = _error_share(metrics.mean_square(forth.distances.to_planes), forth.floors["d2_mse"])
+    if (squares := forth.distances.plane_squares) is not None:
+        error = _error_share(float(np.mean(squares)), forth.floors["d2_mse"])
     floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
     return Direction(queries, Distances(back.distances, planes), floor, cells)
+
+
+def _to_planes(
+    reference: Reference, to_points: FloatArray, measure: Callable[[IntArray | None], FloatArray], seed: int
+) -> FloatArray | PlaneSample | None:
+    """Return the distances to planes of all queries, or of a sample if the comparison has a tolerance.
+
+    Args:
+        reference: the prepared reference.
+        to_points: (M,) distances of all queries to their closest points.
+        measure: function that returns the distances to planes at rows of the queries, or at all if None.
+        seed: random seed of the sample.
+    """
+    if not reference.has_normals:
+        return None
+    sample = None
+    if reference.tolerance is not None:
+        sample = sample_planes(to_points, measure, reference.tolerance, seed)
+    return measure(None) if sample is None else sample
 
 
 def _means(distances: Distances | None) -> dict[str, float | None]:

@@ -22,19 +22,27 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import Cells
+from pcbench.measure.plane_sample import PlaneSample
 from pcbench.native import _core
 
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
-_PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 
 class Distances(NamedTuple):
     """Distances of the queries of one direction (M,): to the nearest point, and signed to the reference's planes."""
 
     to_points: FloatArray
-    to_planes: FloatArray | None  # None without normals
+    to_planes: FloatArray | PlaneSample | None  # None without normals
+
+    @property
+    def plane_squares(self) -> FloatArray | None:
+        """Squared distances (M,) to planes, or values with the same expected means if they were sampled."""
+        if isinstance(self.to_planes, PlaneSample):
+            return self.to_planes.squares()
+        return None if self.to_planes is None else np.square(self.to_planes)
 
 
 class FScore(NamedTuple):
@@ -118,7 +126,7 @@ def harmonic_mean(precision: float, recall: float) -> float:
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
-def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _PERCENTILE_RANKS) -> dict[str, float]:
+def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
     found = order_statistics.percentiles(values, ranks)
@@ -172,9 +180,7 @@ def one_way_hausdorff_between(candidate: Points, reference: Points) -> float:
     return one_way_hausdorff(_one_way(candidate, reference))
 
 
-def percentiles_between(
-    candidate: Points, reference: Points, ranks: tuple[float, ...] = _PERCENTILE_RANKS
-) -> dict[str, float]:
+def percentiles_between(candidate: Points, reference: Points, ranks: tuple[float, ...] = RANKS) -> dict[str, float]:
     """`percentiles` of the distances candidate -> reference; clouds as for `distances_between`."""
     return percentiles(_one_way(candidate, reference), ranks)
 

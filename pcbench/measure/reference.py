@@ -25,6 +25,7 @@ from pcbench.registration import Target, local_origin
 
 _VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
 _MESH_SAMPLES = 1_000_000  # points sampled from a reference mesh
+_MIN_SAMPLED_POINTS = 2_000_000  # a sample of the distances to planes of fewer points saves no time
 _MAX_POISSON_POINTS = 400_000  # limits the Poisson reconstruction to well under a minute
 
 
@@ -43,6 +44,7 @@ class Reference:
     cells: intervals.CorrelationCells
     voxel: float
     meshes: Mapping[str, MeshIndex]  # by the name of the map, in local coordinates
+    tolerance: float | None  # of the mean squares of sampled distances to planes; None: all are measured
 
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
@@ -59,7 +61,9 @@ class Reference:
         inside = points_inside(points, region, settings.crop, "the reference's")
         surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
         rows = None if region is None else np.flatnonzero(inside)
-        if len(surface) >= 3:
+        is_sampled = len(surface) >= _MIN_SAMPLED_POINTS and not surface.is_complete
+        tolerance = settings.tolerance if is_sampled else None
+        if len(surface) >= 3 and tolerance is None:
             surface.compute_normals(rows)  # sufficient for D2; registration estimates further ones as needed
         nearest_other = surface.nearest_other() if len(surface) > 1 else None
         return cls(
@@ -74,6 +78,7 @@ class Reference:
             cells=intervals.partition(points),
             voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
+            tolerance=tolerance,
         )
 
     def with_poisson_mesh(self, map_name: str) -> Reference:

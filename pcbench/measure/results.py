@@ -126,6 +126,19 @@ class DirectedSpread:
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
 
+class SampledMean(NamedTuple):
+    """A mean square that was estimated from a random sample.
+
+    Attributes:
+        points: number of points in the sample.
+        half_width: half of the width of the 95 % confidence interval of the mean square of all points, in squared
+            units.
+    """
+
+    points: int
+    half_width: float
+
+
 @dataclass(frozen=True, eq=False)
 class Metrics:
     """All metrics of one candidate.
@@ -141,6 +154,8 @@ class Metrics:
         presets: definitions of other tools and papers by name, see `pcbench.measure.presets`.
         spreads: median, standard deviation, NMAD and more of `distance` (to the nearest point) and, if there are
             normals, of `plane_distance` (signed, to the reference's tangent planes).
+        d2_samples: sample of each direction in which D2 was estimated, see `Settings.tolerance`. All distances to
+            tangent planes are estimated from it.
     """
 
     directed: Mapping[str, DirectedMetric]
@@ -151,6 +166,7 @@ class Metrics:
     percentiles_completeness: Mapping[str, float]
     presets: Mapping[str, Preset] = field(default_factory=dict)
     spreads: Mapping[str, DirectedSpread] = field(default_factory=dict)
+    d2_samples: Mapping[str, SampledMean] = field(default_factory=dict)
 
     @property
     def d1_mse(self) -> DirectedMetric:

@@ -14,6 +14,7 @@ from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.measure import deviation, intervals, metrics
 from pcbench.measure.directions import MEAN_METRICS, Direction
 from pcbench.measure.intervals import LinearizedScore, ScoreUncertainty
+from pcbench.measure.plane_sample import PlaneSample
 from pcbench.measure.results import (
     ARROWS,
     CANDIDATE_TO_REFERENCE,
@@ -25,6 +26,7 @@ from pcbench.measure.results import (
     Extremes,
     Hausdorff,
     Metrics,
+    SampledMean,
     ThresholdScores,
 )
 from pcbench.measure.wording import pluralize
@@ -91,6 +93,11 @@ def measure(
         percentiles_accuracy=ranks[CANDIDATE_TO_REFERENCE],
         percentiles_completeness=ranks[REFERENCE_TO_CANDIDATE],
         spreads=spreads,
+        d2_samples={
+            way: SampledMean(len(planes.rows), planes.half_width)
+            for way, direction in ways.items()
+            if isinstance(planes := direction.distances.to_planes, PlaneSample)
+        },
     )
     doubts = _interval_warnings(
         {name: known.spreads[name] for name in compared}, compared, rounding_bound(forth.points, origin)

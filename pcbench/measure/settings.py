@@ -40,6 +40,9 @@ class Settings:
         normal_neighbors: number of points for estimating a normal of the reference, if its file has none.
         classes, returns: LAS classes and returns to keep, see `pcbench.read_cloud`.
         min_opacity, max_axis: limits for keeping Gaussian splats, see `pcbench.read_cloud`.
+        tolerance: for large clouds: estimate D2 from a random sample that is large enough for a 95 % confidence
+            interval of each mean square within this share of it, such as 0.01. Distances to points are exact. None:
+            measure D2 at all points.
         initial: initial pose candidate -> reference for ICP, a `Similarity` or 4x4 array; None: the identity.
     """
 
@@ -56,6 +59,7 @@ class Settings:
     max_axis: float | None = None
     initial: Similarity | ArrayLike | None = None
     m3c2: M3C2Settings | str | None = None
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -76,6 +80,8 @@ class Settings:
             raise InputError(f"unknown preset {unknown[0]!r}: expected one of {', '.join(presets.NAMES)}")
         if unknown := [name for name in maps if name not in MAPS]:
             raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}")
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", _check_tolerance(self.tolerance))
         always = [name for name in ("gao2025", "mpeg") if name not in wanted]
         object.__setattr__(self, "presets", (*always, *dict.fromkeys(wanted)))
         if isinstance(self.m3c2, str):
@@ -87,8 +93,10 @@ class Settings:
         object.__setattr__(self, "maps", maps)
 
     def plain(self) -> dict[str, Any]:
-        """Return the settings as JSON values: methods and regions as text; an initial pose and M3C2 only if given."""
+        """Return the settings as JSON values: methods and regions as text; others that are None only if given."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
+        if self.tolerance is None:
+            del values["tolerance"]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
         for name in ("register", "crop"):
@@ -109,6 +117,16 @@ def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Setti
     if unknown := [name for name in changed if name not in known]:
         raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(known)}")
     return replace(settings, **changed)
+
+
+def _check_tolerance(value: Any) -> float:
+    try:
+        share = float(value)
+    except (TypeError, ValueError, OverflowError):
+        share = np.nan
+    if isinstance(value, bool) or not 0 < share < 1:
+        raise InputError(f"expected the tolerance as a share between 0 and 1, such as 0.01 for 1 %, got {value!r}")
+    return share
 
 
 def _names(what: str, given: Any) -> tuple[Any, ...]:

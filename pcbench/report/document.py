@@ -129,6 +129,8 @@ def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
     for kind, both in m.spreads.items():
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             metrics["spreads"][kind][direction]["percentiles"] = both[direction].percentiles
+    if m.d2_samples:
+        metrics["d2_mse"]["sample"] = {direction: sample._asdict() for direction, sample in m.d2_samples.items()}
     for name, values in maps["maps"].items():
         values["percentiles"] = deviation.spreads[name].percentiles
     if deviation.m3c2 is not None:

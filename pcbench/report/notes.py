@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from pcbench.measure.quantities import quantities
@@ -35,12 +36,16 @@ def warnings(comparison: SourcedComparison) -> list[str]:
     return [f"{join_words(names)}: {text}" if names else text for text, names in found.items()]
 
 
-def survey_sentences(comparison: SourcedComparison) -> Iterator[str]:
-    """Yield the RMSE of control and check points of each candidate that was registered by such points."""
+def remarks(comparison: SourcedComparison) -> Iterator[str]:
+    """Yield the RMSE of control and check points of each candidate that has some, and the samples behind D2."""
     unit = comparison.reference.unit
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
             yield f"{candidate.name}: {'; '.join(lines)}"
+    if comparison.settings.tolerance is None:
+        return
+    for candidate in comparison:
+        yield f"{candidate.name}: {_sample_words(comparison, candidate)}."
 
 
 def details(comparison: SourcedComparison) -> Iterator[str]:
@@ -87,6 +92,25 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
             " --crop reference measures only points inside the reference's bounding box, --crop polygon:FILE any region"
         )
     yield from map(str, candidate.deformation.further_warnings)
+
+
+def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:
+    """Return from how many points D2 was estimated, with the 95 % confidence intervals."""
+    samples = candidate.metrics.d2_samples
+    if not samples:
+        return "all distances are exact, because a sample would save no time"
+    points = {
+        CANDIDATE_TO_REFERENCE: candidate.points_in_region,
+        REFERENCE_TO_CANDIDATE: comparison.reference.points_in_region,
+    }
+    parts = []
+    for way, sample in samples.items():
+        value = candidate.metrics.d2_mse[way].value or math.nan
+        parts.append(
+            f"D2 {ARROWS[way]} is estimated from {sample.points:,} of {points[way]:,} points"
+            f" (mean square ± {sample.half_width / value:.2%}, 95 % confidence)"
+        )
+    return f"{' and '.join(parts)}; all other distances are exact"
 
 
 def _label(quantity: Quantity) -> str:

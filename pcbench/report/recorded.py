@@ -29,8 +29,9 @@ _TYPES: dict[str, type[Any]] = {
 def record(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values; `restore` returns equal settings."""
     values = {item.name: getattr(settings, item.name) for item in fields(settings)}
-    if values["initial"] is None:
-        del values["initial"]
+    for name in ("initial", "tolerance"):
+        if values[name] is None:
+            del values[name]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):
         values["m3c2"] = _m3c2_record(m3c2)
     return {name: _absolute(value) if isinstance(value, str) else _to_record(value) for name, value in values.items()}

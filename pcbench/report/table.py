@@ -12,7 +12,7 @@ from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.markup import markdown_row
-from pcbench.report.notes import details, survey_sentences, warnings
+from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.words import UNKNOWN, number, title
 
 _DIRECTIONS = {CANDIDATE_TO_REFERENCE: "accuracy", REFERENCE_TO_CANDIDATE: "completeness"}
@@ -113,7 +113,7 @@ def markdown(comparison: SourcedComparison) -> str:
         "",
         " ".join(answer(comparison)),
         "",
-        *(f"- {sentence}" for sentence in survey_sentences(comparison)),
+        *(f"- {sentence}" for sentence in remarks(comparison)),
         *(f"- warning: {' '.join(warning.splitlines())}" for warning in warnings(comparison)),
         "",
         markdown_row(header),
@@ -145,7 +145,7 @@ def html(comparison: SourcedComparison) -> str:
             body.append(f'<tr><th scope="row" style="{style}">{escape(line.label.strip())}</th>{cells}</tr>')
     first = [
         *answer(comparison),
-        *survey_sentences(comparison),
+        *remarks(comparison),
         *(f"warning: {warning}" for warning in warnings(comparison)),
     ]
     return (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.notes import details, survey_sentences, warnings
+from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.summary import MAX_SIDE_BY_SIDE, main_columns, main_lines
 from pcbench.report.table import Line, lines
 from pcbench.report.words import columns, pad, shorten_name, title
@@ -49,7 +49,7 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
     say(title(comparison), "bold")
     for sentence in answer(comparison):
         say(sentence)
-    for sentence in survey_sentences(comparison):
+    for sentence in remarks(comparison):
         say(sentence)
     for warning in warnings(comparison):
         say(f"warning: {warning}", "yellow")

@@ -40,7 +40,7 @@ def compare_by_approximate_search(
     index = Index(registration.T_local.apply(candidate.points - reference.origin))
     to_reference = _approximate_matches(reference.points, index.points, excess)
     to_candidate = _approximate_matches(index.points, reference.points, excess)
-    forth = from_candidate(reference, index.points, to_reference)
+    forth = from_candidate(reference, index.points, to_reference, seed=settings.seed)
     back = from_reference(reference, index, to_reference.indices, to_candidate, forth=forth, seed=settings.seed)
     measurement = measure(
         forth,
