@@ -19,7 +19,13 @@ BENCH_OPTIONS = (
     " --method sfm --sweep image_scale=0.25,0.5,1 --sweep upsample=false,true --sweep poses=given,solve --seeds 3"
     " --crop box:-60,-60,-100,60,60,200"
 )
-DEMO_PICTURES = ("reference", "sparse_plane_distance", "densified_plane_distance", "distribution")
+DEMO_PICTURES = (
+    "reference",
+    "sparse_plane_distance",
+    "densified_plane_distance",
+    "densified_section",
+    "distribution",
+)
 
 
 def pcbench(command: str, folder: Path) -> None:
@@ -29,7 +35,7 @@ def pcbench(command: str, folder: Path) -> None:
 
 def save_compressed(picture: Path, name: str) -> None:
     """Save a picture with a palette, which halves its size in the repository."""
-    Image.open(picture).convert("RGB").quantize(128).save(HERE / f"{name}.png", optimize=True)
+    Image.open(picture).convert("RGB").quantize(256).save(HERE / f"{name}.png", optimize=True)
 
 
 def demo(folder: Path) -> None:

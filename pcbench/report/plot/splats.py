@@ -16,7 +16,9 @@ from pcbench.report.plot.views import Viewpoint
 _SUPERSAMPLING = 2  # along each side, for round dots with smooth edges
 _DEPTH_TOLERANCE_SHARE = 0.01  # of a view's height; points within this depth are drawn in random order
 _MIN_DOT_PX, _MAX_DOT_PX = 2.2, 9.0
-_DOT_SIZE, _SOLID_DOT_SIZE = 1.3, 2.2  # of the mean distance of points in the image; solid: without gaps
+# Diameters as multiples of the mean distance of points in the image: of a cloud, of few points over a backdrop, and of a
+# cloud that must have no gaps.
+_DOT_SIZE, _SPARSE_DOT_SIZE, _SOLID_DOT_SIZE = 1.3, 0.9, 2.2
 _MIN_DENSE_SHARE = 0.5  # of the backdrop's points, for drawing points that show values without gaps
 _MIN_BRIGHTNESS, _MIN_VALUE_BRIGHTNESS = 0.35, 0.55  # of colours of a cloud, and of colours that show values
 _BACKDROP_CONTRAST = 0.55  # of the backdrop's grey: 0 is the background, 1 a middle grey
@@ -77,13 +79,16 @@ def splat(
             leave the colours readable, and both sides of a rough surface are drawn equally often.
     """
     grid = _PixelGrid.of(view, window, pixels)
-    is_dense = backdrop is not None and len(points) >= _MIN_DENSE_SHARE * backdrop.points
+    dot_size = _DOT_SIZE
+    if backdrop is not None and backdrop.points > 0:
+        is_dense = len(points) >= _MIN_DENSE_SHARE * backdrop.points
+        dot_size = _SOLID_DOT_SIZE if is_dense else _SPARSE_DOT_SIZE
     layer = grid.draw(
         points,
         colors,
         ground,
         random=backdrop is not None,
-        dot_size=_SOLID_DOT_SIZE if is_dense else _DOT_SIZE,
+        dot_size=dot_size,
     )
     if backdrop is None:
         fine = _darken(layer.colors, layer.brightness(grid.extent), _MIN_BRIGHTNESS)
