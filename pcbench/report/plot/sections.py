@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
@@ -81,8 +82,11 @@ class Section(NamedTuple):
             return None
         center = points[inside[grid.of_point == worst]].mean(axis=0)
         length, thickness = _LENGTH_SHARE * diagonal, max(_MIN_SPACINGS * spacing, 1e-6 * diagonal)
+        near = [_rows_around(cloud, center, length) for cloud in (points, reference)]
         while True:
-            slices = [cls._slice(center, angle, length, thickness, points, reference) for angle in _DIRECTIONS_DEG]
+            slices = [
+                cls._slice(center, angle, length, thickness, points, reference, near) for angle in _DIRECTIONS_DEG
+            ]
             best = max(slices, key=lambda found: len(found.rows) + len(found.reference_rows))
             if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS:
                 return best
@@ -99,16 +103,21 @@ class Section(NamedTuple):
         thickness: float,
         points: FloatArray,
         reference: FloatArray,
+        near: Sequence[NDArray[np.int64]],
     ) -> Section:
         direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
-
-        def rows(cloud: FloatArray) -> NDArray[np.int64]:
-            from_center = cloud[:, :2] - center[:2]
+        found = []
+        for cloud, rows in zip((points, reference), near, strict=True):
+            from_center = cloud[rows, :2] - center[:2]
             across = from_center @ np.array([-direction[1], direction[0]])
             is_inside = (np.abs(across) <= 0.5 * thickness) & (np.abs(from_center @ direction) <= 0.5 * length)
-            return np.flatnonzero(is_inside)
+            found.append(rows[is_inside])
+        return cls(center, direction, length, thickness, *found)
 
-        return cls(center, direction, length, thickness, rows(points), rows(reference))
+
+def _rows_around(points: FloatArray, center: FloatArray, length: float) -> NDArray[np.int64]:
+    """Return the rows of points (N, 3) in the square around a place that contains all sections of a length."""
+    return np.flatnonzero((np.abs(points[:, :2] - center[:2]) <= length).all(axis=1))
 
 
 def draw_section(

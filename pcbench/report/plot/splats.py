@@ -16,8 +16,8 @@ from pcbench.report.plot.views import Viewpoint
 _SUPERSAMPLING = 2  # along each side, for round dots with smooth edges
 _DEPTH_TOLERANCE_SHARE = 0.01  # of a view's height; points within this depth are drawn in random order
 _MIN_DOT_PX, _MAX_DOT_PX = 2.2, 9.0
-# Diameters as multiples of the mean distance of points in the image: of a cloud, of few points over a backdrop, and of a
-# cloud that must have no gaps.
+# Diameters as multiples of the mean distance of points in the image: of a cloud, of few points over a backdrop, and of
+# a cloud that must have no gaps.
 _DOT_SIZE, _SPARSE_DOT_SIZE, _SOLID_DOT_SIZE = 1.3, 0.9, 2.2
 _MIN_DENSE_SHARE = 0.5  # of the backdrop's points, for drawing points that show values without gaps
 _MIN_BRIGHTNESS, _MIN_VALUE_BRIGHTNESS = 0.35, 0.55  # of colours of a cloud, and of colours that show values
@@ -183,7 +183,7 @@ class _PixelGrid(NamedTuple):
                 inside, column, row, toward, max(1, round(2 * radius)), _DEPTH_TOLERANCE_SHARE * self.extent
             )
         else:
-            order = inside[np.argsort(toward[inside])]  # from back to front: the last point at a pixel is visible
+            order = inside[_depth_order(toward[inside], self.extent)]  # the last point at a pixel is visible
         across = self.width + 2 * edge
         position = (row[order] + edge) * across + column[order] + edge
         top_most = np.zeros(across * (self.height + 2 * edge), dtype=np.int32)  # 1 + index in the order; 0 for none
@@ -199,6 +199,15 @@ class _PixelGrid(NamedTuple):
         far = float(toward[order].min(initial=0.0)) - self.extent
         depths = np.concatenate([[far], toward[order]]).astype(np.float32)
         return _Layer(np.concatenate([ground[None], colors[order]])[image], depths[image], image > 0)
+
+
+def _depth_order(depths: FloatArray, extent: float) -> NDArray[np.int64]:
+    """Return the order (N,) from back to front of depths (N,) that increase towards the viewer.
+
+    They are sorted in steps of 1/8192 of the view's height `extent`, which is much faster than an exact order.
+    """
+    steps = np.clip(depths * (8192 / extent) + 32768, 0, 65535).astype(np.uint16)
+    return np.argsort(steps, kind="stable")
 
 
 def _random_order(
