@@ -45,6 +45,17 @@ def demo(folder: Path) -> None:
         save_compressed(folder / "report" / "figures" / f"{name}.png", name)
 
 
+def report(folder: Path) -> None:
+    """Create a picture of the demo's report.html; needs Debian's chromium."""
+    command = "pcbench demo --points 200000 --out demo --no-bench --no-figures --quiet"
+    run(command.split(), check=True, cwd=folder)  # the page shows the path as given
+    page, picture = (folder / "demo" / "report" / "report.html").as_uri(), folder / "page.png"
+    flags = "--headless --no-sandbox --hide-scrollbars --use-angle=swiftshader --enable-unsafe-swiftshader"
+    size = "--window-size=1180,1660 --virtual-time-budget=20000"
+    run(["chromium", *flags.split(), *size.split(), f"--screenshot={picture}", page], check=True)
+    save_compressed(picture, "report")
+
+
 def city(folder: Path) -> None:
     """Create a picture of two photographs of the synthetic city."""
     pcbench("synth city --out FOLDER --points 1000 --quiet", folder)
@@ -127,6 +138,7 @@ def main() -> None:
     """Create the pictures named on the command line, or all of them."""
     pictures = {
         "demo": demo,
+        "report": report,
         "city": city,
         "bench": bench,
         "dense": dense,

@@ -125,8 +125,8 @@ def compare(
 ) -> None:
     """Measure the distances between CANDIDATES and REFERENCE in both directions.
 
-    Prints the answer in a few sentences, then warnings and the main metrics. The folder of --out has all metrics, maps
-    and pictures.
+    Prints the answer in a few sentences, then warnings and the main metrics. The folder of --out has a page to
+    read in a browser, all metrics, maps and pictures.
 
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
@@ -200,8 +200,8 @@ def compare_and_print(
         click.echo(TABLES[table](outcome.comparison), nl=False)
     elif not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
-    if outcome.without_figures:
-        warn(outcome.without_figures)
+    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
+        warn(problem)
     return outcome.comparison
 
 

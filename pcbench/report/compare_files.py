@@ -74,9 +74,10 @@ class Outputs:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonOutcome:
-    """A comparison, and the reason why its pictures could not be drawn, if any."""
+    """A comparison, and the reasons why its page or its pictures could not be made, if any."""
 
     comparison: Comparison
+    without_page: str | None = None
     without_figures: str | None = None
 
 
@@ -100,7 +101,7 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
         with report_folder(outputs.folder, keep=job.inputs) as folder:
             outcome = ComparisonOutcome(_run(job, settings, plan))
             plan("writing the report")
-            write_report(folder, outcome.comparison, job.figures)
+            outcome = replace(outcome, without_page=write_report(folder, outcome.comparison, job.figures))
             if outputs.figures:
                 plan("drawing the pictures")
                 outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))

@@ -42,12 +42,12 @@ class Comparison(SourcedComparison):
         return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
-        """Write a report: comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
+        """Write a report: report.html, comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
 
         Args:
             folder: the folder, created if necessary. A report in it is replaced.
-            figures: whether to draw pictures, or their appearance. If they cannot be drawn, a warning says why, and
-                everything else is written.
+            figures: whether to draw pictures, or their appearance. If these or the page cannot be made, a warning says
+                why, and everything else is written.
 
         Raises:
             InputError: the folder has other files, or an input of the comparison; or a candidate's name cannot be part
@@ -56,9 +56,9 @@ class Comparison(SourcedComparison):
         """
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
             style = figures if isinstance(figures, Figures) else Figures()
-            write_report(scratch, self, style)
-            problem = plot.draw_if_possible(scratch, figures=style) if figures else None
-        if problem is not None:
+            problems = [write_report(scratch, self, style)]
+            problems += [plot.draw_if_possible(scratch, figures=style)] if figures else []
+        for problem in filter(None, problems):
             warnings.warn(problem, stacklevel=2)
 
     def to_dataframe(self) -> Any:

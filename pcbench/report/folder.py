@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError, reason_of, record_error
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
@@ -23,6 +23,7 @@ from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
+from pcbench.report.html import page
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
@@ -70,7 +71,7 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise
 
 
-def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> None:
+def write_report(folder: Path, comparison: SourcedComparison, figures: Figures | None = None) -> str | None:
     """Write a comparison into an empty folder, without its pictures.
 
     settings.json, which repeats the comparison, is written only if all clouds came from files.
@@ -80,12 +81,16 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
         comparison: the comparison.
         figures: appearance of the pictures, recorded in settings.json; its range also applies to coloured clouds.
 
+    Returns:
+        The reason why report.html could not be written, if any; all other files do not depend on it.
+
     Raises:
         InputError: a candidate's name cannot be part of file names.
     """
     for candidate in comparison:
         check_name(candidate.name)
-    (folder / _COMPARISON).write_text(to_json(document(comparison)), encoding="utf-8")
+    values = document(comparison)
+    (folder / _COMPARISON).write_text(to_json(values), encoding="utf-8")
     # File names need not be Unicode.
     (folder / "metrics.csv").write_text(
         csv_text(Row._fields, rows(comparison)), encoding="utf-8", errors="backslashreplace"
@@ -98,6 +103,19 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
     for candidate in comparison.candidates:
         transform = candidate.registration.T_reference_candidate
         (folder / f"{candidate.name}_T.txt").write_text(format_matrix(transform), encoding="utf-8")
+    return _write_page(folder, comparison, values["provenance"], figures or Figures())
+
+
+def _write_page(
+    folder: Path, comparison: SourcedComparison, provenance: Mapping[str, Any], figures: Figures
+) -> str | None:
+    """Write report.html, and return the reason if that fails: hours of measurement do not depend on a page."""
+    try:
+        text = page(comparison, provenance, figures.range)
+    except Exception as error:
+        return f"report.html was not written: {type(error).__name__}: {record_error(error)}"
+    (folder / "report.html").write_text(text, encoding="utf-8", errors="backslashreplace")
+    return None
 
 
 def read_settings(path: Path) -> tuple[Settings, Inputs]:

@@ -33,7 +33,7 @@ class Column(NamedTuple):
 def main_lines(comparison: SourcedComparison) -> list[Line]:
     """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
     candidates = list(comparison)
-    show, thresholds = _length_formatter(comparison), _thresholds(comparison)
+    show, thresholds = _length_formatter(comparison), main_thresholds(comparison)
 
     def is_shown(quantity: Quantity) -> bool:
         if quantity.headline is None or quantity.threshold not in (None, *thresholds):
@@ -118,7 +118,7 @@ def _reference_point_count(comparison: SourcedComparison) -> int:
 
 def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Column]]:
     """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
-    show, thresholds = _length_formatter(comparison, digits=3), _thresholds(comparison)[:1]
+    show, thresholds = _length_formatter(comparison, digits=3), main_thresholds(comparison)[:1]
 
     def text(quantity: Quantity | None) -> str:
         if quantity is None or quantity.value is None:
@@ -134,7 +134,7 @@ def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Colu
         yield headline.rank, Column((headline.column, below), [text(of.get(place)) for of in found])
 
 
-def _thresholds(comparison: SourcedComparison) -> list[float]:
+def main_thresholds(comparison: SourcedComparison) -> list[float]:
     """Return the thresholds that the user set, or the middle one of the default three."""
     found = [score.threshold for score in comparison.candidates[0].metrics.fscores]
     return found if comparison.settings.thresholds is not None else found[len(found) // 2 :][:1]

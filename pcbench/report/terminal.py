@@ -158,6 +158,7 @@ def _other_outputs(folder: Path | None, *, full: bool) -> Iterator[str]:
         yield f"--out FOLDER writes all metrics with their intervals, maps and pictures{more}"
         return
     contents = {
+        "report.html": "a page to read or mail",
         "table.md": "all metrics with their intervals",
         "comparison.json": "everything",
         "metrics.csv": "",

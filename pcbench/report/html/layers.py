@@ -1,0 +1,199 @@
+"""The clouds of the page's 3D view: each candidate, and the reference coloured by its distance to each candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.report.colors import Range, ranges, robust_maximum
+from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, scalar_codes
+from pcbench.report.inputs import SourcedComparison
+
+MAX_POINTS = 500_000  # of a cloud
+MAX_BYTES = 2_850_000  # of all clouds before base64, which adds a third
+_POINT_BYTES, _SCALAR_BYTES = 4.0, 0.95  # of a typical point after compression: noisy surfaces compress least
+_MAX_FAR_SHARE = 0.5  # of a cloud's budget for points beyond the legend's limit
+_CORE_RANKS = 0.1, 99.9  # percentiles of the coordinates; points far outside would make the grid coarse
+_CORE_GROWTH = 2.0  # box lengths beyond these percentiles that are still shown
+_OVERSAMPLING = 2  # points sorted for each point kept: sorting all points of a large cloud would take long
+_SPACING_SAMPLE = 20_000
+
+
+class _Scalar(NamedTuple):
+    """A scalar with its colour range; `of` is the candidate that a scalar of the reference belongs to."""
+
+    key: str
+    values: FloatArray
+    scale: Range
+    of: str = ""
+
+
+class _Source(NamedTuple):
+    """A cloud of the view before thinning; the reference has no name."""
+
+    name: str
+    points: FloatArray
+    scalars: list[_Scalar]
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A cloud of the view.
+
+    Attributes:
+        head: its description in the page's JSON.
+        data: its points and scalars, see `packing.pack`.
+        rows: the rows of the measured points that are shown, in the order of the data.
+    """
+
+    head: dict[str, Any]
+    data: str
+    rows: IntArray
+
+
+def layers(comparison: SourcedComparison, given: float | None = None) -> list[Layer]:
+    """Return the layers of a comparison, candidates first.
+
+    Args:
+        comparison: the comparison.
+        given: the end of the colour ranges, if the user sets it.
+    """
+    sources = [source for source in _sources(comparison, given) if len(source.points)]
+    limits = _point_limits([len(s.points) for s in sources], [len(s.scalars) for s in sources])
+    return [_layer(source, limit) for source, limit in zip(sources, limits, strict=True)]
+
+
+def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_Source]:
+    spacing = comparison.reference.spacing_median
+    maps = {c.name: c.deviation for c in comparison}
+    scales = {}
+    for key in dict.fromkeys(key for map_ in maps.values() for key in map_.scalars):
+        having = {name: map_.scalars[key] for name, map_ in maps.items() if key in map_.scalars}
+        scales[key] = _scales(having, spacing, given)
+    for name, map_ in maps.items():
+        scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
+        yield _Source(name, map_.points, scalars)
+    cores = {name: map_.m3c2 for name, map_ in maps.items() if map_.m3c2 is not None}
+    along = _scales({name: found.distances for name, found in cores.items()}, spacing, given)
+    for name, found in cores.items():
+        yield _Source(f"{name}, M3C2", found.cores, [_Scalar("m3c2_distance", found.distances, along[name])])
+    missing = {c.name: c.completeness.scalars["distance"] for c in comparison}
+    to_candidates = _scales(missing, spacing, given)
+    scalars = [_Scalar("distance", values, to_candidates[name], name) for name, values in missing.items()]
+    yield _Source("", comparison.candidates[0].completeness.points, scalars)  # the same points for each candidate
+
+
+def _scales(values: Mapping[str, FloatArray], spacing: float, given: float | None) -> dict[str, Range]:
+    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
+    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
+    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
+    return ranges(highest, spacing=spacing, signed=signed, given=given)
+
+
+def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:
+    """Return how many points of each cloud fit into the budget: small clouds completely, the others equal parts."""
+    costs = [_POINT_BYTES + _SCALAR_BYTES * count for count in scalars]
+    limits = [0] * len(sizes)
+    budget, open_costs = float(MAX_BYTES), sum(costs)
+    for k in sorted(range(len(sizes)), key=lambda k: sizes[k]):
+        limits[k] = max(1, min(sizes[k], MAX_POINTS, int(budget / open_costs)))
+        budget -= limits[k] * costs[k]
+        open_costs -= costs[k]
+    return limits
+
+
+def _layer(source: _Source, limit: int) -> Layer:
+    points, scalars = source.points, source.scalars
+    near = np.flatnonzero(_near_core(points))
+    far = np.zeros(len(near), dtype=bool)
+    for scalar in scalars:
+        far |= np.abs(scalar.values[near]) > scalar.scale.high  # false for NaN
+    kept = _thin(points[near], far, limit)
+    rows = near[kept]
+    grid = CodeGrid.of(points[rows])
+    codes = grid.codes(points[rows])
+    order = morton_order(codes)
+    rows, codes = rows[order], codes[order]
+    tables = [levels(_finite(s.values[rows]), s.scale.high, signed=s.scale.signed) for s in scalars]
+    packed = [scalar_codes(s.values[rows], table) for s, table in zip(scalars, tables, strict=True)]
+    sample = points[rows[:: max(1, len(rows) // _SPACING_SAMPLE)]]
+    head = {
+        "name": source.name,
+        "total": len(points),
+        "shown": len(rows),
+        "outside": len(points) - len(near),
+        "beyond": int(far.sum()),
+        "beyond_shown": int(far[kept].sum()),
+        "low": grid.low.tolist(),
+        "step": grid.step.tolist(),
+        "core": np.percentile(sample, [1, 99], axis=0).tolist(),
+        "spacing": _shown_spacing(points[rows]),
+        "scalars": [
+            {
+                "key": s.key,
+                "of": s.of,
+                "low": s.scale.low,
+                "high": s.scale.high,
+                "signed": s.scale.signed,
+                "note": s.scale.note,
+                "levels": [float(f"{level:.6g}") for level in table],
+            }
+            for s, table in zip(scalars, tables, strict=True)
+        ],
+    }
+    return Layer(head, pack(codes, packed), rows)
+
+
+def _near_core(points: FloatArray) -> NDArray[np.bool_]:
+    """Return which points (N, 3) lie near the cloud's core; a distant outlier would make the grid coarse."""
+    sample = points[:: max(1, len(points) // 200_000)]
+    low, high = np.percentile(sample, _CORE_RANKS, axis=0)
+    margin = _CORE_GROWTH * (high - low).max() + 1e-9 * np.abs(high).max() + np.finfo(np.float64).tiny
+    near: NDArray[np.bool_] = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+    return near
+
+
+def _thin(points: FloatArray, far: NDArray[np.bool_], limit: int) -> IntArray:
+    """Return the rows of at most `limit` points.
+
+    Points beyond the legend's limit are kept, unless they would take more than half of the points. The rest is
+    thinned evenly along the Morton curve, so that all parts of the scene keep their share.
+    """
+    if len(points) <= limit:
+        return np.arange(len(points))
+    far_rows, near_rows = np.flatnonzero(far), np.flatnonzero(~far)
+    kept = _evenly_in_space(points, far_rows, max(int(_MAX_FAR_SHARE * limit), limit - len(near_rows)))
+    return np.concatenate([kept, _evenly_in_space(points, near_rows, limit - len(kept))])
+
+
+def _evenly_in_space(points: FloatArray, rows: IntArray, count: int) -> IntArray:
+    """Return at most `count` of the rows, at even steps along the Morton curve through their points."""
+    if len(rows) <= count:
+        return rows
+    rows = _evenly(rows, _OVERSAMPLING * count)
+    order = morton_order(CodeGrid.of(points[rows]).codes(points[rows])) if count else rows[:0]
+    return _evenly(rows[order], count)
+
+
+def _evenly(rows: IntArray, count: int) -> IntArray:
+    """Return at most `count` rows at even steps."""
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)] if count > 0 else rows[:0]
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    finite: FloatArray = values[np.isfinite(values)]
+    return finite
+
+
+def _shown_spacing(points: FloatArray) -> float:
+    """Return the typical spacing of points (N, 3) in Morton order, by which they are drawn large enough."""
+    if len(points) < 2:
+        return 0.0
+    return float(np.median(np.linalg.norm(np.diff(points[: 2 * _SPACING_SAMPLE], axis=0), axis=1)))

@@ -1,0 +1,208 @@
+"""Fill the template of `report.html`.
+
+Names of files and candidates come from users and may contain markup: the template escapes every text, and JSON inside
+the page has no character that could end its element.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pcbench.measure.results import Candidate
+from pcbench.measure.wording import pluralize
+from pcbench.report.answer import answer
+from pcbench.report.colors import DIVERGING, SEQUENTIAL, SERIES
+from pcbench.report.html.charts import charts
+from pcbench.report.html.layers import Layer, layers
+from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, main_rows
+from pcbench.report.html.places import Place, worst_places
+from pcbench.report.inputs import SourcedComparison
+from pcbench.report.notes import bend_sentence, details, remarks, warnings
+from pcbench.report.words import UNKNOWN, join_words, length, printable, title
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+SCRIPTS = ("decode", "camera", "webgl", "painter", "scene", "controls", "main")
+_SCALAR_LABELS = {
+    "distance": "to the closest point",
+    "plane_distance": "to the surface, signed",
+    "mesh_distance": "to the reference mesh",
+    "poisson_distance": "to the Poisson mesh",
+    "poisson_meshlab_distance": "to pymeshlab's Poisson mesh",
+    "m3c2_distance": "along the normal (M3C2)",
+}
+_MAX_ARROWS = 2000  # of a candidate's displacement field
+# `<`, `>` and `&` could end a script element or start another; JSON allows their escapes in strings.
+_JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+
+
+def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_range: float | None = None) -> str:
+    """Return `report.html` of a comparison.
+
+    Args:
+        comparison: the comparison.
+        provenance: version, commit, command and time, see `pcbench.report.document.provenance`.
+        color_range: the end of the colour ranges, if the user sets it.
+    """
+    clouds, places = layers(comparison, color_range), worst_places(comparison)
+    view = _view(comparison, clouds, places)
+    script = "\n".join(_source(f"viewer/{name}.js") for name in SCRIPTS)
+    main = main_rows(comparison)
+    return _environment().get_template("page.html").render(
+        title=_heading(comparison),
+        subtitle=title(comparison),
+        answer=answer(comparison),
+        remarks=[*remarks(comparison)],
+        warnings=warnings(comparison),
+        names=[printable(c.name) for c in comparison],
+        unit=comparison.reference.unit,
+        rows=main,
+        columns=columns_of(main),
+        is_wide=len(comparison) > MAX_ACROSS,
+        has_best=any(cell.is_best for row in main for pair in row.cells for cell in pair),
+        all_rows=all_rows(comparison),
+        details=[*details(comparison)][len(comparison) :],  # those of single candidates have a section
+        layers=clouds,
+        shown=_shown(clouds),
+        charts=charts(comparison),
+        deformations=_deformations(comparison),
+        places=places,
+        inputs=_inputs(comparison),
+        provenance=provenance,
+        repeat=None if comparison.inputs is None else "pcbench compare --settings settings.json",
+        style=_source("style.css"),
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode(),
+        data=_json(view),
+        has_arrows=bool(view["arrows"]),
+        scalar_labels=_scalar_labels(clouds),
+    )  # fmt: skip
+
+
+def _heading(comparison: SourcedComparison) -> str:
+    names = [printable(c.name) for c in comparison]
+    inputs = comparison.inputs
+    reference = "the reference" if inputs is None else printable(Path(inputs.reference.path).name)
+    return f"{join_words(names, 4)} against {reference}"
+
+
+def _shown(clouds: list[Layer]) -> str:
+    """Return how many points of each cloud are shown, in words."""
+    thinned = [_share_shown(layer) for layer in clouds if layer.head["shown"] < layer.head["total"]]
+    if not thinned:
+        return "all points of all clouds"
+    return "; ".join(thinned + (["all points of the other clouds"] if len(thinned) < len(clouds) else []))
+
+
+def _share_shown(layer: Layer) -> str:
+    head = layer.head
+    name = printable(head["name"]) or "reference"
+    text = f"{name}: {head['shown']:,} of {pluralize(head['total'], 'point')}"
+    if head["beyond"]:
+        kept = "all" if head["beyond_shown"] == head["beyond"] else f"{head['beyond_shown']:,} of"
+        text += f", with {kept} {head['beyond']:,} beyond the legend's limit"
+    if head["outside"]:
+        text += f"; {head['outside']:,} are far outside the scene and not shown"
+    return text
+
+
+def _scalar_labels(clouds: list[Layer]) -> list[tuple[str, str]]:
+    """Return key and label of each scalar that some layer has."""
+    keys = dict.fromkeys(scalar["key"] for layer in clouds for scalar in layer.head["scalars"])
+    return [(key, _SCALAR_LABELS.get(key, key.replace("_", " "))) for key in keys]
+
+
+def _view(comparison: SourcedComparison, clouds: list[Layer], places: list[Place]) -> dict[str, Any]:
+    """Return what the 3D view reads besides the points."""
+    return {
+        "unit": comparison.reference.unit or "",
+        "layers": [layer.head for layer in clouds],
+        "sequential": SEQUENTIAL.tolist(),
+        "diverging": DIVERGING.tolist(),
+        "series": SERIES,
+        "places": [vars(place) for place in places],
+        "arrows": [arrows for c in comparison if (arrows := _arrows(c)) is not None],
+    }
+
+
+def _arrows(candidate: Candidate) -> dict[str, Any] | None:
+    """Return the displacement field of a deformed candidate as [x, y, z, dx, dy, dz, ...]."""
+    field, result = candidate.deformation.field, candidate.deformation.assuming_pose()
+    if field is None or result.verdict in ("none", "undecided") or not len(field.places):
+        return None
+    rows = np.linspace(0, len(field.places) - 1, min(len(field.places), _MAX_ARROWS)).astype(np.int64)
+    moved = field.displacements[rows]
+    known = np.isfinite(moved).all(axis=1)
+    if not known.any():
+        return None
+    values = np.hstack([field.places[rows], moved])[known]
+    return {"name": candidate.name, "values": [float(f"{v:.9g}") for v in values.ravel()]}
+
+
+def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
+    """Return the verdict on each candidate in words, with its numbers."""
+    unit = comparison.reference.unit
+
+    def of(candidate: Candidate) -> dict[str, Any]:
+        bend = candidate.deformation
+        size = bend.amplitude
+        facts = {
+            "verdict": f"{bend.label} ({bend.model} model)",
+            "p-value": _p_value(bend.p_value),
+            "RMS beyond affine": UNKNOWN if size is None else
+            f"{length(size.rms, unit)} [{size.ci[0]:.3g}, {size.ci[1]:.3g}]",
+            "stated above": length(bend.size_limit, unit),
+            "noise": UNKNOWN if bend.noise is None else length(bend.noise.sigma, unit),
+            "independent pairs": UNKNOWN if bend.noise is None else f"{bend.noise.n_eff:,.0f} of {bend.pairs or 0:,}",
+        }  # fmt: skip
+        return {
+            "name": printable(candidate.name),
+            "sentence": f"{bend_sentence(comparison, candidate, printable(candidate.name))}.",
+            "facts": facts,
+        }
+
+    return [of(candidate) for candidate in comparison]
+
+
+def _p_value(value: float | None) -> str:
+    return UNKNOWN if value is None else f"{value:.2g}" if value >= 1e-9 else "< 1e-9"
+
+
+def _inputs(comparison: SourcedComparison) -> list[tuple[str, str, str]]:
+    """Return role, path and SHA-256 of each input file."""
+    inputs = comparison.inputs
+    if inputs is None:
+        return []
+    named = [("reference", inputs.reference), *inputs.candidates.items(), *(("setting", file) for file in inputs.files)]
+    return [(printable(role), printable(str(file.path)), file.sha256) for role, file in named]
+
+
+def _environment() -> Environment:
+    from jinja2 import DictLoader, Environment, StrictUndefined
+
+    return Environment(
+        loader=DictLoader({"page.html": _source("page.html")}),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _source(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _json(values: Any) -> str:
+    """Return JSON that is safe inside a script element."""
+    return json.dumps(values, allow_nan=False, ensure_ascii=True, separators=(",", ":")).translate(_JSON_ESCAPES)
