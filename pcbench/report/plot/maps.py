@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range
+from pcbench.report.colors import Range, height_range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import splat
@@ -30,6 +30,11 @@ LABELS = {
 _DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
 _MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points outside the common frame; beyond it the cloud has a separate frame
 _MIN_REPORTED_SHARE = 0.001  # of points outside the frame, for a note in the title
+
+
+def label_of(scalar: str) -> str:
+    """Return the label of a scalar's colour bar, without the unit."""
+    return LABELS.get(scalar, scalar.replace("_", " "))
 
 
 def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
@@ -88,8 +93,8 @@ def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: F
     colors, note = cloud.colors, ""
     if colors is None:
         height, inside = cloud.points[:, 2], shared.box.holds(cloud.points)
-        low, high = np.percentile(height[inside] if inside.any() else height, [0.5, 99.5])
-        colors, note = Range(float(low), max(float(high), float(low) + 1e-12)).colors(height), ", coloured by height"
+        colors = height_range(height[inside] if inside.any() else height).colors(height)
+        note = ", coloured by height"
     image = _image(cloud.points, colors, shared, look, shaded=True)
     compose(image, shared, f"reference ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
     return True

@@ -11,7 +11,7 @@ from pcbench.deformation import Deformation
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, ranges, robust_maximum
+from pcbench.report.colors import Range, ranges, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
 from pcbench.report.plot.views import Frame
@@ -81,11 +81,8 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
-    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
-    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
-    scales = ranges(highest, spacing=report.spacing_median, signed=signed, given=look.range)
-    label = f"{maps.LABELS.get(scalar, scalar.replace('_', ' '))} [{report.unit}]"
+    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
+    label = f"{maps.label_of(scalar)} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
 
     def picture(name: str, scale: Range) -> Picture:

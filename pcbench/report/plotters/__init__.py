@@ -1,0 +1,195 @@
+"""Interactive views of clouds: each function returns a `pyvista.Plotter` that is not yet shown.
+
+`.show()` opens a window or a notebook's viewer, `.screenshot(file)` writes a picture, and `.export_html(file)` writes a
+page; all are pyvista's own. Colours, colour ranges and frames are those of a report's pictures. Lengths are in the
+clouds' unit. The plotter's coordinates are relative to a local origin of round numbers, which the titles of the axes
+name: OpenGL computes in float32, which would round northings of UTM to half a metre.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray, as_rows
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
+from pcbench.io import CloudLike, to_cloud
+from pcbench.measure.wording import pluralize
+from pcbench.report.colors import Range, height_range, ranges_of
+from pcbench.report.figures import Figures
+from pcbench.report.plot.bends import round_exaggeration
+from pcbench.report.plot.maps import frame, label_of
+from pcbench.report.plotters.stage import WINDOW_SIZE, Stage, Window
+
+__all__ = ["cloud", "deviation", "displacements"]
+
+
+def cloud(
+    cloud: Mesh | CloudLike,
+    *,
+    unit: str | None = None,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_SIZE,
+    background: str = "dark",
+) -> Any:
+    """Return a plotter of a cloud in its own colours, or coloured by height; or of a mesh.
+
+    Args:
+        cloud: cloud, (N, 3) array, path of a file with a cloud, or mesh. The means of Gaussian splats are a cloud.
+        unit: unit of the coordinates; default: that of the cloud.
+        off_screen: whether to render without a window; default: as pyvista is set up.
+        window_size: width and height in pixels.
+        background: `dark`, `white`, `black` or `#rrggbb`.
+
+    Returns:
+        A `pyvista.Plotter`.
+
+    Raises:
+        InputError: the cloud or the background is invalid.
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+    shown = cloud if isinstance(cloud, Mesh) else to_cloud(cloud)
+    points = _points(shown)
+    stage = Stage(frame(None, {"": points}), unit or shown.unit, Window(off_screen, window_size, background))
+    if isinstance(shown, Mesh):
+        stage.add_surface(shown, "mesh", color="#c8ccd0")
+        stage.write_title(pluralize(len(shown), "face"))
+        return stage.plotter
+    if shown.colors is not None:
+        stage.add_points(shown.points, "cloud", scalars=shown.colors, rgb=True, pickable=True)
+    else:
+        heights = shown.points[:, 2]
+        stage.add_bar(stage.add_values(shown.points, heights, height_range(heights)), "height")
+    stage.write_title(pluralize(len(shown), "point"))
+    return stage.plotter
+
+
+def deviation(
+    reference: Mesh | CloudLike | None,
+    cloud: CloudLike,
+    values: str | ArrayLike,
+    *,
+    label: str | None = None,
+    range: float | None = None,
+    unit: str | None = None,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_SIZE,
+    background: str = "dark",
+) -> Any:
+    """Return a plotter of a cloud coloured by distances, with the reference as a pale ghost.
+
+    Signed values have a diverging colour map that is symmetric about 0, unsigned ones a sequential map from 0. The
+    range ends at the 95th percentile of the absolute values. Points whose value is NaN are left out.
+
+    Args:
+        reference: cloud, (N, 3) array, path of a file with a cloud, or mesh; None: no ghost.
+        cloud: cloud, (M, 3) array, or path of a file, in the reference's coordinates.
+        values: (M,) distances, or the name of an attribute of the cloud.
+        label: label of the colour bar; default: the description of a name that pcbench knows, or the name.
+        range: distance at which the colour range ends.
+        unit: unit of coordinates and distances; default: that of the reference, or of the cloud.
+        off_screen: as in `cloud`.
+        window_size: as in `cloud`.
+        background: as in `cloud`.
+
+    Returns:
+        A `pyvista.Plotter`.
+
+    Raises:
+        InputError: a cloud, the values or an option is invalid.
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+    shown = to_cloud(cloud)
+    name = values if isinstance(values, str) else "distance"
+    known, scalars = _known_values(shown, values)
+    scale = ranges_of({name: scalars}, given=Figures(range=range).range)[name]
+    ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
+    measured = None if ghost is None else _points(ghost)
+    unit = unit or (None if ghost is None else ghost.unit) or shown.unit
+    stage = Stage(frame(measured, {"": known}), unit, Window(off_screen, window_size, background))
+    if ghost is not None:
+        stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
+    stage.add_bar(stage.add_values(known.points, scalars, scale), label or label_of(name))
+    stage.write_title(pluralize(len(known), "point"))
+    return stage.plotter
+
+
+def displacements(
+    cloud: CloudLike,
+    places: ArrayLike,
+    vectors: ArrayLike,
+    *,
+    exaggeration: float | None = None,
+    unit: str | None = None,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_SIZE,
+    background: str = "dark",
+) -> Any:
+    """Return a plotter of displacements as exaggerated arrows over a pale cloud, coloured by their vertical part.
+
+    Args:
+        cloud: cloud, (N, 3) array, or path of a file with a cloud.
+        places: (M, 3) places, such as `deformation.field.places`.
+        vectors: (M, 3) displacements there, such as `deformation.field.displacements`.
+        exaggeration: factor of the arrows' lengths; default: a round number that makes long arrows a tenth of the
+            scene.
+        unit: unit of coordinates and displacements; default: that of the cloud.
+        off_screen: as in `cloud`.
+        window_size: as in `cloud`.
+        background: as in `cloud`.
+
+    Returns:
+        A `pyvista.Plotter`.
+
+    Raises:
+        InputError: an argument is invalid, or all displacements are zero.
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+    shown = to_cloud(cloud)
+    tails, arrows = as_rows("places", places), as_rows("vectors", vectors)
+    if tails.shape != arrows.shape:
+        raise InputError(f"expected one vector for each of the {len(tails)} places, got {len(arrows)}")
+    lengths = np.linalg.norm(arrows, axis=1)
+    moved = np.isfinite(lengths) & (lengths > 0)
+    if not moved.any():
+        raise InputError("expected displacements, got none that is finite and not zero")
+    tails, arrows, typical = tails[moved], arrows[moved], float(np.percentile(lengths[moved], 95))
+    stage = Stage(frame(None, {"": shown}), unit or shown.unit, Window(off_screen, window_size, background))
+    factor = exaggeration or round_exaggeration(typical, stage.frame.box)
+    stage.add_ghost(shown.points)
+    actor = stage.add_arrows(tails, factor * arrows, arrows[:, 2], Range(-typical, typical, signed=True))
+    stage.add_bar(actor, "vertical displacement")
+    stage.write_title(f"displacements exaggerated {factor:g} times")
+    return stage.plotter
+
+
+def _points(shown: Cloud | Mesh) -> Cloud:
+    """Return a cloud, or the vertices of a mesh."""
+    return Cloud(shown.vertices) if isinstance(shown, Mesh) else shown
+
+
+def _known_values(cloud: Cloud, values: str | ArrayLike) -> tuple[Cloud, FloatArray]:
+    """Return the points whose value is finite, with their values.
+
+    Raises:
+        InputError: the cloud has no such attribute, or not as many points as values; or no value is finite.
+    """
+    if isinstance(values, str):
+        if values not in cloud.attributes:
+            names = ", ".join(cloud.attributes) or "none"
+            raise InputError(f"expected an attribute of the cloud, got {values!r}; it has: {names}")
+        values = cloud.attributes[values]
+    scalars = np.asarray(values, np.float64)
+    if scalars.shape != (len(cloud),):
+        raise InputError(f"expected values of shape ({len(cloud)},), one per point, got {scalars.shape}")
+    known = np.isfinite(scalars)
+    if not known.any():
+        raise InputError("expected at least one finite value, got none")
+    return (cloud, scalars) if known.all() else (cloud.select(known), scalars[known])

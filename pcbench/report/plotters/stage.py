@@ -1,0 +1,225 @@
+"""A `pyvista.Plotter` with the appearance of a report's pictures: frame, colours, axes with their unit, colour bar."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.extras import require
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.mesh import Mesh
+from pcbench.opengl import check_opengl, select_opengl
+from pcbench.report.colors import Range
+from pcbench.report.figures import Figures, ink
+from pcbench.report.plot.views import VIEWS, Frame
+from pcbench.report.plotters.axes import axes_of
+
+WINDOW_SIZE = (1200, 800)
+UNKNOWN_UNIT = "units of the file"
+_VIEW = VIEWS[1]  # from the south-west
+_FRAME_SHARE = (0.84, 0.68)  # of the window's width and height, for the frame; the rest is for title, axes and bar
+_RAISED_SHARE = 0.06  # of the window's height by which the frame's middle lies above the window's
+_COLORS = 256  # entries of a lookup table
+_AXES_OPACITY = 0.6
+_NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
+_DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
+_MIN_DOT_PX, _MAX_DOT_PX = 2.0, 6.0
+_GHOST_POINTS = 40_000  # more translucent points would add up to an opaque layer
+_GHOST_OPACITY, _GHOST_DOT_PX = 0.25, 2.0
+_PALE = [138, 138, 138]
+
+
+class Window(NamedTuple):
+    """A window, or the picture that is rendered without one.
+
+    Attributes:
+        off_screen: whether to render without a window; None: as pyvista is set up.
+        size: width and height in pixels.
+        background: background colour, see `Figures`.
+    """
+
+    off_screen: bool | None = None
+    size: tuple[int, int] = WINDOW_SIZE
+    background: str = "dark"
+
+
+class Stage:
+    """A plotter with a frame and a local origin.
+
+    OpenGL computes in float32, which has steps of half a metre at the northings of UTM. Points are therefore moved to
+    a local origin of round coordinates, which the titles of the axes name.
+
+    Args:
+        frame: the frame of the scene.
+        unit: unit of lengths.
+        window: the window.
+
+    Attributes:
+        plotter: the plotter, which is not yet shown.
+        origin: (3,) the local origin.
+        frame: the frame.
+        unit: unit of lengths, or words for an unknown one.
+        ink: colour of text on the background.
+
+    Raises:
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+
+    def __init__(self, frame: Frame, unit: str | None, window: Window) -> None:
+        ground = Figures(window.background).ground("dark")
+        check_opengl()  # before VTK, which pyvista imports
+        select_opengl()
+        self._pyvista = require("pyvista")
+        self.plotter = self._pyvista.Plotter(
+            off_screen=window.off_screen, window_size=list(window.size), title="pcbench"
+        )
+        self.plotter.set_background(ground)
+        self.ink = ink(ground)
+        self.unit, self.frame, self._size = unit or UNKNOWN_UNIT, frame, window.size
+        self.origin = local_origin(frame)
+        self._add_axes()
+        self._place_camera()
+
+    def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
+        """Add points (N, 3) as round dots, and return the actor.
+
+        Args:
+            points: (N, 3) in the clouds' coordinates.
+            name: name of the actor, which replaces an earlier one of that name.
+            how: arguments of `pyvista.Plotter.add_mesh`; `scalars` are (N,) values or (N, 3) colours.
+        """
+        local = (points - self.origin).astype(np.float32)
+        inside = max(int(np.count_nonzero(self.frame.box.holds(points))), 1)
+        dot = float(np.clip(_DOT_SHARE * np.sqrt(self._size[0] * self._size[1] / inside), _MIN_DOT_PX, _MAX_DOT_PX))
+        options = {"point_size": dot, "pickable": False, **how}
+        return self.plotter.add_mesh(
+            self._pyvista.PolyData(local),
+            style="points",
+            name=name,
+            render_points_as_spheres=True,
+            lighting=False,  # light would change the colours, which show values
+            show_scalar_bar=False,
+            reset_camera=False,
+            **options,
+        )
+
+    def add_surface(self, mesh: Mesh, name: str, **how: Any) -> Any:
+        """Add a mesh with light from the camera, and return the actor."""
+        surface = mesh.shifted(self.origin).to_pyvista()
+        return self.plotter.add_mesh(surface, name=name, reset_camera=False, pickable=False, **how)
+
+    def add_ghost(self, reference: FloatArray | Mesh) -> Any:
+        """Add the reference, points (N, 3) or a mesh, as a pale, translucent ghost, and return the actor."""
+        how: dict[str, Any] = {"color": _PALE, "opacity": _GHOST_OPACITY}
+        if isinstance(reference, Mesh):
+            return self.add_surface(reference, "reference", **how)
+        thinned = reference[:: -(-len(reference) // _GHOST_POINTS)]
+        return self.add_points(thinned, "reference", point_size=_GHOST_DOT_PX, **how)
+
+    def add_values(self, points: FloatArray, values: FloatArray, scale: Range, name: str = "values") -> Any:
+        """Add points (N, 3) coloured by finite values (N,), which a mouse click can pick, and return the actor."""
+        return self.add_points(
+            points, name, scalars=values, cmap=self.lookup_table(scale), clim=(scale.low, scale.high), pickable=True
+        )
+
+    def add_arrows(self, tails: FloatArray, vectors: FloatArray, values: FloatArray, scale: Range) -> Any:
+        """Add arrows from tails (N, 3) along vectors (N, 3), coloured by values (N,), and return the actor."""
+        data = self._pyvista.PolyData((tails - self.origin).astype(np.float32))
+        data["vectors"], data["values"] = vectors, values
+        arrows = data.glyph(orient="vectors", scale="vectors", geom=self._pyvista.Arrow(shaft_resolution=8))
+        table = self.lookup_table(scale)
+        how = {"cmap": table, "clim": (scale.low, scale.high), "lighting": False, "show_scalar_bar": False}
+        return self.plotter.add_mesh(arrows, scalars="values", name="arrows", reset_camera=False, pickable=False, **how)
+
+    def lookup_table(self, scale: Range) -> Any:
+        """Return the colours of a range as a `pyvista.LookupTable`."""
+        middles = scale.low + (np.arange(_COLORS) + 0.5) * (scale.high - scale.low) / _COLORS
+        opaque = np.full((_COLORS, 1), 255, np.uint8)
+        values = np.concatenate([scale.colors(middles), opaque], axis=1)
+        return self._pyvista.LookupTable(values=values, scalar_range=(scale.low, scale.high))
+
+    def add_bar(self, actor: Any, label: str) -> None:
+        """Add the colour bar of an actor, with its label and the unit; it replaces an earlier one."""
+        for title in [*self.plotter.scalar_bars.keys()]:
+            self.plotter.remove_scalar_bar(title, render=False)
+        self.plotter.add_scalar_bar(
+            title=f"{label} [{self.unit}]\n",
+            mapper=actor.mapper,
+            vertical=False,
+            position_x=0.27,
+            position_y=0.03,
+            width=0.46,
+            height=0.09,
+            n_labels=5,
+            fmt="%.3g",
+            color=self.ink,
+            title_font_size=16,
+            label_font_size=14,
+            unconstrained_font_size=True,
+        )
+
+    def write_title(self, text: str) -> None:
+        """Write the title at the upper edge; it replaces an earlier one."""
+        self.plotter.add_text(
+            text, position=(0.015, 0.955), viewport=True, font_size=11, color=self.ink, name="title"
+        )
+
+    def _add_axes(self) -> None:
+        """Add axes along the lower edges of the frame's box, with ticks and labels at round coordinates."""
+        axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin)
+        ends = np.concatenate([axis.ends for axis in axes] + [axis.ticks.reshape(-1, 3) for axis in axes])
+        lines = np.column_stack([np.full(len(ends) // 2, 2), np.arange(len(ends)).reshape(-1, 2)])
+        shown = self._pyvista.PolyData(ends.astype(np.float32), lines=lines.ravel())
+        look = {"color": self.ink, "opacity": _AXES_OPACITY, "lighting": False}
+        self.plotter.add_mesh(shown, name="axes", pickable=False, reset_camera=False, **look)
+        titles = [f"{name}{_minus(start)} [{self.unit}]" for name, start in zip("xyz", self.origin, strict=True)]
+        places = [axis.places for axis in axes] + [axis.title_place[None] for axis in axes]
+        labels = [f"{value:.10g}" for axis in axes for value in axis.values] + titles
+        self.plotter.add_point_labels(
+            np.concatenate(places),
+            labels,
+            name="axis labels",
+            show_points=False,
+            shape=None,
+            always_visible=True,
+            text_color=self.ink,
+            font_size=13,
+            bold=False,
+            justification_horizontal="center",
+            justification_vertical="center",
+            reset_camera=False,
+        )
+        self.plotter.add_axes(color=self.ink, line_width=3)
+
+    def _place_camera(self) -> None:
+        """Show the window of the frame, with parallel projection as in the pictures."""
+        low, high = self.frame.windows[VIEWS.index(_VIEW)]
+        right, up, toward = _VIEW.axes
+        width, height = (high - low) / _FRAME_SHARE
+        aspect = self._size[0] / self._size[1]
+        visible = max(float(height), float(width) / aspect)  # height of the whole window
+        middle = 0.5 * (low + high)
+        center = self.frame.box.center - self.origin
+        focus = center + middle[0] * right + (middle[1] - _RAISED_SHARE * visible) * up
+        camera = self.plotter.camera
+        camera.parallel_projection = True
+        camera.focal_point, camera.position = focus.tolist(), (focus + 2 * visible * toward).tolist()
+        camera.up, camera.parallel_scale = _VIEW.up, 0.5 * visible
+        self.plotter.camera_set = True
+
+
+def local_origin(frame: Frame) -> FloatArray:
+    """Return round coordinates (3,) at or below a frame's lower corner; 0 on axes on which the frame is near 0."""
+    low, high = frame.box.low, frame.box.high
+    extent = max(float((high - low).max()), 1e-9)
+    step = 10.0 ** np.floor(np.log10(extent))
+    far = np.maximum(np.abs(low), np.abs(high)) > _NEAR_EXTENTS * extent
+    origin: FloatArray = np.where(far, step * np.floor(low / step), 0.0)
+    return origin
+
+
+def _minus(start: float) -> str:
+    """Return what was subtracted from a coordinate, such as " − 637,000"; nothing for 0."""
+    return f" {'−' if start > 0 else '+'} {abs(start):,.10g}" if start else ""
