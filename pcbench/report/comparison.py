@@ -19,11 +19,13 @@ from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
 from pcbench.progress import ProgressPlan
-from pcbench.report import plot
+from pcbench.report import plot, plotters
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.names import names_of
+from pcbench.report.plotters.candidates import CandidateMaps
+from pcbench.report.plotters.stage import WINDOW_SIZE, Window
 from pcbench.report.reading import named_files, read_candidate, read_reference
 from pcbench.report.table import html
 
@@ -60,6 +62,48 @@ class Comparison(SourcedComparison):
             problem = plot.draw_if_possible(scratch, figures=style) if figures else None
         if problem is not None:
             warnings.warn(problem, stacklevel=2)
+
+    def plot(
+        self,
+        name: str,
+        scalar: str = "plane_distance",
+        *,
+        range: float | None = None,
+        off_screen: bool | None = None,
+        window_size: tuple[int, int] = WINDOW_SIZE,
+        background: str = "dark",
+    ) -> Any:
+        """Return a plotter of one candidate, with the frame and the colour ranges of the report's pictures.
+
+        Args:
+            name: name of the candidate.
+            scalar: a scalar of its deviation map, coloured, with the reference as a ghost; `m3c2_distance`;
+                `completeness`: the reference, coloured by its distance to the candidate; or `deformation`: arrows.
+            range: distance at which the colour range ends; default: as in the pictures. Not for `deformation`.
+            off_screen: as in `pcbench.plot.cloud`.
+            window_size: as in `pcbench.plot.cloud`.
+            background: as in `pcbench.plot.cloud`.
+
+        Returns:
+            A `pyvista.Plotter` that is not yet shown: `.show()` opens a window, `.screenshot(file)` writes a picture.
+
+        Raises:
+            KeyError: no candidate has that name.
+            InputError: the candidate has no such map or no displacements, or an option is invalid.
+            MissingExtra: pyvista is not installed.
+            NoFiguresError: there is neither a display nor EGL nor OSMesa.
+        """
+        candidate, window = self[name], Window(off_screen, window_size, background)
+        if scalar == "deformation":
+            field = candidate.deformation.field
+            if field is None or not field.displacements.any():
+                raise InputError(f"{name}: the {candidate.deformation.model} model has no displacements")
+            cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
+            return plotters.show_displacements(
+                name, cloud, field.places, field.displacements, None, None, window
+            ).plotter
+        maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
+        return maps.stage(name, scalar, window).plotter
 
     def _repr_html_(self) -> str:
         """Return the table for a notebook."""

@@ -74,16 +74,20 @@ def draw_coloured_cloud(
     """
     known = np.isfinite(values)
     points, values = cloud.points[known], values[known]
-    outside = 1 - shared.box.share(points)
-    note = ""
-    if outside > _MAX_OUTSIDE_SHARE:
-        shared = Frame.of(AxisBox.around(points), [points])
-        note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
-    elif outside > _MIN_REPORTED_SHARE:
-        note = f"{100 * outside:.1f} % of points outside the frame"
+    shared, note = frame_of(points, shared)
     image = _image(points, scale.colors(values), shared, look)
     compose(image, shared, join_title(title, note), unit, path, look, scale=scale, label=label)
     return True
+
+
+def frame_of(points: FloatArray, shared: Frame) -> tuple[Frame, str]:
+    """Return the common frame, or a separate one if it lacks most of the points (N, 3), and a note for the title."""
+    outside = 1 - shared.box.share(points)
+    if outside > _MAX_OUTSIDE_SHARE:
+        note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
+        return Frame.of(AxisBox.around(points), [points]), note
+    note = f"{100 * outside:.1f} % of points outside the frame" if outside > _MIN_REPORTED_SHARE else ""
+    return shared, note
 
 
 def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:

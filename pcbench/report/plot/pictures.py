@@ -15,7 +15,7 @@ from pcbench.report.colors import Range, ranges, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
 from pcbench.report.plot.views import Frame
-from pcbench.report.read import Report, ReportedCandidate, read_deformation, read_report
+from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -32,7 +32,7 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
         return {}
     cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
     frame = maps.frame(None, {"candidate": cloud})
-    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or "units of the file", frame, look)
+    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or UNKNOWN_UNIT, frame, look)
 
 
 def _deformation_pictures(

@@ -152,7 +152,22 @@ def displacements(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    shown = to_cloud(cloud)
+    window = Window(off_screen, window_size, background)
+    return show_displacements("", to_cloud(cloud), places, vectors, exaggeration, unit, window).plotter
+
+
+def show_displacements(
+    name: str,
+    cloud: Cloud,
+    places: ArrayLike,
+    vectors: ArrayLike,
+    exaggeration: float | None,
+    unit: str | None,
+    window: Window,
+) -> Stage:
+    """Return a stage with `displacements`, with a name in its title."""
+    if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
+        raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
     tails, arrows = as_rows("places", places), as_rows("vectors", vectors)
     if tails.shape != arrows.shape:
         raise InputError(f"expected one vector for each of the {len(tails)} places, got {len(arrows)}")
@@ -161,13 +176,13 @@ def displacements(
     if not moved.any():
         raise InputError("expected displacements, got none that is finite and not zero")
     tails, arrows, typical = tails[moved], arrows[moved], float(np.percentile(lengths[moved], 95))
-    stage = Stage(frame(None, {"": shown}), unit or shown.unit, Window(off_screen, window_size, background))
+    stage = Stage(frame(None, {"": cloud}), unit or cloud.unit, window)
     factor = exaggeration or round_exaggeration(typical, stage.frame.box)
-    stage.add_ghost(shown.points)
+    stage.add_ghost(cloud.points)
     actor = stage.add_arrows(tails, factor * arrows, arrows[:, 2], Range(-typical, typical, signed=True))
     stage.add_bar(actor, "vertical displacement")
-    stage.write_title(f"displacements exaggerated {factor:g} times")
-    return stage.plotter
+    stage.write_title(f"{name + ': ' if name else ''}displacements exaggerated {factor:g} times")
+    return stage
 
 
 def _points(shown: Cloud | Mesh) -> Cloud:

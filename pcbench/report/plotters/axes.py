@@ -10,7 +10,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.plot.views import round_length
 
 _INTERVALS = 4  # at least this many between the labels of the longest axis
-_MIN_INTERVAL_SHARE = 0.08  # of the longest axis, between labels that do not overlap
+_MIN_INTERVAL_SHARE = 0.08  # of the longest axis, between the labels of an axis; a shorter axis has two
 _TICK_SHARE, _LABEL_SHARE, _TITLE_SHARE = 0.015, 0.05, 0.13  # distances from the axis, as shares of the longest axis
 
 
@@ -41,7 +41,7 @@ def axes_of(low: FloatArray, high: FloatArray) -> tuple[Axis, Axis, Axis]:
     """
     longest = float((high - low).max()) or 1.0
     left = np.array([low[0], high[1], low[2]])  # the corner of the vertical axis
-    outwards = np.array([[0.0, -1, 0], [-1, 0, 0], [-0.5**0.5, 0.5**0.5, 0]])
+    outwards = np.array([[0.0, -1, 0], [-1, 0, 0], [-(0.5**0.5), 0.5**0.5, 0]])
     starts = (low, low, left)
     return tuple(_axis(k, starts[k], float(high[k]), outwards[k], longest) for k in range(3))  # type: ignore[return-value]
 
@@ -49,9 +49,9 @@ def axes_of(low: FloatArray, high: FloatArray) -> tuple[Axis, Axis, Axis]:
 def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: float) -> Axis:
     length = end - float(start[k])
     step = round_length(max(length / _INTERVALS, 1e-300))
-    while step < _MIN_INTERVAL_SHARE * longest:
-        step = round_length(2.5 * step)
-    values = step * np.arange(np.ceil(start[k] / step - 1e-9), np.floor(end / step + 1e-9) + 1) + 0.0  # no -0
+    values = _multiples(step, float(start[k]), end)
+    if step < _MIN_INTERVAL_SHARE * longest:
+        values = values[[0, -1]] if len(values) > 1 else values  # more labels would overlap
     unit = np.eye(3)[k]
     at = start + (values[:, None] - start[k]) * unit
     stop = start + length * unit
@@ -63,3 +63,11 @@ def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: 
         places=at + _LABEL_SHARE * longest * outwards,
         title_place=stop + _LABEL_SHARE * longest * unit if k == 2 else middle + _TITLE_SHARE * longest * outwards,
     )
+
+
+def _multiples(step: float, low: float, high: float) -> FloatArray:
+    """Return the multiples of a step from `low` to `high`."""
+    multiples: FloatArray = (
+        step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) + 0.0
+    )  # no -0
+    return multiples

@@ -14,12 +14,15 @@ from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.views import VIEWS, Frame
 from pcbench.report.plotters.axes import axes_of
+from pcbench.report.read import UNKNOWN_UNIT
 
 WINDOW_SIZE = (1200, 800)
-UNKNOWN_UNIT = "units of the file"
 _VIEW = VIEWS[1]  # from the south-west
-_FRAME_SHARE = (0.84, 0.68)  # of the window's width and height, for the frame; the rest is for title, axes and bar
-_RAISED_SHARE = 0.06  # of the window's height by which the frame's middle lies above the window's
+_FRAME_SHARE = (
+    0.88,
+    0.76,
+)  # of the window's width and height, for frame and axes; the rest is for the title and the bar
+_RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
 _AXES_OPACITY = 0.6
 _NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
@@ -77,10 +80,9 @@ class Stage:
         )
         self.plotter.set_background(ground)
         self.ink = ink(ground)
-        self.unit, self.frame, self._size = unit or UNKNOWN_UNIT, frame, window.size
+        self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
         self.origin = local_origin(frame)
-        self._add_axes()
-        self._place_camera()
+        self._place_camera(self._add_axes())
 
     def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
         """Add points (N, 3) as round dots, and return the actor.
@@ -162,23 +164,22 @@ class Stage:
 
     def write_title(self, text: str) -> None:
         """Write the title at the upper edge; it replaces an earlier one."""
-        self.plotter.add_text(
-            text, position=(0.015, 0.955), viewport=True, font_size=11, color=self.ink, name="title"
-        )
+        self.plotter.add_text(text, position=(0.015, 0.955), viewport=True, font_size=11, color=self.ink, name="title")
 
-    def _add_axes(self) -> None:
-        """Add axes along the lower edges of the frame's box, with ticks and labels at round coordinates."""
+    def _add_axes(self) -> FloatArray:
+        """Add axes along edges of the frame's box, and return the places (K, 3) of their labels."""
         axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin)
         ends = np.concatenate([axis.ends for axis in axes] + [axis.ticks.reshape(-1, 3) for axis in axes])
         lines = np.column_stack([np.full(len(ends) // 2, 2), np.arange(len(ends)).reshape(-1, 2)])
         shown = self._pyvista.PolyData(ends.astype(np.float32), lines=lines.ravel())
         look = {"color": self.ink, "opacity": _AXES_OPACITY, "lighting": False}
         self.plotter.add_mesh(shown, name="axes", pickable=False, reset_camera=False, **look)
-        titles = [f"{name}{_minus(start)} [{self.unit}]" for name, start in zip("xyz", self.origin, strict=True)]
-        places = [axis.places for axis in axes] + [axis.title_place[None] for axis in axes]
+        unit = f" [{self._known_unit}]" if self._known_unit else ""
+        titles = [f"{name}{_minus(start)}{unit}" for name, start in zip("xyz", self.origin, strict=True)]
+        places = np.concatenate([axis.places for axis in axes] + [axis.title_place[None] for axis in axes])
         labels = [f"{value:.10g}" for axis in axes for value in axis.values] + titles
         self.plotter.add_point_labels(
-            np.concatenate(places),
+            places,
             labels,
             name="axis labels",
             show_points=False,
@@ -192,16 +193,17 @@ class Stage:
             reset_camera=False,
         )
         self.plotter.add_axes(color=self.ink, line_width=3)
+        return places
 
-    def _place_camera(self) -> None:
-        """Show the window of the frame, with parallel projection as in the pictures."""
-        low, high = self.frame.windows[VIEWS.index(_VIEW)]
+    def _place_camera(self, labels: FloatArray) -> None:
+        """Show the window of the frame and the places (K, 3) of labels, with parallel projection as in the pictures."""
         right, up, toward = _VIEW.axes
-        width, height = (high - low) / _FRAME_SHARE
-        aspect = self._size[0] / self._size[1]
-        visible = max(float(height), float(width) / aspect)  # height of the whole window
-        middle = 0.5 * (low + high)
         center = self.frame.box.center - self.origin
+        shown = np.concatenate([self.frame.windows[VIEWS.index(_VIEW)], (labels - center) @ _VIEW.axes[:2].T])
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        width, height = (high - low) / _FRAME_SHARE
+        visible = max(float(height), float(width) * self._size[1] / self._size[0])  # height of the whole window
+        middle = 0.5 * (low + high)
         focus = center + middle[0] * right + (middle[1] - _RAISED_SHARE * visible) * up
         camera = self.plotter.camera
         camera.parallel_projection = True
