@@ -90,7 +90,7 @@ def deviation(
         reference: cloud, (N, 3) array, path of a file with a cloud, or mesh; None: no ghost.
         cloud: cloud, (M, 3) array, or path of a file, in the reference's coordinates.
         values: (M,) distances, or the name of an attribute of the cloud.
-        label: label of the colour bar; default: the description of a name that pcbench knows, or the name.
+        label: label of the colour bar; default: the description of a scalar of a report, or the name, or `distance`.
         range: distance at which the colour range ends.
         unit: unit of coordinates and distances; default: that of the reference, or of the cloud.
         off_screen: as in `cloud`.
@@ -106,16 +106,16 @@ def deviation(
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
     shown = to_cloud(cloud)
-    name = values if isinstance(values, str) else "distance"
     known, scalars = _known_values(shown, values)
-    scale = ranges_of({name: scalars}, given=Figures(range=range).range)[name]
+    scale = ranges_of({"": scalars}, given=Figures(range=range).range)[""]
     ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit
     stage = Stage(frame(measured, {"": known}), unit, Window(off_screen, window_size, background))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
-    stage.add_bar(stage.add_values(known.points, scalars, scale), label or label_of(name))
+    label = label or (label_of(values) if isinstance(values, str) else "distance")
+    stage.add_bar(stage.add_values(known.points, scalars, scale), label)
     stage.write_title(pluralize(len(known), "point"))
     return stage.plotter
 

@@ -10,7 +10,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.plot.views import round_length
 
 _INTERVALS = 4  # at least this many between the labels of the longest axis
-_MIN_INTERVAL_SHARE = 0.08  # of the longest axis, between the labels of an axis; a shorter axis has two
+_MIN_INTERVAL_SHARE = 0.08  # of the longest axis, between labels; an axis that is too short for four has two
+_MIN_AXIS_SHARE = 0.04  # of the longest axis, for an axis with labels
 _TICK_SHARE, _LABEL_SHARE, _TITLE_SHARE = 0.015, 0.05, 0.13  # distances from the axis, as shares of the longest axis
 
 
@@ -51,7 +52,7 @@ def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: 
     step = round_length(max(length / _INTERVALS, 1e-300))
     values = _multiples(step, float(start[k]), end)
     if step < _MIN_INTERVAL_SHARE * longest:
-        values = values[[0, -1]] if len(values) > 1 else values  # more labels would overlap
+        values = values[[0, -1]] if length >= _MIN_AXIS_SHARE * longest and len(values) > 1 else values[:0]
     unit = np.eye(3)[k]
     at = start + (values[:, None] - start[k]) * unit
     stop = start + length * unit

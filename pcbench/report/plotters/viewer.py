@@ -84,6 +84,7 @@ class ReportViewer:
         low = -end if self._range.signed else 0.0
         mapper = self.plotter.actors["values"].mapper
         mapper.lookup_table.scalar_range = mapper.scalar_range = (low, end)
+        self.plotter.render()
 
     def describe(self, row: int) -> str:
         """Return lines about a point of the map: coordinates, value, and statistics of its neighbours.
