@@ -15,7 +15,7 @@ _MIN_AXIS_SHARE = 0.04  # of the longest axis, for an axis with labels
 _TICK_SHARE, _LABEL_SHARE, _TITLE_SHARE = 0.015, 0.05, 0.13  # distances from the axis, as shares of the longest axis
 
 
-class Axis(NamedTuple):
+class LabelledAxis(NamedTuple):
     """An axis of a box.
 
     Attributes:
@@ -33,7 +33,7 @@ class Axis(NamedTuple):
     title_place: FloatArray
 
 
-def axes_of(low: FloatArray, high: FloatArray) -> tuple[Axis, Axis, Axis]:
+def axes_of(low: FloatArray, high: FloatArray) -> tuple[LabelledAxis, LabelledAxis, LabelledAxis]:
     """Return the axes of a box, placed at the edges that the view from the south-west shows in front and on the left.
 
     Args:
@@ -47,7 +47,7 @@ def axes_of(low: FloatArray, high: FloatArray) -> tuple[Axis, Axis, Axis]:
     return tuple(_axis(k, starts[k], float(high[k]), outwards[k], longest) for k in range(3))  # type: ignore[return-value]
 
 
-def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: float) -> Axis:
+def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: float) -> LabelledAxis:
     length = end - float(start[k])
     step = round_length(max(length / _INTERVALS, 1e-300))
     values = _multiples(step, float(start[k]), end)
@@ -57,7 +57,7 @@ def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: 
     at = start + (values[:, None] - start[k]) * unit
     stop = start + length * unit
     middle = 0.5 * (start + stop)
-    return Axis(
+    return LabelledAxis(
         ends=np.stack([start, stop]),
         values=values,
         ticks=np.stack([at, at + _TICK_SHARE * longest * outwards], axis=1),
