@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import shapes
 from optional import break_library, import_or_skip
+from scene_folders import NAMES, orbit, ten_images_folder
 from wording import check_error, check_text
 
 import pcbench
 from pcbench import Cloud, Mesh
 from pcbench.errors import InputError, MissingExtra
+from pcbench.io.colmap_model import write_colmap_model
 from pcbench.opengl import NoFiguresError
 from pcbench.report.colors import Range
 from pcbench.report.plot.views import AxisBox, Frame
@@ -143,6 +145,23 @@ def test_window_size_and_background():
     picture = render(pcbench.plot.cloud(np.eye(3), off_screen=True, window_size=(300, 200), background="#204060"))
     assert picture.shape == (200, 300, 3)
     assert picture[100, 2].tolist() == [0x20, 0x40, 0x60]
+
+
+def test_cameras_are_pyramids_about_their_positions(tmp_path):
+    photographs = ten_images_folder(tmp_path)
+    points = Cloud(np.random.default_rng(0).normal(size=(500, 3)))
+    write_colmap_model(photographs / "sparse/0", orbit(NAMES), points)
+    plotter = pcbench.plot.cameras(photographs, off_screen=True)
+    pyramids = plotter.actors["cameras"].mapper.dataset
+    assert pyramids.n_cells == len(NAMES)
+    assert pyramids.n_points == 11 * len(NAMES)
+    assert {"order", "reference"} <= plotter.actors.keys()
+    check_text(plotter.actors["title"].input)
+    picture = render(plotter)
+    assert pixels_of(picture, (0x56, 0xB4, 0xE9)) > 100
+    assert pixels_of(picture, (0xE6, 0x9F, 0x00)) > 20
+    with check_error():
+        pcbench.plot.cameras(pcbench.read_scene(photographs, cameras="none"))
 
 
 def test_displacements_are_exaggerated_by_a_round_factor():

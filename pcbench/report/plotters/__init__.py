@@ -8,6 +8,8 @@ name: OpenGL computes in float32, which would round northings of UTM to half a m
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,15 @@ from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot.bends import round_exaggeration
+from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.maps import frame, label_of
+from pcbench.report.plot.views import AxisBox, Frame
 from pcbench.report.plotters.stage import WINDOW_SIZE, Stage, Window
+from pcbench.scenes import Scene, read_scene
 
-__all__ = ["cloud", "deviation", "displacements"]
+__all__ = ["cameras", "cloud", "deviation", "displacements"]
+
+_CAMERA_COLOR, _PATH_COLOR = "#56b4e9", "#e69f00"  # Okabe and Ito; readable on dark and light backgrounds
 
 
 def cloud(
@@ -154,6 +161,50 @@ def displacements(
     """
     window = Window(off_screen, window_size, background)
     return show_displacements("", to_cloud(cloud), places, vectors, exaggeration, unit, window).plotter
+
+
+def cameras(
+    scene: Scene | str | os.PathLike[str],
+    *,
+    off_screen: bool | None = None,
+    window_size: tuple[int, int] = WINDOW_SIZE,
+    background: str = "dark",
+) -> Any:
+    """Return a plotter of a scene's cameras as pyramids, with their order as a line or rings, and its sparse points.
+
+    Frames without a vertical axis are rotated as in the picture of `pcbench scene --figure`. A scene without cameras is
+    shown by its GPS positions.
+
+    Args:
+        scene: scene, or folder of one.
+        off_screen: as in `cloud`.
+        window_size: as in `cloud`.
+        background: as in `cloud`.
+
+    Returns:
+        A `pyvista.Plotter`.
+
+    Raises:
+        InputError: the scene cannot be read, or has neither cameras nor positions.
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+    drawing = camera_drawing(scene if isinstance(scene, Scene) else read_scene(Path(scene)))
+    everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
+    box = AxisBox(everything.min(axis=0), everything.max(axis=0))
+    window = Window(off_screen, window_size, background)
+    unit = "m" if drawing.unit == "m" else None
+    stage = Stage(Frame.of(box, [everything]), unit, window, drawing.axes)
+    if len(drawing.points):
+        stage.add_ghost(drawing.points)
+    if rings := rings_of(drawing.positions):
+        stage.add_lines(rings, "order", _PATH_COLOR)
+    if drawing.outlines:
+        stage.add_lines(drawing.outlines, "cameras", _CAMERA_COLOR)
+    else:
+        stage.add_points(drawing.positions, "cameras", color=_CAMERA_COLOR)
+    stage.write_title(drawing.title)
+    return stage.plotter
 
 
 def show_displacements(

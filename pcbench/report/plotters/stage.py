@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +19,11 @@ from pcbench.report.read import UNKNOWN_UNIT
 
 WINDOW_SIZE = (1200, 800)
 _VIEW = VIEWS[1]  # from the south-west
-_FRAME_SHARE = (
-    0.88,
-    0.76,
-)  # of the window's width and height, for frame and axes; the rest is for the title and the bar
+_FRAME_SHARE = (0.88, 0.76)  # of the window's width and height, for frame and axes
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
 _AXES_OPACITY = 0.6
+_TITLE_PX = 36  # from the upper edge to the lower edge of the title
 _NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
 _DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
 _MIN_DOT_PX, _MAX_DOT_PX = 2.0, 6.0
@@ -57,6 +56,7 @@ class Stage:
         frame: the frame of the scene.
         unit: unit of lengths.
         window: the window.
+        axes: names of the axes.
 
     Attributes:
         plotter: the plotter, which is not yet shown.
@@ -70,7 +70,9 @@ class Stage:
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
 
-    def __init__(self, frame: Frame, unit: str | None, window: Window) -> None:
+    def __init__(
+        self, frame: Frame, unit: str | None, window: Window, axes: tuple[str, str, str] = ("x", "y", "z")
+    ) -> None:
         ground = Figures(window.background).ground("dark")
         check_opengl()  # before VTK, which pyvista imports
         select_opengl()
@@ -82,7 +84,7 @@ class Stage:
         self.ink = ink(ground)
         self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
         self.origin = local_origin(frame)
-        self._place_camera(self._add_axes())
+        self._place_camera(self._add_axes(axes))
 
     def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
         """Add points (N, 3) as round dots, and return the actor.
@@ -135,6 +137,10 @@ class Stage:
         how = {"cmap": table, "clim": (scale.low, scale.high), "lighting": False, "show_scalar_bar": False}
         return self.plotter.add_mesh(arrows, scalars="values", name="arrows", reset_camera=False, pickable=False, **how)
 
+    def add_lines(self, lines: Sequence[FloatArray], name: str, color: str) -> Any:
+        """Add lines, each through points (K, 3), and return the actor."""
+        return self._add_local_lines([line - self.origin for line in lines], name, color=color, line_width=2)
+
     def lookup_table(self, scale: Range) -> Any:
         """Return the colours of a range as a `pyvista.LookupTable`."""
         middles = scale.low + (np.arange(_COLORS) + 0.5) * (scale.high - scale.low) / _COLORS
@@ -164,18 +170,22 @@ class Stage:
 
     def write_title(self, text: str) -> None:
         """Write the title at the upper edge; it replaces an earlier one."""
-        self.plotter.add_text(text, position=(0.015, 0.955), viewport=True, font_size=11, color=self.ink, name="title")
+        self.plotter.add_text(
+            text,
+            position=(0.015, 1 - _TITLE_PX / self._size[1]),
+            viewport=True,
+            font_size=11,
+            color=self.ink,
+            name="title",
+        )
 
-    def _add_axes(self) -> FloatArray:
+    def _add_axes(self, names: tuple[str, str, str]) -> FloatArray:
         """Add axes along edges of the frame's box, and return the places (K, 3) of their labels."""
         axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin)
-        ends = np.concatenate([axis.ends for axis in axes] + [axis.ticks.reshape(-1, 3) for axis in axes])
-        lines = np.column_stack([np.full(len(ends) // 2, 2), np.arange(len(ends)).reshape(-1, 2)])
-        shown = self._pyvista.PolyData(ends.astype(np.float32), lines=lines.ravel())
-        look = {"color": self.ink, "opacity": _AXES_OPACITY, "lighting": False}
-        self.plotter.add_mesh(shown, name="axes", pickable=False, reset_camera=False, **look)
+        lines = [axis.ends for axis in axes] + [tick for axis in axes for tick in axis.ticks]
+        self._add_local_lines(lines, "axes", color=self.ink, opacity=_AXES_OPACITY)
         unit = f" [{self._known_unit}]" if self._known_unit else ""
-        titles = [f"{name}{_minus(start)}{unit}" for name, start in zip("xyz", self.origin, strict=True)]
+        titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
         places = np.concatenate([axis.places for axis in axes] + [axis.title_place[None] for axis in axes])
         labels = [f"{value:.10g}" for axis in axes for value in axis.values] + titles
         self.plotter.add_point_labels(
@@ -192,8 +202,16 @@ class Stage:
             justification_vertical="center",
             reset_camera=False,
         )
-        self.plotter.add_axes(color=self.ink, line_width=3)
+        x, y, z = names
+        self.plotter.add_axes(color=self.ink, line_width=3, xlabel=x, ylabel=y, zlabel=z)
         return places
+
+    def _add_local_lines(self, lines: Sequence[FloatArray], name: str, **how: Any) -> Any:
+        """Add lines, each through points (K, 3) relative to the origin."""
+        starts = np.cumsum([0, *map(len, lines)])
+        cells = [[len(line), *range(start, start + len(line))] for line, start in zip(lines, starts[:-1], strict=True)]
+        shown = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
+        return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
 
     def _place_camera(self, labels: FloatArray) -> None:
         """Show the window of the frame and the places (K, 3) of labels, with parallel projection as in the pictures."""
