@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from pcbench import read_cloud, write_cloud
+from pcbench import plot, read_cloud, write_cloud
 
 HERE = Path(__file__).parent / "gallery"
 CITY_IMAGES = "0014.png", "0034.png"  # from the third and the sixth circle of cameras
@@ -27,9 +27,9 @@ def pcbench(command: str, folder: Path) -> None:
     run(["pcbench", *(word.replace("FOLDER", str(folder)) for word in shlex.split(command))], check=True)
 
 
-def save_compressed(picture: Path, name: str) -> None:
+def save_compressed(picture: Path, name: str, colors: int = 128) -> None:
     """Save a picture with a palette, which halves its size in the repository."""
-    Image.open(picture).convert("RGB").quantize(128).save(HERE / f"{name}.png", optimize=True)
+    Image.open(picture).convert("RGB").quantize(colors).save(HERE / f"{name}.png", optimize=True)
 
 
 def demo(folder: Path) -> None:
@@ -37,6 +37,15 @@ def demo(folder: Path) -> None:
     pcbench("demo --out FOLDER --no-bench --quiet", folder)
     for name in DEMO_PICTURES:
         save_compressed(folder / "report" / "figures" / f"{name}.png", name)
+
+
+def view(folder: Path) -> None:
+    """Create the picture of a view in three dimensions."""
+    pcbench("demo --points 200000 --no-bench --no-figures --quiet --out FOLDER", folder)
+    reference, candidate = folder / "clouds" / "reference.ply", folder / "report" / "densified_deviation.ply"
+    plotter = plot.deviation(reference, candidate, "plane_distance", off_screen=True)
+    plotter.screenshot(folder / "view.png")
+    save_compressed(folder / "view.png", "view", colors=256)
 
 
 def city(folder: Path) -> None:
@@ -121,6 +130,7 @@ def main() -> None:
     """Create the pictures named on the command line, or all of them."""
     pictures = {
         "demo": demo,
+        "view": view,
         "city": city,
         "bench": bench,
         "dense": dense,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import click
 
-from pcbench.cli.messages import warn
+from pcbench.cli.messages import steps, warn
 from pcbench.cli.options import FILE
 from pcbench.errors import InputError
 
@@ -24,38 +25,40 @@ def view(path: Path, screenshot: Path | None) -> None:
     \b
     Example: pcbench view report/
     """
+    from pcbench.io.colmap import model_file
     from pcbench.opengl import NoFiguresError
     from pcbench.report.plotters.window import check_window
 
     is_report = (path / "comparison.json").is_file()
-    if (
-        path.is_dir()
-        and not is_report
-        and not (path / "points3D.bin").is_file()
-        and not (path / "points3D.txt").is_file()
-    ):
+    if not is_report and model_file(path).is_dir():
         raise InputError(f"{path}: expected the folder of a report (with comparison.json), or a file")
     if screenshot is not None:
         _check_screenshot(screenshot, path)
-    try:
-        check_window(off_screen=screenshot is not None)
-    except NoFiguresError as error:
-        raise NoFiguresError(f"{error}; {_instead(path, is_report=is_report, screenshot=screenshot)}") from error
-    _show(path, screenshot, is_report=is_report)
-
-
-def _show(path: Path, screenshot: Path | None, *, is_report: bool) -> None:
-    from pcbench.io.files import atomic_write
-    from pcbench.report.plotters.viewer import ReportViewer, view_file
-
-    off_screen = screenshot is not None
-    if is_report:
-        plotter = ReportViewer(path, click.echo, off_screen=off_screen).plotter
-    else:
-        plotter = view_file(path, click.echo, warn, off_screen=off_screen)
+    with steps(quiet=False) as step:
+        step("starting OpenGL")
+        try:
+            check_window(off_screen=screenshot is not None)
+        except NoFiguresError as error:
+            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_report=is_report)}") from error
+        step(f"reading {path}")
+        plotter = _plotter(path, off_screen=screenshot is not None, is_report=is_report)
     if screenshot is None:
         plotter.show()
-        return
+    else:
+        _write(plotter, screenshot)
+
+
+def _plotter(path: Path, *, off_screen: bool, is_report: bool) -> Any:
+    from pcbench.report.plotters.viewer import ReportViewer, view_file
+
+    if is_report:
+        return ReportViewer(path, click.echo, off_screen=off_screen).plotter
+    return view_file(path, click.echo, warn, off_screen=off_screen)
+
+
+def _write(plotter: Any, screenshot: Path) -> None:
+    from pcbench.io.files import atomic_write
+
     picture = BytesIO()
     plotter.screenshot(picture)
     plotter.close()
@@ -71,7 +74,7 @@ def _check_screenshot(screenshot: Path, path: Path) -> None:
     check_output(screenshot, [path])
 
 
-def _instead(path: Path, *, is_report: bool, screenshot: Path | None) -> str:
+def _instead(path: Path, screenshot: Path | None, *, is_report: bool) -> str:
     """Return what to do where no window can be opened, or nothing rendered."""
     if is_report and (path / "report.html").is_file():
         return f"open {path / 'report.html'} in a browser"

@@ -103,7 +103,9 @@ class Comparison(SourcedComparison):
                 name, cloud, field.places, field.displacements, None, None, window
             ).plotter
         maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
-        return maps.stage(name, scalar, window).plotter
+        stage = maps.stage(name, scalar, window)
+        maps.show(stage, name, scalar)
+        return stage.plotter
 
     def _repr_html_(self) -> str:
         """Return the table for a notebook."""

@@ -155,7 +155,7 @@ def test_cameras_are_pyramids_about_their_positions(tmp_path):
     pyramids = plotter.actors["cameras"].mapper.dataset
     assert pyramids.n_cells == len(NAMES)
     assert pyramids.n_points == 11 * len(NAMES)
-    assert {"order", "reference"} <= plotter.actors.keys()
+    assert {"order", "ghost"} <= plotter.actors.keys()
     check_text(plotter.actors["title"].input)
     picture = render(plotter)
     assert pixels_of(picture, (0x56, 0xB4, 0xE9)) > 100
@@ -187,7 +187,7 @@ def test_a_comparison_plots_with_the_ranges_of_its_pictures(comparison):
     plotter = comparison.plot("a", off_screen=True)
     expected = max(highest) if max(highest) <= 5 * min(highest) else highest[0]
     assert np.allclose(plotter.actors["values"].mapper.scalar_range, (-expected, expected))
-    assert {"values", "reference", "title"} <= plotter.actors.keys()
+    assert {"values", "ghost", "title"} <= plotter.actors.keys()
     check_text(plotter.actors["title"].input)
     plotter.close()
     plotter = comparison.plot("a", "completeness", range=0.5, off_screen=True)

@@ -90,13 +90,11 @@ class CandidateMaps:
         return frame(measured, {name: Cloud(next(iter(maps.values())).points) for name, maps in self.maps.items()})
 
     def stage(self, name: str, scalar: str, window: Window) -> Stage:
-        """Return a stage with a map."""
-        stage = Stage(frame_of(self.of(name, scalar).points, self.frame)[0], self.unit, window)
-        self.show(stage, name, scalar)
-        return stage
+        """Return an empty stage with the frame of a map."""
+        return Stage(frame_of(self.of(name, scalar).points, self.frame)[0], self.unit, window)
 
-    def show(self, stage: Stage, name: str, scalar: str) -> None:
-        """Show a map on a stage, in place of an earlier one."""
+    def show(self, stage: Stage, name: str, scalar: str) -> Range:
+        """Show a map on a stage, in place of an earlier one, and return its colour range."""
         shown, scale = self.of(name, scalar), self.ranges(scalar)[name]
         # The reference is the ghost behind a candidate, and the candidate behind the reference.
         behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
@@ -106,6 +104,7 @@ class CandidateMaps:
         count = pluralize(len(shown.points), "core point" if scalar.startswith("m3c2") else "point")
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
         stage.write_title(join_title(title, frame_of(shown.points, self.frame)[1]))
+        return scale
 
 
 def _measured(candidate: Candidate) -> dict[str, ScalarMap]:

@@ -114,13 +114,13 @@ class Stage:
         surface = mesh.shifted(self.origin).to_pyvista()
         return self.plotter.add_mesh(surface, name=name, reset_camera=False, pickable=False, **how)
 
-    def add_ghost(self, reference: FloatArray | Mesh) -> Any:
-        """Add the reference, points (N, 3) or a mesh, as a pale, translucent ghost, and return the actor."""
+    def add_ghost(self, shown: FloatArray | Mesh) -> Any:
+        """Add points (N, 3) or a mesh as a pale, translucent ghost, and return the actor."""
         how: dict[str, Any] = {"color": _PALE, "opacity": _GHOST_OPACITY}
-        if isinstance(reference, Mesh):
-            return self.add_surface(reference, "reference", **how)
-        thinned = reference[:: -(-len(reference) // _GHOST_POINTS)]
-        return self.add_points(thinned, "reference", point_size=_GHOST_DOT_PX, **how)
+        if isinstance(shown, Mesh):
+            return self.add_surface(shown, "ghost", **how)
+        thinned = shown[:: -(-len(shown) // _GHOST_POINTS)]
+        return self.add_points(thinned, "ghost", point_size=_GHOST_DOT_PX, **how)
 
     def add_values(self, points: FloatArray, values: FloatArray, scale: Range, name: str = "values") -> Any:
         """Add points (N, 3) coloured by finite values (N,), which a mouse click can pick, and return the actor."""

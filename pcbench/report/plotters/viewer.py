@@ -17,7 +17,6 @@ from pcbench.io import read_cloud
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
-from pcbench.report.colors import Range
 from pcbench.report.figures import recorded_figures
 from pcbench.report.plot.maps import label_of
 from pcbench.report.plotters.candidates import CandidateMaps
@@ -63,6 +62,7 @@ class ReportViewer:
         window = Window(off_screen, background=look.background or "dark")
         self._stage = self._maps.stage(self.name, self.scalar, window)
         self.plotter: Any = self._stage.plotter
+        self._scale = self._maps.show(self._stage, self.name, self.scalar)
         self._has_window = not off_screen
         if self._has_window:
             self._add_controls()
@@ -81,7 +81,7 @@ class ReportViewer:
 
     def set_range(self, end: float) -> None:
         """Set the end of the colour range; that of signed values starts at minus this."""
-        low = -end if self._range.signed else 0.0
+        low = -end if self._scale.signed else 0.0
         mapper = self.plotter.actors["values"].mapper
         mapper.lookup_table.scalar_range = mapper.scalar_range = (low, end)
         self.plotter.render()
@@ -108,10 +108,6 @@ class ReportViewer:
         )
 
     @property
-    def _range(self) -> Range:
-        return self._maps.ranges(self.scalar)[self.name]
-
-    @property
     def _unit(self) -> str:
         return f" {self._maps.unit}" if self._maps.unit else ""
 
@@ -120,7 +116,7 @@ class ReportViewer:
         return _decimals(self._maps.frame.box.high - self._maps.frame.box.low)
 
     def _show(self) -> None:
-        self._maps.show(self._stage, self.name, self.scalar)
+        self._scale = self._maps.show(self._stage, self.name, self.scalar)
         if self._has_window:
             self._add_slider()
         self.plotter.render()
@@ -135,7 +131,7 @@ class ReportViewer:
     def _add_slider(self) -> None:
         """Add the slider for the current map, in place of an earlier one."""
         self.plotter.clear_slider_widgets()
-        end = self._range.high
+        end = self._scale.high
         self.plotter.add_slider_widget(
             self.set_range,
             (end / _SLIDER_FACTOR, end * _SLIDER_FACTOR),
