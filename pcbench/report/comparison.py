@@ -19,13 +19,11 @@ from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
 from pcbench.progress import ProgressPlan
-from pcbench.report import plot, plotters
-from pcbench.report.figures import Figures
+from pcbench.report import plot
+from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.names import names_of
-from pcbench.report.plotters.candidates import CandidateMaps
-from pcbench.report.plotters.stage import WINDOW_SIZE, Window
 from pcbench.report.reading import named_files, read_candidate, read_reference
 from pcbench.report.table import html
 
@@ -93,6 +91,10 @@ class Comparison(SourcedComparison):
             MissingExtra: pyvista is not installed.
             NoFiguresError: there is neither a display nor EGL nor OSMesa.
         """
+        from pcbench.report import plotters
+        from pcbench.report.plotters.candidates import CandidateMaps
+        from pcbench.report.plotters.stage import Window
+
         candidate, window = self[name], Window(off_screen, window_size, background)
         if scalar == "deformation":
             field = candidate.deformation.field

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +22,15 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range, ranges_of
-from pcbench.report.figures import Figures
+from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.plot.bends import round_exaggeration
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plot.views import AxisBox, Frame
-from pcbench.report.plotters.stage import WINDOW_SIZE, Stage, Window
-from pcbench.scenes import Scene, read_scene
+from pcbench.report.plotters.stage import Stage, Window
+
+if TYPE_CHECKING:
+    from pcbench.scenes import Scene
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
@@ -189,7 +191,9 @@ def cameras(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    drawing = camera_drawing(scene if isinstance(scene, Scene) else read_scene(Path(scene)))
+    from pcbench.scenes import read_scene
+
+    drawing = camera_drawing(read_scene(Path(scene)) if isinstance(scene, str | os.PathLike) else scene)
     everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
     box = AxisBox(everything.min(axis=0), everything.max(axis=0))
     window = Window(off_screen, window_size, background)

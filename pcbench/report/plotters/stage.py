@@ -12,12 +12,11 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
-from pcbench.report.figures import Figures, ink
+from pcbench.report.figures import WINDOW_SIZE, Figures, ink
 from pcbench.report.plot.views import VIEWS, Frame
 from pcbench.report.plotters.axes import axes_of
 from pcbench.report.read import UNKNOWN_UNIT
 
-WINDOW_SIZE = (1200, 800)
 _VIEW = VIEWS[1]  # from the south-west
 _FRAME_SHARE = (0.88, 0.76)  # of the window's width and height, for frame and axes
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
