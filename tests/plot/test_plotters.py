@@ -108,6 +108,15 @@ def test_every_scene_shows_something(comparison):
         assert 0.02 < shown < 0.8, number
 
 
+@pytest.mark.parametrize("points", [[[5e5, 5e6, 1e2]], [[1, 2, 3]] * 4, [[k, 0, 0] for k in range(9)]])
+def test_points_without_extent_are_visible(points):
+    for plotter in (
+        pcbench.plot.cloud(points, off_screen=True),
+        pcbench.plot.deviation(points, points, np.zeros(len(points)), off_screen=True),
+    ):
+        assert pixels_of(scene_of(render(plotter)), Range(0.0, 1.0).colors(np.zeros(1))[0]) >= 12
+
+
 def test_a_cloud_keeps_its_colours():
     colors = [[250, 10, 20], [20, 240, 30], [40, 50, 230]]
     picture = render(pcbench.plot.cloud(Cloud(np.eye(3), colors=colors), off_screen=True))

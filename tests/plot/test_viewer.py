@@ -1,10 +1,12 @@
 """The viewer of a report without its window: candidates, maps, colour range, and values of a point."""
 
+import shutil
+
 import numpy as np
 import pytest
 import shapes
 from optional import import_or_skip
-from wording import check_text
+from wording import check_error, check_text
 
 import pcbench
 from pcbench import Cloud
@@ -79,6 +81,14 @@ def test_values_of_a_point_are_those_of_the_files(report, viewer):
     assert f"mean {values[nearest].mean():.4g}, std {values[nearest].std():.3g} m" in neighbors
     radius = np.linalg.norm(cloud.points[nearest[-1]] - cloud.points[row])
     assert f"50 closest points, within {radius:.3g} m" in neighbors
+
+
+def test_a_damaged_map_is_one_line(report, tmp_path):
+    copy = tmp_path / "report"
+    shutil.copytree(report, copy)
+    pcbench.write_cloud(copy / "a_completeness.ply", np.eye(3))
+    with check_error():
+        ReportViewer(copy, print, off_screen=True)
 
 
 def test_a_point_of_a_file_has_its_attributes():

@@ -186,7 +186,7 @@ class Stage:
         unit = f" [{self._known_unit}]" if self._known_unit else ""
         titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
         places = np.concatenate([axis.places for axis in axes] + [axis.title_place[None] for axis in axes])
-        labels = [f"{value:.10g}" for axis in axes for value in axis.values] + titles
+        labels = [f"{value:.6g}" for axis in axes for value in axis.values] + titles
         self.plotter.add_point_labels(
             places,
             labels,
@@ -241,4 +241,4 @@ def local_origin(frame: Frame) -> FloatArray:
 
 def _minus(start: float) -> str:
     """Return what was subtracted from a coordinate, such as " − 637,000"; nothing for 0."""
-    return f" {'−' if start > 0 else '+'} {abs(start):,.10g}" if start else ""
+    return f" {'−' if start > 0 else '+'} {abs(start):,.15g}" if start else ""

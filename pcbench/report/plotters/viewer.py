@@ -21,7 +21,7 @@ from pcbench.report.figures import recorded_figures
 from pcbench.report.plot.maps import label_of
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.plotters.stage import Window
-from pcbench.report.read import read_report
+from pcbench.report.read import damage_in_one_line, read_report
 
 NEIGHBORS = 50
 """Number of closest points whose values are summarised for a picked point."""
@@ -54,7 +54,8 @@ class ReportViewer:
 
     def __init__(self, folder: Path, say: Say, *, off_screen: bool) -> None:
         report, look = read_report(folder), recorded_figures(folder / "settings.json")
-        self._maps = CandidateMaps.of_report(report, look.range)
+        with damage_in_one_line(folder):
+            self._maps = CandidateMaps.of_report(report, look.range)
         self._say, self._indices = say, dict[tuple[str, str], Index]()
         self.name = next(iter(self._maps.maps))
         scalars = self._maps.maps[self.name]
