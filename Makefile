@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery wording clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery notebooks wording clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -111,6 +111,10 @@ stale: $(BIN)/python
 
 gallery: $(VENV)/.all
 	PATH=$(CURDIR)/$(BIN):$$PATH $(BIN)/python docs/gallery.py
+
+# Run the notebooks and store them with their outputs.
+notebooks: $(VENV)/.all
+	$(BIN)/python docs/notebooks.py
 
 clean:
 	rm -rf $(VENV) build dist demo site

@@ -19,7 +19,13 @@ BENCH_OPTIONS = (
     " --method sfm --sweep image_scale=0.25,0.5,1 --sweep upsample=false,true --sweep poses=given,solve --seeds 3"
     " --crop box:-60,-60,-100,60,60,200"
 )
-DEMO_PICTURES = ("reference", "sparse_plane_distance", "densified_plane_distance", "distribution")
+DEMO_PICTURES = (
+    "reference",
+    "sparse_plane_distance",
+    "densified_plane_distance",
+    "densified_section",
+    "distribution",
+)
 
 
 def pcbench(command: str, folder: Path) -> None:
@@ -27,9 +33,9 @@ def pcbench(command: str, folder: Path) -> None:
     run(["pcbench", *(word.replace("FOLDER", str(folder)) for word in shlex.split(command))], check=True)
 
 
-def save_compressed(picture: Path, name: str, colors: int = 128) -> None:
+def save_compressed(picture: Path, name: str) -> None:
     """Save a picture with a palette, which halves its size in the repository."""
-    Image.open(picture).convert("RGB").quantize(colors).save(HERE / f"{name}.png", optimize=True)
+    Image.open(picture).convert("RGB").quantize(256).save(HERE / f"{name}.png", optimize=True)
 
 
 def demo(folder: Path) -> None:
@@ -45,7 +51,7 @@ def view(folder: Path) -> None:
     reference, candidate = folder / "clouds" / "reference.ply", folder / "report" / "densified_deviation.ply"
     plotter = plot.deviation(reference, candidate, "plane_distance", off_screen=True)
     plotter.screenshot(folder / "view.png")
-    save_compressed(folder / "view.png", "view", colors=256)
+    save_compressed(folder / "view.png", "view")
 
 
 def city(folder: Path) -> None:

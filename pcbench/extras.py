@@ -25,6 +25,7 @@ LIBRARIES = {
     "lazrs": _Library("lazrs", "las"),
     "matplotlib": _Library("matplotlib", "plot"),
     "open3d": _Library("open3d", "open3d"),
+    "pandas": _Library("pandas", ""),
     "point_cloud_utils": _Library("point-cloud-utils", ""),
     "pycolmap": _Library("pycolmap", "sfm"),
     "pye57": _Library("pye57", "e57"),

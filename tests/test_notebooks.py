@@ -1,4 +1,4 @@
-"""Notebooks are stored without outputs, run without errors, and display their figures."""
+"""Notebooks are stored with their outputs, run without errors, and display their figures."""
 
 import base64
 import io
@@ -27,14 +27,23 @@ def test_notebook_runs(path, request):
         request.getfixturevalue("renderer")
     if path.stem == "gao":
         import_or_skip("torch")
-    cells = json.loads(path.read_text())["cells"]
-    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), "clear the outputs"
     notebook = nbformat.read(path, as_version=4)
     nbclient.NotebookClient(notebook, timeout=900).execute(cwd=str(path.parent))
     figure_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert figure_cells
     for cell in figure_cells:
         check_figure(cell)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_stored_with_its_outputs(path):
+    cells = [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    counts = [cell["execution_count"] for cell in cells]
+    assert counts == list(range(1, len(cells) + 1)), "run `make notebooks`"
+    assert not any(output["output_type"] == "error" for cell in cells for output in cell["outputs"])
+    pictures = [output for cell in cells for output in cell["outputs"] if "image/png" in output.get("data", {})]
+    assert pictures
+    assert path.stat().st_size < 1_500_000
 
 
 def check_figure(cell):

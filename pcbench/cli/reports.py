@@ -84,6 +84,11 @@ if TYPE_CHECKING:
     help="Repeat the comparison that a report's settings.json describes.",
 )
 @json_option("comparison.json")
+@click.option(
+    "--table",
+    type=click.Choice(["latex", "markdown", "csv"]),
+    help="Print only a table: the main metrics as latex, or all metrics as markdown or csv.",
+)
 @no_figures_option()
 @click.option(
     "--full", is_flag=True, help="Print all metrics, the verdict on each cloud, and the differences between candidates."
@@ -110,6 +115,7 @@ def compare(
     seed: int,
     settings_file: Path | None,
     json_file: str | None,
+    table: str | None,
     no_figures: bool,
     full: bool,
     background: str | None,
@@ -161,15 +167,25 @@ def compare(
         )
         figures = Figures().with_changes(background, color_range, figure_format)
         job = ComparisonJob.of(reference, candidates, settings, figures)
-    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full)
+    if table is not None and (full or json_file == "-"):
+        raise click.UsageError("--table prints only a table: omit --full, and give --json a file")
+    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
 
 
 def compare_and_print(
-    job: ComparisonJob, out: Path | None, json_file: str | None, *, figures: bool, quiet: bool, full: bool = False
+    job: ComparisonJob,
+    out: Path | None,
+    json_file: str | None,
+    *,
+    figures: bool,
+    quiet: bool,
+    full: bool = False,
+    table: str | None = None,
 ) -> Comparison:
-    """Compare files, write the outputs, and print the answer or the JSON document."""
+    """Compare files, write the outputs, and print the answer, a table or the JSON document."""
     from pcbench.report import document, print_comparison
     from pcbench.report.compare_files import Outputs, compare_files
+    from pcbench.report.exports import TABLES
     from pcbench.report.notes import warnings
 
     output = JsonOutput(json_file)
@@ -180,7 +196,9 @@ def compare_and_print(
         LOGGER.warning("%s", text)
     if json_file is not None:
         output.write(document(outcome.comparison))
-    if not output.on_stdout and not quiet:
+    if table is not None:
+        click.echo(TABLES[table](outcome.comparison), nl=False)
+    elif not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     if outcome.without_figures:
         warn(outcome.without_figures)

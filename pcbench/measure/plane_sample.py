@@ -90,7 +90,7 @@ def sample_planes(
         distances[new] = measure(new)
         probabilities = np.minimum(size * density[rows], 1.0)
         # No query contributes more to the estimate. Missed queries that would change it by more than `_RULE_OF_THREE`
-        # times this contribution would be expected in the sample at least so many times.
+        # times this contribution would be expected in the sample at least that many times.
         largest = total / ((1 - _UNIFORM_SHARE) * size * count)
         sample, sigma = _estimate(rows, distances[rows], squares[rows], probabilities, total / count, count)
         half_width = math.hypot(_Z * sigma, _RULE_OF_THREE * largest)

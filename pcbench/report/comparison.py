@@ -19,7 +19,7 @@ from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
 from pcbench.progress import ProgressPlan
-from pcbench.report import plot
+from pcbench.report import exports, plot
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
@@ -108,6 +108,14 @@ class Comparison(SourcedComparison):
         stage = maps.stage(name, scalar, window)
         maps.show(stage, name, scalar)
         return stage.plotter
+
+    def to_dataframe(self) -> Any:
+        """Return all metrics as a `pandas.DataFrame` with the columns of metrics.csv, one number per row.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        return exports.data_frame(self)
 
     def _repr_html_(self) -> str:
         """Return the table for a notebook."""

@@ -38,6 +38,7 @@ _CANDIDATE_SUFFIXES = (
 )
 _PICTURES = ("distribution", "reference", "deformation", "displacement")
 _CANDIDATE_PICTURES = (
+    "_colors",
     "_distance",
     "_plane_distance",
     "_mesh_distance",
@@ -45,6 +46,7 @@ _CANDIDATE_PICTURES = (
     "_poisson_meshlab_distance",
     "_m3c2_distance",
     "_completeness",
+    "_section",
     "_deformation",
     "_displacement",
 )

@@ -1,4 +1,4 @@
-"""Tables as CSV and as Markdown."""
+"""Tables as CSV, as Markdown and as LaTeX."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 from typing import Any
+
+_LATEX = {
+    **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+    **{"→": r"$\to$", "–": "--", "−": "$-$", "²": r"$^2$", "±": r"$\pm$"},
+}
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -32,3 +38,13 @@ def markdown_table(rows: Iterable[Sequence[str]], labels: int) -> str:
 def markdown_row(cells: Iterable[str]) -> str:
     """Return a line of a Markdown table."""
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def latex_row(cells: Iterable[str]) -> str:
+    """Return a line of a LaTeX table."""
+    return " & ".join(map(latex, cells)) + r" \\"
+
+
+def latex(text: str) -> str:
+    """Return a text with LaTeX's special characters escaped; arrows, dashes and minus signs become commands."""
+    return "".join(_LATEX.get(letter, letter) for letter in text)

@@ -11,6 +11,7 @@ from typing import Any
 from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
@@ -33,6 +34,8 @@ class ReportedCandidate:
         deformation: the verdict; None in reports of early versions.
         percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
+        path: file of the candidate, if it came from one.
+        transform: maps candidate to reference coordinates.
     """
 
     name: str
@@ -42,6 +45,18 @@ class ReportedCandidate:
     deformation: Deformation | None
     percentiles_completeness: Mapping[str, float]
     completeness_path: Path
+    path: Path | None
+    transform: Similarity
+
+    def own_colors(self) -> Cloud | None:
+        """Read the aligned candidate in its own colours, if it has some and its file still exists."""
+        if self.path is None or not self.path.is_file():
+            return None
+        try:
+            cloud = read_cloud(self.path, on_warning=lambda _: None)
+        except PcbenchError:
+            return None
+        return None if cloud.colors is None else cloud.transformed(self.transform)
 
     @property
     def has_completeness(self) -> bool:
@@ -95,8 +110,10 @@ def read_report(folder: Path) -> Report:
         return Report(
             unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),
-            reference_path=_reference_path(folder),
-            candidates=tuple(_candidate(folder, values) for values in document["candidates"]),
+            reference_path=_input_path(folder),
+            candidates=tuple(
+                _candidate(folder, values, _input_path(folder, values["name"])) for values in document["candidates"]
+            ),
         )
 
 
@@ -125,15 +142,20 @@ def damage_in_one_line(folder: Path) -> Iterator[None]:
         raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
 
 
-def _reference_path(folder: Path) -> Path | None:
-    """Return the absolute path in settings.json; comparison.json has the path as typed. None if it is missing."""
+def _input_path(folder: Path, candidate: str | None = None) -> Path | None:
+    """Return the absolute path of the reference or a candidate in settings.json; None if it is missing.
+
+    comparison.json has the path as typed.
+    """
     try:
-        return Path(read_json(folder / "settings.json")["reference"]["path"])
+        settings = read_json(folder / "settings.json")
+        paths = {file["name"]: file["path"] for file in settings["candidates"]}
+        return Path(settings["reference"]["path"] if candidate is None else paths[candidate])
     except (OSError, KeyError, TypeError, ValueError, RecursionError):
         return None
 
 
-def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
+def _candidate(folder: Path, values: dict[str, Any], path: Path | None) -> ReportedCandidate:
     def table(kind: str) -> Cloud | None:
         path = folder / f"{values['name']}_{kind}.ply"
         return read_cloud(path) if path.is_file() else None
@@ -146,4 +168,6 @@ def _candidate(folder: Path, values: dict[str, Any]) -> ReportedCandidate:
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
         percentiles_completeness=values["metrics"]["percentiles"][REFERENCE_TO_CANDIDATE],
         completeness_path=folder / f"{values['name']}_completeness.ply",
+        path=path,
+        transform=Similarity.from_matrix(values["registration"]["T_reference_candidate"]),
     )

@@ -251,3 +251,15 @@ def test_a_mesh_file_as_the_reference(files, run):
     assert values["reference"]["faces"] == 2
     assert values["candidates"][0]["deviation"]["maps"]["mesh_distance"]["rms"] == pytest.approx(0.1)
     assert "mesh_distance" in read_cloud("report/low_deviation.ply").attributes
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("latex", r"\begin{tabular}"), ("markdown", "# ref.ply"), ("csv", "candidate,metric")]
+)
+def test_only_a_table_is_printed(files, run, name, start):
+    code, out, _ = run("compare", "ref.ply", "a.ply", "b.ply", "--table", name)
+    assert code == 0
+    assert out.startswith(start)
+    code, out, err = run("compare", "ref.ply", "a.ply", "--table", name, "--full")
+    assert code == 2 and out == ""
+    check_text(err)

@@ -49,9 +49,8 @@ def figures(report):
 def test_every_picture_exists_and_is_not_empty(figures):
     from matplotlib.image import imread
 
-    names = {"reference", "distribution"} | {
-        f"{c}_{s}" for c in "ab" for s in ("distance", "completeness", "plane_distance", "m3c2_distance", "deformation")
-    }
+    scalars = ("distance", "completeness", "plane_distance", "m3c2_distance")
+    names = {"reference", "distribution"} | {f"{c}_{s}" for c in "ab" for s in (*scalars, "section", "deformation")}
     assert figures.keys() - {"a_displacement", "b_displacement"} == names
     for name, path in figures.items():
         image = imread(path)[..., :3]
@@ -61,7 +60,7 @@ def test_every_picture_exists_and_is_not_empty(figures):
         foreground = (np.abs(image - background) > 0.05).any(axis=2)
         # No picture is empty, and each view shows something.
         assert 0.02 < foreground.mean() < 0.9, name
-        if name != "distribution" and not name.endswith("_deformation"):
+        if name != "distribution" and not name.endswith(("_deformation", "_section")):
             for panel in np.array_split(foreground[:, : int(0.9 * foreground.shape[1])], 3, axis=1):
                 assert panel.mean() > 0.02, name
 
@@ -84,6 +83,24 @@ def test_the_reference_may_be_missing(figures, report, tmp_path):
     with check_error():
         draw(copy, ("reference",))
     assert draw(copy, ("distribution",)) == [copy / "figures/distribution.png"]
+
+
+def test_candidates_with_colours_are_drawn_in_them(tmp_path):
+    import_or_skip("matplotlib")
+    from matplotlib.image import imread
+
+    from pcbench import compare
+
+    points = shapes.city(4000, seed=4)[0]
+    green = np.tile(np.array([[20, 200, 40]], np.uint8), (len(points), 1))
+    write_cloud(tmp_path / "ref.ply", Cloud(points))
+    write_cloud(tmp_path / "green.ply", Cloud(points + [0.05, 0, 0], colors=green))
+    compare(tmp_path / "ref.ply", tmp_path / "green.ply").save(tmp_path / "report", figures=False)
+    (path,) = draw_in_process(tmp_path / "report", "green_colors")
+    image = np.rint(255 * imread(path)[..., :3])
+    assert (image == [20, 200, 40]).all(axis=2).mean() > 0.02
+    with check_error(PcbenchError):
+        draw_in_process(tmp_path / "report", "ref_colors")
 
 
 def test_a_display_is_not_needed(monkeypatch, report):

@@ -5,11 +5,13 @@ import pytest
 
 from pcbench import Cloud
 from pcbench.report.plot.maps import frame
-from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import VIEWS, AxisBox, Frame, Viewpoint, round_length
+from pcbench.report.plot.sections import Section
+from pcbench.report.plot.splats import Backdrop, splat
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length, suitable_views
 
 BACKGROUND = np.array([10, 20, 30], np.uint8)
-TOP_VIEW = VIEWS[0]
+TOP_VIEW = Viewpoint("from above", (0, 0, 1), (0, 1, 0))
+NOTHING = np.zeros((0, 3))
 
 
 def cube(size, *, at=(0.0, 0.0, 0.0), points=5000, seed=0):
@@ -55,11 +57,38 @@ def test_flat_and_single_point_clouds_have_finite_windows():
     assert (Frame.of(AxisBox.around(point), [point]).sizes > 0).all()
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.title)
-def test_views_are_rotations_in_the_named_direction(view: Viewpoint):
-    np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(view.axes) == pytest.approx(1)
-    assert view.axes[0, 2] == 0  # the picture's width is horizontal: lengths along it are true
+@pytest.mark.parametrize("shape", [[40, 50, 6], [40, 2, 20], [3, 4, 9]], ids=["town", "wall", "tower"])
+def test_views_are_rotations_with_a_horizontal_width(shape):
+    for view in suitable_views(cube(shape).points, has_north=True):
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view.axes) == pytest.approx(1)
+        assert view.axes[0, 2] == pytest.approx(0, abs=1e-12)  # lengths along the picture's width are true
+
+
+@pytest.mark.parametrize(
+    ("shape", "has_north", "titles"),
+    [
+        ([40, 50, 6], True, ["from above", "from the south-west", "from the north-east"]),
+        ([40, 50, 6], False, ["from above", "from −x, −y", "from +x, +y"]),
+        ([3, 4, 9], True, ["from the south", "from the east", "from the north"]),
+        ([3, 4, 9], False, ["from −y", "from +x", "from +y"]),
+        ([40, 2, 20], True, ["front", "from the left", "from the right"]),
+    ],
+)
+def test_views_suit_the_shape_of_the_scene(shape, has_north, titles):
+    assert [view.title for view in suitable_views(cube(shape).points, has_north=has_north)] == titles
+
+
+@pytest.mark.parametrize("angle_deg", [0, 30, 100, 170])
+def test_a_wall_is_seen_along_its_normal(angle_deg):
+    angle = np.radians(angle_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    front, left, right = suitable_views(cube([40, 1, 20]).points @ turn.T, has_north=False)
+    normal = turn @ [0, 1, 0]
+    assert abs(np.array(front.direction) @ normal) == pytest.approx(1, abs=0.02)
+    assert front.direction[1] <= 0.02  # from the side of lower y
+    # The left view is turned towards the picture's left.
+    assert np.array(left.direction) @ front.axes[0] < -0.5 < 0.5 < np.array(right.direction) @ front.axes[0]
 
 
 @pytest.mark.parametrize(
@@ -100,12 +129,27 @@ def test_a_map_of_a_rough_surface_shows_both_sides_equally():
     height = rng.normal(0, 0.02, 200_000)
     points = np.column_stack([rng.uniform(-10, 10, (200_000, 2)), height])
     colors = np.where(height[:, None] > 0, 200, 100).astype(np.uint8) * np.ones(3, np.uint8)
-    image = splat(points, colors, TOP_VIEW, np.array([[-10.0, -10], [10, 10]]), (200, 200), BACKGROUND)
+    window = np.array([[-10.0, -10], [10, 10]])
+    backdrop = Backdrop.of(NOTHING, TOP_VIEW, window, (200, 200), BACKGROUND)
+    image = splat(points, colors, TOP_VIEW, window, (200, 200), BACKGROUND, backdrop=backdrop)
     assert image.mean() == pytest.approx(150, abs=3)
-    shaded_image = splat(
-        points, colors, TOP_VIEW, np.array([[-10.0, -10], [10, 10]]), (200, 200), BACKGROUND, shaded=True
-    )
-    assert shaded_image.mean() > 175  # with shading, points above the surface hide those below
+    own_colors_image = splat(points, colors, TOP_VIEW, window, (200, 200), BACKGROUND)
+    assert own_colors_image.mean() > 170  # without a backdrop, points above the surface hide those below
+
+
+def test_a_backdrop_shows_the_scene_behind_few_points_and_shades_them():
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(-10, 10, (100_000, 2)), np.zeros(100_000)])
+    ground[(np.abs(ground[:, :2]) < 3).all(axis=1), 2] = 8.0  # a tower
+    window, size = np.array([[-9.0, -9], [9, 9]]), (180, 180)
+    backdrop = Backdrop.of(ground, TOP_VIEW, window, size, BACKGROUND)
+    few = np.array([[-7.0, 7.0, 0.1], [3.1, 0.0, 0.1]])
+    colors = np.full((2, 3), 200, np.uint8)
+    image = splat(few, colors, TOP_VIEW, window, size, BACKGROUND, backdrop=backdrop)
+    assert (image != BACKGROUND).any(axis=2).all()  # the backdrop has no gaps
+    level, at_wall = image[20, 20], image[90, 121]
+    assert level.tolist() == [200, 200, 200]
+    assert (at_wall > 0.5 * 200).all() and (at_wall < 0.8 * 200).all()  # darker, and still readable
 
 
 def test_shading_darkens_edges_but_not_level_ground():
@@ -115,8 +159,8 @@ def test_shading_darkens_edges_but_not_level_ground():
     tower[(np.abs(flat[:, :2]) < 3).all(axis=1), 2] = 8.0
     grey = np.full((100_000, 3), 180, np.uint8)
     window = np.array([[-9.0, -9], [9, 9]])
-    flat_image = splat(flat, grey, TOP_VIEW, window, (180, 180), BACKGROUND, shaded=True)
-    tower_image = splat(tower, grey, TOP_VIEW, window, (180, 180), BACKGROUND, shaded=True)
+    flat_image = splat(flat, grey, TOP_VIEW, window, (180, 180), BACKGROUND)
+    tower_image = splat(tower, grey, TOP_VIEW, window, (180, 180), BACKGROUND)
     assert np.median(flat_image) == 180
     assert tower_image[90, 55:61].min() < 120  # the ground to the left of the tower
     assert np.median(tower_image[80:100, 80:100]) == 180
@@ -128,3 +172,28 @@ def test_outliers_do_not_slow_drawing():
         points, np.full((len(points), 3), 99, np.uint8), TOP_VIEW, np.array([[-1.0, -1], [1, 1]]), (50, 50), BACKGROUND
     )
     assert (image != BACKGROUND).any(axis=2).mean() > 0.5
+
+
+def test_a_section_goes_through_the_place_of_the_largest_deviations():
+    rng = np.random.default_rng(0)
+    reference = np.column_stack([rng.uniform(0, 100, (50_000, 2)), np.zeros(50_000)])
+    points = np.column_stack([rng.uniform(0, 100, (20_000, 2)), np.zeros(20_000)])
+    is_raised = (np.abs(points[:, :2] - [70, 20]) < 4).all(axis=1)
+    points[is_raised, 2] = 0.5
+    points[0], values = [5, 90, 0], points[:, 2].copy()
+    values[0] = 50.0  # a single outlier is not a place
+    found = Section.through_worst_place(points, values, reference, spacing=0.3)
+    assert np.abs(found.center[:2] - [70, 20]).max() < 5
+    across = np.array([-found.direction[1], found.direction[0]])
+    for cloud, rows in ((points, found.rows), (reference, found.reference_rows)):
+        expected = (np.abs((cloud[:, :2] - found.center[:2]) @ across) <= found.thickness / 2) & (
+            np.abs((cloud[:, :2] - found.center[:2]) @ found.direction) <= found.length / 2
+        )
+        np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+    assert is_raised[found.rows].any()
+    assert len(found.rows) + len(found.reference_rows) >= 400
+
+
+def test_clouds_that_are_too_sparse_have_no_section():
+    points = np.eye(3)
+    assert Section.through_worst_place(points, np.ones(3), points, spacing=1.0) is None

@@ -21,7 +21,8 @@ from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
-_ARROW_SHARE = 0.1  # length of the arrow at the 95th percentile, as a share of the scene's size
+_MAX_TICK = 1e5  # of coordinates in tick labels
+_ARROW_SHARE = 0.07  # length of the arrow at the 95th percentile, as a share of the scene's size
 
 
 def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
@@ -135,6 +136,17 @@ def round_exaggeration(typical: float, box: AxisBox) -> float:
     return round_length(_ARROW_SHARE * float(np.linalg.norm(box.high - box.low)) / typical)
 
 
+def _round_origin(positions: FloatArray) -> FloatArray:
+    """Return what to subtract from positions (N, 2) for short tick labels: zero, or thousands for large coordinates."""
+    is_large = np.abs(positions).max() >= _MAX_TICK
+    origin: FloatArray = np.where(is_large, np.floor(positions.min(axis=0) / 1000) * 1000, 0.0)
+    return origin
+
+
+def _coordinate_label(axis: str, origin: float, unit: str) -> str:
+    return f"{axis} − {origin:,.0f} [{unit}]" if origin else f"{axis} [{unit}]"
+
+
 def _display_unit(bend: Deformation, unit: str) -> tuple[float, str]:
     """Return factor and name of the unit for displacements: millimetres for small displacements in metres."""
     return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
@@ -177,7 +189,8 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
 
     local = factor * np.asarray(field.attributes["local"], np.float64)
     changed = np.asarray(field.attributes["changed"]) > 0
-    x, y = (field.points[:, :2] - np.floor(field.points[:, :2].min(axis=0))).T
+    origin = _round_origin(field.points[:, :2])
+    x, y = (field.points[:, :2] - origin).T
     order = np.argsort(local)
     limit = float(np.percentile(local, 98)) or 1.0
     least, most = (np.array(to_rgb(color)) for color in (ground, ink(ground)))
@@ -187,8 +200,8 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
     axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
     axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{short}]", shrink=0.9)
     axis.set_aspect("equal")
-    axis.set_xlabel(f"x [{unit}]")
-    axis.set_ylabel(f"y [{unit}]")
+    axis.set_xlabel(_coordinate_label("x", origin[0], unit))
+    axis.set_ylabel(_coordinate_label("y", origin[1], unit))
     if bend.local is None:
         return
     changes = bend.local

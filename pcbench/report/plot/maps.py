@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,8 @@ from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
-from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import AxisBox, Frame
+from pcbench.report.plot.splats import Backdrop, splat
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
 
 LABELS = {
     "distance": "distance to the closest reference point",
@@ -49,14 +48,42 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
     if measured is None:
         boxes = [AxisBox.around(cloud.points) for cloud in clouds.values()]
         box = AxisBox(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
-        return Frame.of(box, [cloud.points for cloud in clouds.values()])
+        has_north = all(cloud.crs is not None for cloud in clouds.values())
+        return Frame.of(box, [cloud.points for cloud in clouds.values()], has_north=has_north)
     box = AxisBox.around(measured.points)
     near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MAX_OUTSIDE_SHARE]
-    return Frame.of(box.widen(map(AxisBox.around, near)), [measured.points, *near])
+    box = box.widen(map(AxisBox.around, near))
+    return Frame.of(box, [measured.points, *near], has_north=measured.crs is not None)
+
+
+class Scenery:
+    """The measured points of the reference, rendered once per view as the backdrop of all maps.
+
+    Args:
+        points: (N, 3) points.
+        shared: the common frame.
+        look: appearance of the pictures.
+    """
+
+    def __init__(self, points: FloatArray, shared: Frame, look: Figures) -> None:
+        self.points, self.frame, self._ground = points, shared, _ground(look)
+        self._backdrops: dict[tuple[str, tuple[int, int]], Backdrop] = {}
+
+    def in_frame(self, other: Frame, look: Figures) -> Scenery:
+        """Return the same points in another frame."""
+        return Scenery(self.points, other, look)
+
+    def backdrop(self, view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> Backdrop:
+        """Return the rendered points of a view."""
+        key = view.title, pixels
+        if key not in self._backdrops:
+            points = self.points - self.frame.box.center
+            self._backdrops[key] = Backdrop.of(points, view, window, pixels, self._ground)
+        return self._backdrops[key]
 
 
 def draw_coloured_cloud(
-    cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, shared: Frame, path: Path,
+    cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, scenery: Scenery, path: Path,
     look: Figures,
 ) -> bool:  # fmt: skip
     """Draw a cloud coloured by a scalar; it has a separate frame if most of it is outside the shared one.
@@ -68,30 +95,41 @@ def draw_coloured_cloud(
         scale: the colour range.
         label: label of the colour bar.
         unit: unit of lengths.
-        shared: the common frame.
+        scenery: the reference behind the cloud, in the common frame.
         path: the file to write.
         look: appearance of the picture.
     """
     known = np.isfinite(values)
     points, values = cloud.points[known], values[known]
-    shared, note = frame_of(points, shared)
-    image = _image(points, scale.colors(values), shared, look)
-    compose(image, shared, join_title(title, note), unit, path, look, scale=scale, label=label)
+    frame, note = frame_of(points, scenery.frame, has_north=cloud.crs is not None)
+    if frame is not scenery.frame:
+        scenery = scenery.in_frame(frame, look)
+    image = _image(points, scale.colors(values), scenery.frame, look, scenery)
+    compose(image, scenery.frame, join_title(title, note), unit, path, look, scale=scale, label=label)
     return True
 
 
-def frame_of(points: FloatArray, shared: Frame) -> tuple[Frame, str]:
+def frame_of(points: FloatArray, shared: Frame, *, has_north: bool = False) -> tuple[Frame, str]:
     """Return the common frame, or a separate one if it lacks most of the points (N, 3), and a note for the title."""
     outside = 1 - shared.box.share(points)
     if outside > _MAX_OUTSIDE_SHARE:
         note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
-        return Frame.of(AxisBox.around(points), [points]), note
+        return Frame.of(AxisBox.around(points), [points], has_north=has_north), note
     note = f"{100 * outside:.1f} % of points outside the frame" if outside > _MIN_REPORTED_SHARE else ""
     return shared, note
 
 
-def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:
-    """Draw the reference in its own colours, or coloured by height; return false if its file no longer exists."""
+def draw_own_colors(name: str, cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:
+    """Draw a cloud in its own colours, or coloured by height; return false if there is no cloud.
+
+    Args:
+        name: name of the cloud, for the title.
+        cloud: the cloud.
+        unit: unit of lengths.
+        shared: the common frame.
+        path: the file to write.
+        look: appearance of the picture.
+    """
     if cloud is None:
         return False
     colors, note = cloud.colors, ""
@@ -99,19 +137,23 @@ def reference(cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: F
         height, inside = cloud.points[:, 2], shared.box.holds(cloud.points)
         colors = height_range(height[inside] if inside.any() else height).colors(height)
         note = ", coloured by height"
-    image = _image(cloud.points, colors, shared, look, shaded=True)
-    compose(image, shared, f"reference ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
+    image = _image(cloud.points, colors, shared, look)
+    compose(image, shared, f"{name} ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
     return True
 
 
 def _image(
-    points: FloatArray, colors: NDArray[np.uint8], shared: Frame, look: Figures, *, shaded: bool = False
+    points: FloatArray, colors: NDArray[np.uint8], shared: Frame, look: Figures, scenery: Scenery | None = None
 ) -> Image:
-    ground = look.ground(_DEFAULT_BACKGROUND)
-    centered = points - shared.box.center
-    behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
+    centered, ground = points - shared.box.center, _ground(look)
 
-    def image(view: Any, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
-        return splat(centered, colors, view, window, pixels, behind, shaded=shaded)
+    def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
+        backdrop = None if scenery is None else scenery.backdrop(view, window, pixels)
+        return splat(centered, colors, view, window, pixels, ground, backdrop=backdrop)
 
     return image
+
+
+def _ground(look: Figures) -> NDArray[np.uint8]:
+    color = look.ground(_DEFAULT_BACKGROUND)
+    return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
-from pcbench.report.plot.views import VIEWS, Frame, Viewpoint, round_length
+from pcbench.report.plot.views import Frame, Viewpoint, round_length
 
 DPI = 120
 # Lengths are in inches.
@@ -69,7 +69,7 @@ def compose(
         if scale is None
         else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR_HEIGHT - 0.5, _MAX_BAR_HEIGHT)))
     )
-    views, space = float(panels.sum()) + _VIEW_GAP * (len(VIEWS) + 1), bar.space if bar is not None else 0.0
+    views, space = float(panels.sum()) + _VIEW_GAP * (len(frame.views) + 1), bar.space if bar is not None else 0.0
     width, total_height = (
         max(views + space, _TITLE_LETTER_WIDTH * len(title) + 2 * _VIEW_GAP),
         height + _SCALE_BAR_MARGIN + _TITLE_MARGIN,
@@ -78,7 +78,7 @@ def compose(
     axis.text(0.5 * width, total_height - 0.24, title, color=color, fontsize=14, ha="center", va="center")
     length = round_length(_MAX_SCALE_BAR_SHARE * float(panels.max()) / inches)
     left = 0.5 * (width - views - space) + _VIEW_GAP
-    for view, window, size, panel in zip(VIEWS, frame.windows, drawn, panels, strict=True):
+    for view, window, size, panel in zip(frame.views, frame.windows, drawn, panels, strict=True):
         corner = np.array([left + 0.5 * (panel - size[0]), _SCALE_BAR_MARGIN + 0.5 * (height - size[1])])
         pixels = max(1, round(size[0] * DPI)), max(1, round(size[1] * DPI))
         _show_image(axis, image(view, window, pixels), corner, size)

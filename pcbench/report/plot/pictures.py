@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.deformation import Deformation
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, ranges, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
+from pcbench.report.plot.sections import draw_section
 from pcbench.report.plot.views import Frame
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
 
@@ -52,19 +54,26 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
     report = read_report(folder)
     deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
     cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
-    frame = maps.frame(report.candidates[0].completeness(), deviations)
+    measured = report.candidates[0].completeness()
+    frame = maps.frame(measured, deviations)
+    scenery = maps.Scenery(np.zeros((0, 3)) if measured is None else measured.points, frame, look)
     named = {
         "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
         "reference": Picture(
-            lambda path: maps.reference(report.reference(), report.unit, frame, path, look),
+            lambda path: maps.draw_own_colors("reference", report.reference(), report.unit, frame, path, look),
             "the file of the reference no longer exists",
         ),
+        **{
+            f"{candidate.name}_colors": _own_colors(candidate, report.unit, frame, look)
+            for candidate in report.candidates
+        },
     }
     for scalar in dict.fromkeys(name for cloud in deviations.values() for name in cloud.attributes):
-        named |= _maps(deviations, scalar, report, frame, look)
+        named |= _maps(deviations, scalar, report, scenery, look)
         if scalar == "distance":
-            named |= _completeness(report, frame, look)
-    named |= _maps(cores, "m3c2_distance", report, frame, look)
+            named |= _completeness(report, scenery, look)
+    named |= _sections(report, scenery.points, look)
+    named |= _maps(cores, "m3c2_distance", report, scenery, look)
     for candidate in report.candidates:
         if candidate.field is not None and candidate.deformation is not None:
             bend = candidate.deformation
@@ -74,14 +83,16 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
     return named
 
 
-def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame, look: Figures) -> dict[str, Picture]:
+def _maps(
+    clouds: Mapping[str, Cloud], scalar: str, report: Report, scenery: maps.Scenery, look: Figures
+) -> dict[str, Picture]:
     """Return the pictures of one scalar, one per candidate."""
     values = {
         name: np.asarray(cloud.attributes[scalar], dtype=np.float64)
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
+    scales = _scales(values, report, look)
     label = f"{maps.label_of(scalar)} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
 
@@ -89,14 +100,47 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, frame: Frame
         title = f"{name} ({pluralize(len(clouds[name]), noun)})"
         return Picture(
             lambda path: maps.draw_coloured_cloud(
-                clouds[name], values[name], title, scale, label, report.unit, frame, path, look
+                clouds[name], values[name], title, scale, label, report.unit, scenery, path, look
             )
         )
 
     return {f"{name}_{scalar}": picture(name, scale) for name, scale in scales.items()}
 
 
-def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Picture]:
+def _own_colors(candidate: ReportedCandidate, unit: str, frame: Frame, look: Figures) -> Picture:
+    """Return the picture of an aligned candidate in its own colours."""
+    return Picture(
+        lambda path: maps.draw_own_colors(candidate.name, candidate.own_colors(), unit, frame, path, look),
+        "the cloud has no colours, or its file no longer exists",
+    )
+
+
+def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str, Picture]:
+    """Return a section through the largest deviations of each candidate, by signed distances if they exist."""
+    clouds = {candidate.name: candidate.deviation for candidate in report.candidates}
+    scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
+    values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
+    scales = _scales(values, report, look)
+    label = f"{maps.LABELS[scalar]} [{report.unit}]"
+
+    def picture(name: str) -> Picture:
+        def draw(path: Path) -> bool:
+            return draw_section(
+                clouds[name].points, values[name], reference, report.spacing_median, name, scales[name], label,
+                report.unit, path, look,
+            )  # fmt: skip
+
+        return Picture(draw, "no place has enough points for a section")
+
+    return {f"{name}_section": picture(name) for name in clouds} if len(reference) else {}
+
+
+def _scales(values: Mapping[str, FloatArray], report: Report, look: Figures) -> dict[str, Range]:
+    """Return the colour range of each candidate's values (N,), which may be NaN."""
+    return ranges_of(values, spacing=report.spacing_median, given=look.range)
+
+
+def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[str, Picture]:
     """Return maps of the reference coloured by its distance to each candidate, which show missing parts."""
     mapped = [candidate for candidate in report.candidates if candidate.has_completeness]
     highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in mapped}
@@ -109,7 +153,7 @@ def _completeness(report: Report, frame: Frame, look: Figures) -> dict[str, Pict
             assert cloud is not None
             title = f"completeness of {candidate.name} (the reference's {pluralize(len(cloud), 'point')})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
-            return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, frame, path, look)
+            return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, scenery, path, look)
 
         return Picture(draw)
 

@@ -1,4 +1,4 @@
-"""Viewpoints and frames: the same windows and scale for all pictures of a report."""
+"""Viewpoints that suit a scene, and frames: the same windows and scale for all pictures of a report."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from pcbench.geometry.arrays import FloatArray
 _MARGIN_SHARE = 0.05  # of a box around the inner 99 % of the points, which then includes most of the others too
 _MAX_GROWTH_SHARE = 0.25  # of the size of the reference's box, for candidates that extend beyond it
 _MAX_SAMPLE = 200_000  # points that determine a box or a window
+_MAX_FLATNESS = 0.35  # ratio of the smallest to the middle standard deviation of a wall
+_MIN_SLENDERNESS = 0.75  # ratio of height to horizontal size of an object, which is seen from the sides
 
 
 @dataclass(frozen=True)
@@ -36,13 +38,6 @@ class Viewpoint:
         right = np.cross(self.up, toward)
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(toward, right), toward])
-
-
-VIEWS = (
-    Viewpoint("from above", (0, 0, 1), (0, 1, 0)),
-    Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1)),
-    Viewpoint("from the north-east", (1, 1, 1.1), (0, 0, 1)),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,32 +93,80 @@ class Frame:
 
     Attributes:
         box: the box.
+        views: the viewpoints.
         windows: (V, 2, 2) lower left and upper right corner of each view, in units of the scene from the box's centre.
     """
 
     box: AxisBox
+    views: tuple[Viewpoint, ...]
     windows: FloatArray
 
     @classmethod
-    def of(cls, box: AxisBox, clouds: Sequence[FloatArray]) -> Frame:
-        """Return the frame around the points (N, 3) inside a box."""
+    def of(cls, box: AxisBox, clouds: Sequence[FloatArray], *, has_north: bool = False) -> Frame:
+        """Return the frame around the points (N, 3) inside a box, with views that suit their shape.
+
+        Args:
+            box: the box.
+            clouds: points (N, 3) of each cloud.
+            has_north: whether the second axis points north, as in a known coordinate system.
+        """
         parts = [points[box.holds(points)] for points in map(thin_out, clouds)]
         inside = np.concatenate([*parts, *([np.stack([box.low, box.high])] if not any(map(len, parts)) else [])])
+        views = suitable_views(inside, has_north=has_north)
         windows = []
-        for view in VIEWS:
+        for view in views:
             flat = (inside - box.center) @ view.axes[:2].T
             low, high = flat.min(axis=0), flat.max(axis=0)
             # A view without extent, such as a wall from above, still gets a strip of the picture.
             size = float((high - low).max()) or 1.0
             pad = 0.02 * size + np.maximum(0.0, 0.03 * size - (high - low))
             windows.append([low - pad, high + pad])
-        return cls(box, np.array(windows))
+        return cls(box, views, np.array(windows))
 
     @property
     def sizes(self) -> FloatArray:
         """Width and height of each window (V, 2), in units of the scene."""
         sizes: FloatArray = self.windows[:, 1] - self.windows[:, 0]
         return sizes
+
+
+def suitable_views(points: FloatArray, *, has_north: bool) -> tuple[Viewpoint, ...]:
+    """Return three views of points (N, 3) whose third axis is up.
+
+    A town or a landscape is seen from above and from two corners, a slender object from three sides, and a wall along
+    its normal and from both sides. Directions are named by the compass only if the second axis points north.
+    """
+    deviations = points - np.median(points, axis=0)
+    variances, axes = np.linalg.eigh(deviations.T @ deviations / len(points))  # ascending
+    x, y, z = axes[:, 0]
+    if variances[0] <= _MAX_FLATNESS**2 * variances[1] and abs(z) < np.sin(np.pi / 4):
+        sign = -1 if y > 0 or (y == 0 and x > 0) else 1  # towards the south, from where maps are read
+        normal = sign * np.array([x, y, 0.0]) / np.hypot(x, y)
+        along = np.array([-normal[1], normal[0], 0.0])
+        front, left, right = ((*(normal + share * along)[:2], 0.35 * abs(share)) for share in (0.0, -1.0, 1.0))
+        sides = {"front": front, "from the left": left, "from the right": right}
+        return tuple(Viewpoint(title, (float(u), float(v), w), (0, 0, 1)) for title, (u, v, w) in sides.items())
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    width, depth, height = high - low
+    if height > _MIN_SLENDERNESS * max(width, depth):
+        directions: tuple[tuple[float, float, float], ...] = ((0, -1, 0.15), (1, 0, 0.15), (0, 1, 0.15))
+    else:
+        directions = ((0, 0, 1), (-1, -1, 1.1), (1, 1, 1.1))
+    return tuple(
+        Viewpoint(_title(direction, has_north), direction, (0, 1, 0) if direction == (0, 0, 1) else (0, 0, 1))
+        for direction in directions
+    )
+
+
+def _title(direction: tuple[float, float, float], has_north: bool) -> str:
+    x, y, _ = direction
+    if not (x or y):
+        return "from above"
+    if has_north:
+        north_south, east_west = {1: "north", -1: "south", 0: ""}[int(y)], {1: "east", -1: "west", 0: ""}[int(x)]
+        return f"from the {'-'.join(filter(None, [north_south, east_west]))}"
+    signs = {1: "+", -1: "−"}
+    return f"from {', '.join(signs[int(value)] + axis for axis, value in (('x', x), ('y', y)) if value)}"
 
 
 def round_length(at_most: float) -> float:

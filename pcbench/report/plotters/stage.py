@@ -13,11 +13,11 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
 from pcbench.report.figures import WINDOW_SIZE, Figures, ink
-from pcbench.report.plot.views import VIEWS, Frame
+from pcbench.report.plot.views import Frame, Viewpoint
 from pcbench.report.plotters.axes import axes_of
 from pcbench.report.read import UNKNOWN_UNIT
 
-_VIEW = VIEWS[1]  # from the south-west
+_VIEW = Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1))
 _FRAME_SHARE = (0.88, 0.76)  # of the window's width and height, for frame and axes
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
@@ -213,10 +213,11 @@ class Stage:
         return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
 
     def _place_camera(self, labels: FloatArray) -> None:
-        """Show the window of the frame and the places (K, 3) of labels, with parallel projection as in the pictures."""
+        """Show the frame's box and the places (K, 3) of labels, with parallel projection as in the pictures."""
         right, up, toward = _VIEW.axes
-        center = self.frame.box.center - self.origin
-        shown = np.concatenate([self.frame.windows[VIEWS.index(_VIEW)], (labels - center) @ _VIEW.axes[:2].T])
+        box, center = self.frame.box, self.frame.box.center - self.origin
+        corners = np.stack(np.meshgrid(*zip(box.low, box.high, strict=True)), axis=-1).reshape(-1, 3) - self.origin
+        shown = (np.concatenate([corners, labels]) - center) @ _VIEW.axes[:2].T
         low, high = shown.min(axis=0), shown.max(axis=0)
         width, height = (high - low) / _FRAME_SHARE
         visible = max(float(height), float(width) * self._size[1] / self._size[0])  # height of the whole window

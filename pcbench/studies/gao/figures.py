@@ -81,7 +81,7 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
         above.set_title(f"{scene.name}, from above", fontsize=11, loc="left")
         side.set_title("elevation: all cameras rotated into one half-plane", fontsize=11, loc="left")
         side.set_xlim(left=-0.03 * float(across.max() or 1.0))
-        side.legend(frameon=False, fontsize=9, loc="lower right")
+        side.legend(frameon=False, fontsize=9, loc="best")
     save(figure, path)
     return True
 

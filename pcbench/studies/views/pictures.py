@@ -61,7 +61,7 @@ def select_views(scene: ScoredScene) -> dict[str, ScoredView]:
     There are fewer if the scene has less than three views.
     """
     ranked = sorted(_eligible_views(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
-    words = {0: "worst", (len(ranked) - 1) // 2: "median", len(ranked) - 1: "best"}
+    words = {(len(ranked) - 1) // 2: "median", 0: "worst", len(ranked) - 1: "best"}  # of two views, none is median
     if len(ranked) == 1:
         return {"only": ranked[0]}
     return {words[k]: ranked[k] for k in sorted(words)}

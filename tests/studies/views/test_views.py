@@ -155,7 +155,7 @@ def test_worst_median_and_best_views_are_selected(tmp_path):
         "best": "0.png",
     }
     (scene,) = score_views([write_view_folder(tmp_path / "b", count=9)], perceptual=NO_PERCEPTUAL_METRICS).scenes
-    assert {word: s.view.name for word, s in select_views(scene).items()} == {"median": "8.png", "best": "0.png"}
+    assert {word: s.view.name for word, s in select_views(scene).items()} == {"worst": "8.png", "best": "0.png"}
 
 
 def test_picture_shows_photograph_rendering_and_error(tmp_path):

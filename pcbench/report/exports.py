@@ -1,0 +1,48 @@
+"""A comparison as a table for other programs: LaTeX, Markdown, CSV, and a pandas data frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pcbench.extras import require
+from pcbench.measure.results import ARROWS
+from pcbench.report.inputs import SourcedComparison
+from pcbench.report.markup import csv_text, latex, latex_row
+from pcbench.report.summary import main_lines
+from pcbench.report.table import Row, markdown, rows
+
+
+def data_frame(comparison: SourcedComparison) -> Any:
+    """Return the rows of metrics.csv as a `pandas.DataFrame`.
+
+    Raises:
+        MissingExtra: pandas is not installed.
+    """
+    return require("pandas").DataFrame(list(rows(comparison)), columns=list(Row._fields))
+
+
+def latex_table(comparison: SourcedComparison) -> str:
+    """Return the main metrics as a LaTeX table with two columns per candidate; it needs the package booktabs."""
+    names = " & ".join(rf"\multicolumn{{2}}{{c}}{{{latex(candidate.name)}}}" for candidate in comparison)
+    unit = f"lengths in {comparison.reference.unit}" if comparison.reference.unit else ""
+    text = [
+        rf"\begin{{tabular}}{{l{'rr' * len(comparison)}}}",
+        r"\toprule",
+        rf" & {names} \\",
+        latex_row([unit, *(arrow for _ in comparison for arrow in ARROWS.values())]),
+        r"\midrule",
+    ]
+    for line in main_lines(comparison):
+        label = latex(line.label.strip())
+        start = rf"\quad {label}" if line.label.startswith("  ") else label
+        text.append(f"{start} & {latex_row(text for cell in line.cells for text in cell)}")
+    return "\n".join([*text, r"\bottomrule", r"\end{tabular}", ""])
+
+
+TABLES: dict[str, Callable[[SourcedComparison], str]] = {
+    "latex": latex_table,
+    "markdown": markdown,
+    "csv": lambda comparison: csv_text(Row._fields, rows(comparison)),
+}
+"""Functions that return the table of a comparison in a format, by its name."""

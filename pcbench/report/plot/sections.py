@@ -1,0 +1,197 @@
+"""A vertical section through the place of the largest deviations, with both clouds in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.voxels import cells
+from pcbench.report.colors import Range
+from pcbench.report.figures import Figures, ink
+from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.views import AxisBox, thin_out
+
+_CELLS_ALONG = 40  # cells along the scene's diagonal in which deviations are compared
+_MIN_CELL_POINTS = 8
+_REACH_SHARE = 0.05  # of the diagonal: points farther outside the reference's box are not a place of the scene
+_LENGTH_SHARE = 0.25  # of the scene's diagonal, for the length of the section
+_MIN_SPACINGS, _MAX_THICKNESS_SHARE = 2.0, 0.02  # bounds of the slice's thickness; the latter of the diagonal
+_MIN_SLICE_POINTS = 400  # of both clouds, before the slice is made thicker
+_DIRECTIONS_DEG = (0, 45, 90, 135)
+_EXAGGERATIONS = (1, 2, 5, 10, 20)
+_MIN_HEIGHT_RATIO = 0.12  # of the drawn height to the length, before heights are exaggerated
+_SECTION_INCHES, _MARGIN_INCHES = 9.2, 1.4  # length of the drawn section, and space above and below it
+_REFERENCE_GREY = "#8f959c"
+
+
+class Section(NamedTuple):
+    """A vertical slice of both clouds.
+
+    Attributes:
+        center: (3,) the place.
+        direction: (2,) horizontal direction along the section.
+        length, thickness: size of the slice.
+        rows: (M,) rows of the candidate's points in it.
+        reference_rows: (K,) rows of the reference's points in it.
+    """
+
+    center: FloatArray
+    direction: FloatArray
+    length: float
+    thickness: float
+    rows: NDArray[np.int64]
+    reference_rows: NDArray[np.int64]
+
+    def positions(self, points: FloatArray) -> FloatArray:
+        """Return positions (N, 2) of points (N, 3) in the section: along it from its centre, and height."""
+        return np.column_stack([(points[:, :2] - self.center[:2]) @ self.direction, points[:, 2]])
+
+    @classmethod
+    def through_worst_place(
+        cls, points: FloatArray, values: FloatArray, reference: FloatArray, spacing: float
+    ) -> Section | None:
+        """Return the section through the cell with the largest median deviation; None if no cell has enough points.
+
+        Args:
+            points: (N, 3) points of the candidate.
+            values: (N,) deviations.
+            reference: (K, 3) points of the reference.
+            spacing: spacing of the reference.
+        """
+        box = AxisBox.around(reference)
+        diagonal = float(np.linalg.norm(box.high - box.low))
+        reach = _REACH_SHARE * diagonal
+        inside = np.flatnonzero(AxisBox(box.low - reach, box.high + reach).holds(points) & np.isfinite(values))
+        if not len(inside):
+            return None
+        grid = cells(points[inside], diagonal / _CELLS_ALONG, box.low)
+        order = np.lexsort((np.abs(values[inside]), grid.of_point))
+        starts = np.searchsorted(grid.of_point[order], np.arange(len(grid.first) + 1))
+        counts = np.diff(starts)
+        medians = np.where(
+            counts >= _MIN_CELL_POINTS, np.abs(values[inside])[order[starts[:-1] + counts // 2]], -np.inf
+        )
+        worst = int(medians.argmax())
+        if not np.isfinite(medians[worst]):
+            return None
+        center = points[inside[grid.of_point == worst]].mean(axis=0)
+        length, thickness = _LENGTH_SHARE * diagonal, max(_MIN_SPACINGS * spacing, 1e-6 * diagonal)
+        near = [_rows_around(cloud, center, length) for cloud in (points, reference)]
+        while True:
+            slices = [
+                cls._slice(center, angle, length, thickness, points, reference, near) for angle in _DIRECTIONS_DEG
+            ]
+            best = max(slices, key=lambda found: len(found.rows) + len(found.reference_rows))
+            if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS:
+                return best
+            if thickness >= _MAX_THICKNESS_SHARE * diagonal:
+                return best
+            thickness *= 1.5
+
+    @classmethod
+    def _slice(
+        cls,
+        center: FloatArray,
+        angle: float,
+        length: float,
+        thickness: float,
+        points: FloatArray,
+        reference: FloatArray,
+        near: Sequence[NDArray[np.int64]],
+    ) -> Section:
+        direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+        found = []
+        for cloud, rows in zip((points, reference), near, strict=True):
+            from_center = cloud[rows, :2] - center[:2]
+            across = from_center @ np.array([-direction[1], direction[0]])
+            is_inside = (np.abs(across) <= 0.5 * thickness) & (np.abs(from_center @ direction) <= 0.5 * length)
+            found.append(rows[is_inside])
+        return cls(center, direction, length, thickness, *found)
+
+
+def _rows_around(points: FloatArray, center: FloatArray, length: float) -> NDArray[np.int64]:
+    """Return the rows of points (N, 3) in the square around a place that contains all sections of a length."""
+    return np.flatnonzero((np.abs(points[:, :2] - center[:2]) <= length).all(axis=1))
+
+
+def draw_section(
+    points: FloatArray, values: FloatArray, reference: FloatArray, spacing: float, title: str, scale: Range,
+    label: str, unit: str, path: Path, look: Figures,
+) -> bool:  # fmt: skip
+    """Draw the section through the place of the largest deviations, beside its position on a map.
+
+    Args:
+        points: (N, 3) points of the candidate.
+        values: (N,) deviations, which colour them.
+        reference: (K, 3) points of the reference.
+        spacing: spacing of the reference.
+        title: first part of the title.
+        scale: the colour range.
+        label: label of the colour bar.
+        unit: unit of lengths.
+        path: the file to write.
+        look: appearance of the picture.
+
+    Returns:
+        Whether there was enough to draw.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.figure import Figure
+
+    found = Section.through_worst_place(points, values, reference, spacing)
+    if found is None:
+        return False
+    ours, theirs = found.positions(points[found.rows]), found.positions(reference[found.reference_rows])
+    low, high = np.percentile(np.concatenate([ours[:, 1], theirs[:, 1]]), [0.2, 99.8])
+    margin = max(0.08 * (high - low), 0.01 * found.length)
+    low, high = low - margin, high + margin
+    factor = next(
+        (f for f in _EXAGGERATIONS if f * (high - low) >= _MIN_HEIGHT_RATIO * found.length), _EXAGGERATIONS[-1]
+    )
+    ground = look.ground("dark")
+    color = ink(ground)
+    height = float(np.clip(_SECTION_INCHES * factor * (high - low) / found.length, 1.6, 6.0)) + _MARGIN_INCHES
+    figure = Figure(figsize=(13.6, height), dpi=DPI, facecolor=ground, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(1, 2, width_ratios=(4.2, 1))
+    along, above = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    along.scatter(theirs[:, 0], theirs[:, 1], s=7, c=_REFERENCE_GREY, linewidths=0)
+    order = np.argsort(np.abs(values[found.rows]))  # large deviations on top
+    along.scatter(ours[order, 0], ours[order, 1], s=14, c=scale.colors(values[found.rows][order]) / 255, linewidths=0)
+    along.set(xlim=(-0.5 * found.length, 0.5 * found.length), ylim=(low, high), aspect=factor, facecolor=ground)
+    x, y = found.center[:2]
+    along.set_xlabel(f"along the section, from x = {x:,.1f}, y = {y:,.1f} [{unit}]")
+    along.set_ylabel(f"height [{unit}]" + (f", exaggerated {factor} times" if factor > 1 else ""))
+    everything = thin_out(reference)
+    box = AxisBox.around(reference)
+    above.scatter(everything[:, 0], everything[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
+    ends = found.center[:2] + np.outer([-0.5, 0.5], found.length * found.direction)
+    above.plot(*ends.T, color="#d55e00", linewidth=2.5, solid_capstyle="butt")
+    above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
+    above.set_xticks([])
+    above.set_yticks([])
+    above.set_title("the section, from above", fontsize=10, color=color)
+    for axis in (along, above):
+        axis.tick_params(colors=color)
+        axis.xaxis.label.set_color(color)
+        axis.yaxis.label.set_color(color)
+        for spine in axis.spines.values():
+            spine.set_color(color)
+            spine.set_alpha(0.4)
+    cmap = LinearSegmentedColormap.from_list("deviations", scale.table / 255)
+    mappable = ScalarMappable(Normalize(scale.low, scale.high), cmap)
+    bar = figure.colorbar(mappable, ax=along, extend="both" if scale.signed else "max", pad=0.01)
+    bar.set_label(fill(label, max(18, int(11 * height) - 14)), color=color)
+    bar.ax.tick_params(colors=color)
+    text = f"{title}: section through the largest deviations, {found.thickness:.2g} {unit} thick; grey: reference"
+    figure.suptitle(text, color=color, fontsize=13)
+    save(figure, path)
+    return True
