@@ -18,7 +18,7 @@ from pcbench.report.plotters.axes import axes_of
 from pcbench.report.read import UNKNOWN_UNIT
 
 _VIEW = Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1))
-_FRAME_SHARE = (0.88, 0.76)  # of the window's width and height, for frame and axes
+_FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
 _AXES_OPACITY = 0.6
