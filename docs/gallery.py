@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from pcbench import read_cloud, write_cloud
+from pcbench import plot, read_cloud, write_cloud
 
 HERE = Path(__file__).parent / "gallery"
 CITY_IMAGES = "0014.png", "0034.png"  # from the third and the sixth circle of cameras
@@ -54,6 +54,15 @@ def report(folder: Path) -> None:
     size = "--window-size=1180,1660 --virtual-time-budget=20000"
     run(["chromium", *flags.split(), *size.split(), f"--screenshot={picture}", page], check=True)
     save_compressed(picture, "report")
+
+
+def view(folder: Path) -> None:
+    """Create the picture of a view in three dimensions."""
+    pcbench("demo --points 200000 --no-bench --no-figures --quiet --out FOLDER", folder)
+    reference, candidate = folder / "clouds" / "reference.ply", folder / "report" / "densified_deviation.ply"
+    plotter = plot.deviation(reference, candidate, "plane_distance", off_screen=True)
+    plotter.screenshot(folder / "view.png")
+    save_compressed(folder / "view.png", "view")
 
 
 def city(folder: Path) -> None:
@@ -139,6 +148,7 @@ def main() -> None:
     pictures = {
         "demo": demo,
         "report": report,
+        "view": view,
         "city": city,
         "bench": bench,
         "dense": dense,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pcbench.registration import IcpSettings as IcpSettings
     from pcbench.registration import Registration as Registration
     from pcbench.registration import register as register
+    from pcbench.report import plotters as plot  # noqa: F401  # a public name, as the others
     from pcbench.report.comparison import Comparison as Comparison
     from pcbench.report.comparison import compare as compare
     from pcbench.scenes import Scene as Scene
@@ -57,6 +58,7 @@ _MODULES = {
     "deform": "deformation",
     "metrics": "measure.metrics",
     "parse_region": "geometry.region_text",
+    "plot": "report.plotters",
     "read_cloud": "io",
     "read_mesh": "io.meshes",
     "read_scene": "scenes",
@@ -73,7 +75,7 @@ def __getattr__(name: str) -> Any:
         value = _version()
     elif name in _MODULES:
         module = import_module(f"pcbench.{_MODULES[name]}")
-        value = module if name == "metrics" else getattr(module, name)
+        value = module if name in ("metrics", "plot") else getattr(module, name)
     else:
         raise AttributeError(f"module 'pcbench' has no attribute {name!r}")
     globals()[name] = value

@@ -23,6 +23,7 @@ from pcbench import cli
 from pcbench.cli import messages
 from pcbench.errors import MissingExtra
 from pcbench.opengl import NoFiguresError
+from pcbench.report.plotters.window import check_window
 from pcbench.scenes.synthetic.render import check_renderer
 
 GOLDEN_TEXTS, RENEWED_TEXTS = pytest.StashKey[wording.Texts](), pytest.StashKey[wording.Texts | None]()
@@ -106,6 +107,15 @@ def renderer():
     """Skip tests that render photographs on machines without a renderer."""
     try:
         check_renderer()
+    except (NoFiguresError, MissingExtra) as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def off_screen():
+    """Skip tests that render with pyvista on machines where that fails; a child process tries it."""
+    try:
+        check_window(off_screen=True)
     except (NoFiguresError, MissingExtra) as error:
         pytest.skip(str(error))
 

@@ -35,7 +35,8 @@ def loaded_modules(code):
 def test_import_loads_no_heavy_library():
     code = (
         "import pcbench\n"
-        "pcbench.Cloud, pcbench.Settings, pcbench.compare, pcbench.metrics, pcbench.read_cloud, pcbench.register\n"
+        "pcbench.Cloud, pcbench.Settings, pcbench.compare, pcbench.metrics, pcbench.plot, pcbench.read_cloud\n"
+        "pcbench.register\n"
     )
     assert not loaded_modules(code) & set(HEAVY_LIBRARIES)
 

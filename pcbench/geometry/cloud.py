@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
 from pcbench.extras import require
+from pcbench.geometry import pyvista_points
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, as_frozen, as_rows, bounds, freeze
 
 if TYPE_CHECKING:
@@ -175,6 +176,29 @@ class Cloud:
             raise InputError(f"expected a trimesh PointCloud or Trimesh, got {kind}; convert a Scene with to_mesh()")
         colors: Any = geometry.visual.vertex_colors if geometry.visual.kind == "vertex" else ()
         return cls(np.asarray(geometry.vertices), colors=colors[:, :3] if len(colors) else None)
+
+    @classmethod
+    def from_pyvista(cls, data: Any) -> Cloud:
+        """Copy the points of a pyvista data set with their normals, colours and attributes; see `pyvista_points`.
+
+        Raises:
+            InputError: `data` has no points, or they are not a valid `Cloud`.
+        """
+        return cls(**pyvista_points.fields(data))
+
+    def to_pyvista(self) -> Any:
+        """Copy to a `pyvista.PolyData` with one vertex per point.
+
+        Points stay float64. `Normals` are the active normals, `RGB` has the colours, attributes keep their names, and
+        the coordinate system and the unit are field data, so that `from_pyvista` restores an equal cloud.
+
+        Raises:
+            MissingExtra: pyvista is not installed.
+            InputError: an attribute is called Normals or RGB.
+        """
+        data = require("pyvista").PolyData(self.points.copy())
+        pyvista_points.add(data, self.normals, self.colors, self.attributes, crs=self.crs, unit=self.unit)
+        return data
 
     def __len__(self) -> int:
         return len(self.points)

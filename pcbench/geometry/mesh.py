@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
+from pcbench.extras import require
+from pcbench.geometry import pyvista_points
 from pcbench.geometry.arrays import FloatArray, IntArray, as_rows
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
@@ -61,6 +63,32 @@ class Mesh:
             area = self.area
         if not (0 < area < np.inf):
             raise InputError(f"expected a mesh with an area, got {len(faces)} faces with a total area of {area:g}")
+
+    @classmethod
+    def from_pyvista(cls, data: Any) -> Mesh:
+        """Copy the faces of a `pyvista.PolyData`; polygons become triangles.
+
+        Raises:
+            InputError: `data` is not a PolyData, or its faces are not a valid `Mesh`.
+        """
+        if not hasattr(data, "regular_faces"):
+            raise InputError(
+                f"expected a pyvista PolyData, got {type(data).__name__}; call its method extract_surface() first"
+            )
+        if not data.is_all_triangles:
+            data = data.triangulate()
+        faces = np.array(data.regular_faces if data.n_cells else np.empty((0, 3)), dtype=np.int64)
+        return cls(np.array(data.points, np.float64), faces, **pyvista_points.frame(data))
+
+    def to_pyvista(self) -> Any:
+        """Copy to a `pyvista.PolyData` with float64 vertices; the coordinate system and the unit are field data.
+
+        Raises:
+            MissingExtra: pyvista is not installed.
+        """
+        data = require("pyvista").PolyData.from_regular_faces(self.vertices.copy(), self.faces)
+        pyvista_points.add_frame(data, crs=self.crs, unit=self.unit)
+        return data
 
     def __len__(self) -> int:
         return len(self.faces)

@@ -124,5 +124,27 @@ def ranges(
     return {name: result[name] for name in highest}
 
 
+def ranges_of(
+    values: Mapping[str, FloatArray], *, spacing: float = 0.0, given: float | None = None
+) -> dict[str, Range]:
+    """Return the colour range of each candidate's values, which are signed if any of them is negative.
+
+    Args:
+        values: values of each candidate, NaN if unknown; at least one is known.
+        spacing: as in `ranges`.
+        given: as in `ranges`.
+    """
+    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
+    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
+    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
+    return ranges(highest, spacing=spacing, signed=signed, given=given)
+
+
+def height_range(heights: FloatArray) -> Range:
+    """Return the range of colours that show heights (N,): their inner 99 %."""
+    low, high = (float(height) for height in np.percentile(heights, [0.5, 99.5]))
+    return Range(low, max(high, low + 1e-12))
+
+
 def _range(high: float, signed: bool, note: str) -> Range:
     return Range(-high if signed else 0.0, high, note, signed)

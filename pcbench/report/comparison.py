@@ -20,7 +20,7 @@ from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
 from pcbench.progress import ProgressPlan
 from pcbench.report import exports, plot
-from pcbench.report.figures import Figures
+from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.names import names_of
@@ -60,6 +60,54 @@ class Comparison(SourcedComparison):
             problems += [plot.draw_if_possible(scratch, figures=style)] if figures else []
         for problem in filter(None, problems):
             warnings.warn(problem, stacklevel=2)
+
+    def plot(
+        self,
+        name: str,
+        scalar: str = "plane_distance",
+        *,
+        range: float | None = None,
+        off_screen: bool | None = None,
+        window_size: tuple[int, int] = WINDOW_SIZE,
+        background: str = "dark",
+    ) -> Any:
+        """Return a plotter of one candidate, with the frame and the colour ranges of the report's pictures.
+
+        Args:
+            name: name of the candidate.
+            scalar: a scalar of its deviation map, coloured, with the reference as a ghost; `m3c2_distance`;
+                `completeness`: the reference, coloured by its distance to the candidate; or `deformation`: arrows.
+            range: distance at which the colour range ends; default: as in the pictures. Not for `deformation`.
+            off_screen: as in `pcbench.plot.cloud`.
+            window_size: as in `pcbench.plot.cloud`.
+            background: as in `pcbench.plot.cloud`.
+
+        Returns:
+            A `pyvista.Plotter` that is not yet shown: `.show()` opens a window, `.screenshot(file)` writes a picture.
+
+        Raises:
+            KeyError: no candidate has that name.
+            InputError: the candidate has no such map or no displacements, or an option is invalid.
+            MissingExtra: pyvista is not installed.
+            NoFiguresError: there is neither a display nor EGL nor OSMesa.
+        """
+        from pcbench.report import plotters
+        from pcbench.report.plotters.candidates import CandidateMaps
+        from pcbench.report.plotters.stage import Window
+
+        candidate, window = self[name], Window(off_screen, window_size, background)
+        if scalar == "deformation":
+            field = candidate.deformation.field
+            if field is None or not field.displacements.any():
+                raise InputError(f"{name}: the {candidate.deformation.model} model has no displacements")
+            cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
+            return plotters.show_displacements(
+                name, cloud, field.places, field.displacements, None, None, window
+            ).plotter
+        maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
+        stage = maps.stage(name, scalar, window)
+        maps.show(stage, name, scalar)
+        return stage.plotter
 
     def to_dataframe(self) -> Any:
         """Return all metrics as a `pandas.DataFrame` with the columns of metrics.csv, one number per row.

@@ -13,6 +13,7 @@ from pcbench.errors import InputError
 from pcbench.regular_files import read_text
 
 FORMATS = ("png", "svg", "pdf")
+WINDOW_SIZE = (1200, 800)  # of views in three dimensions, in pixels
 _BACKGROUNDS = {"dark": "#1a1c20", "white": "#ffffff", "black": "#000000"}
 
 

@@ -18,6 +18,7 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 from pcbench.report.manifest import complete_replacement
 
+UNKNOWN_UNIT = "units of the file"
 _MESH_SAMPLES = 500_000
 
 
@@ -107,7 +108,7 @@ def read_report(folder: Path) -> Report:
         document = read_json(folder / "comparison.json")
         reference = document["reference"]
         return Report(
-            unit=reference.get("unit") or "units of the file",
+            unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),
             reference_path=_input_path(folder),
             candidates=tuple(

@@ -20,7 +20,7 @@ from wording import check_error
 from pcbench import cli
 
 # Their commands reconstruct scenes, or take long for other reasons.
-LONG_PAGES = {f"docs/howto/{name}.md" for name in ("compare", "maps", "mvs", "python", "splat", "stress")} | {
+LONG_PAGES = {f"docs/howto/{name}.md" for name in ("compare", "maps", "mvs", "plots", "python", "splat", "stress")} | {
     "docs/tutorial.md"
 }
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -89,6 +89,8 @@ def test_output_on_page_matches(page, call, tmp_path, request, monkeypatch):
     executed = [block for block in page_blocks if block.mark is None]
     if any("synth city" in block.text for block in executed):
         request.getfixturevalue("renderer")
+    if any("off_screen" in block.text or "--screenshot" in block.text for block in executed):
+        request.getfixturevalue("off_screen")
     if any(f"reconstruct {name}" in block.text for block in executed for name in ("sfm", "mvs")):
         import_or_skip("pycolmap")
     monkeypatch.setenv("COLUMNS", "132")

@@ -96,15 +96,15 @@ def test_a_walk_along_a_wall_stays_upright():
 
 
 def test_rings_are_separated_and_closed():
-    from pcbench.report.plot.cameras import _rings
+    from pcbench.report.plot.cameras import rings_of
 
     angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    rings = _rings(np.concatenate([500 * circle, 1500 * circle + [0, 0, 300], 2500 * circle]))
+    rings = rings_of(np.concatenate([500 * circle, 1500 * circle + [0, 0, 300], 2500 * circle]))
     assert [len(ring) for ring in rings] == [13, 13, 13]
     for ring in rings:
         np.testing.assert_array_equal(ring[0], ring[-1])
-    assert [len(ring) for ring in _rings(np.arange(15.0).reshape(5, 3))] == [5]
+    assert [len(ring) for ring in rings_of(np.arange(15.0).reshape(5, 3))] == [5]
     walk = np.random.default_rng(0).normal(size=(40, 3)).cumsum(axis=0)
-    assert [len(ring) for ring in _rings(walk)] == [40]
-    assert not _rings(np.zeros((1, 3)))
+    assert [len(ring) for ring in rings_of(walk)] == [40]
+    assert not rings_of(np.zeros((1, 3)))

@@ -17,7 +17,7 @@ from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import compose, save
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import Frame, Viewpoint, round_length
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
@@ -103,8 +103,7 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     if not inside.any():
         return False
     typical = float(np.percentile(lengths[inside], 95))
-    # Viewers can easily divide by a round factor.
-    exaggeration = round_length(_ARROW_SHARE * float(np.linalg.norm(frame.box.high - frame.box.low)) / typical)
+    exaggeration = round_exaggeration(typical, frame.box)
     vectors = vectors[inside]
     tails = field.points[inside] - frame.box.center
     scale = Range(-typical, typical, "blue: below the reference, red: above it", signed=True)
@@ -130,6 +129,11 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     label = f"vertical displacement [{unit}]"
     compose(image, frame, title, unit, path, look, scale=scale, label=label, over=over)
     return True
+
+
+def round_exaggeration(typical: float, box: AxisBox) -> float:
+    """Return the factor for displacements of a typical length, round so that readers can easily divide by it."""
+    return round_length(_ARROW_SHARE * float(np.linalg.norm(box.high - box.low)) / typical)
 
 
 def _round_origin(positions: FloatArray) -> FloatArray:

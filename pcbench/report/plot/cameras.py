@@ -35,7 +35,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
         OSError: the file cannot be written.
     """
     _check_picture(path)
-    picture = _cameras(scene) if scene.cameras else _gps_positions(scene)
+    picture = camera_drawing(scene)
     require("matplotlib.figure")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -49,7 +49,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     if len(points):
         side.scatter(*points.T, s=1.5, c=_POINT_COLOR, alpha=0.7, linewidths=0)
         above.scatter(points[:, 0], points[:, 1], s=0.8, c=_POINT_COLOR, alpha=0.5, linewidths=0)
-    for index, ring in enumerate(_rings(positions)):
+    for index, ring in enumerate(rings_of(positions)):
         side.plot(*ring.T, color=_PATH_COLOR, linewidth=1.2)
         above.plot(
             ring[:, 0], ring[:, 1], color=_PATH_COLOR, linewidth=1.2, label=None if index else "order of the images"
@@ -98,7 +98,7 @@ def _check_picture(path: Path) -> None:
         raise InputError(f"{path}: the file exists and is not a picture of pcbench: choose another name")
 
 
-class _Picture(NamedTuple):
+class CameraDrawing(NamedTuple):
     """Positions (N, 3), view pyramids (11, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
 
     positions: FloatArray
@@ -109,7 +109,16 @@ class _Picture(NamedTuple):
     title: str
 
 
-def _cameras(scene: Scene) -> _Picture:
+def camera_drawing(scene: Scene) -> CameraDrawing:
+    """Return what is drawn of a scene, as `draw_cameras` describes it.
+
+    Raises:
+        InputError: the scene has neither cameras nor positions.
+    """
+    return _cameras(scene) if scene.cameras else _gps_positions(scene)
+
+
+def _cameras(scene: Scene) -> CameraDrawing:
     cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
     rotation, is_rotated = _upright_rotation(cameras)
     positions = np.stack([camera.position for camera in cameras]) @ rotation.T
@@ -119,7 +128,7 @@ def _cameras(scene: Scene) -> _Picture:
     )
     known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
     axes = ("right", "forward", "up") if is_rotated else ("x", "y", "z")
-    return _Picture(
+    return CameraDrawing(
         positions,
         [_outline(camera, size) @ rotation.T for camera in cameras],
         points,
@@ -129,7 +138,7 @@ def _cameras(scene: Scene) -> _Picture:
     )
 
 
-def _gps_positions(scene: Scene) -> _Picture:
+def _gps_positions(scene: Scene) -> CameraDrawing:
     found, frame = scene.measured_positions()
     if not found:
         raise InputError(
@@ -139,7 +148,7 @@ def _gps_positions(scene: Scene) -> _Picture:
     positions = np.stack([found[name] for name in scene.images if name in found])
     axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
     title = f"no cameras, GPS positions of {len(positions)} of {len(scene)} images, {frame}"
-    return _Picture(positions, [], np.zeros((0, 3)), axes, "m", title)
+    return CameraDrawing(positions, [], np.zeros((0, 3)), axes, "m", title)
 
 
 def _outline(camera: Camera, size: float) -> FloatArray:
@@ -152,7 +161,7 @@ def _outline(camera: Camera, size: float) -> FloatArray:
     return camera.cam_from_world.inverse().apply(line)
 
 
-def _rings(positions: FloatArray) -> list[FloatArray]:
+def rings_of(positions: FloatArray) -> list[FloatArray]:
     """Return positions (N, 3) as closed rings about a common vertical axis, or as one line if they form no rings."""
     if len(positions) < 2:
         return []

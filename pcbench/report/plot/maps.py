@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range
+from pcbench.report.colors import Range, height_range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import Backdrop, splat
@@ -29,6 +29,11 @@ LABELS = {
 _DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
 _MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points outside the common frame; beyond it the cloud has a separate frame
 _MIN_REPORTED_SHARE = 0.001  # of points outside the frame, for a note in the title
+
+
+def label_of(scalar: str) -> str:
+    """Return the label of a scalar's colour bar, without the unit."""
+    return LABELS.get(scalar, scalar.replace("_", " "))
 
 
 def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
@@ -96,16 +101,22 @@ def draw_coloured_cloud(
     """
     known = np.isfinite(values)
     points, values = cloud.points[known], values[known]
-    outside = 1 - scenery.frame.box.share(points)
-    note = ""
-    if outside > _MAX_OUTSIDE_SHARE:
-        scenery = scenery.in_frame(Frame.of(AxisBox.around(points), [points], has_north=cloud.crs is not None), look)
-        note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
-    elif outside > _MIN_REPORTED_SHARE:
-        note = f"{100 * outside:.1f} % of points outside the frame"
+    frame, note = frame_of(points, scenery.frame, has_north=cloud.crs is not None)
+    if frame is not scenery.frame:
+        scenery = scenery.in_frame(frame, look)
     image = _image(points, scale.colors(values), scenery.frame, look, scenery)
     compose(image, scenery.frame, join_title(title, note), unit, path, look, scale=scale, label=label)
     return True
+
+
+def frame_of(points: FloatArray, shared: Frame, *, has_north: bool = False) -> tuple[Frame, str]:
+    """Return the common frame, or a separate one if it lacks most of the points (N, 3), and a note for the title."""
+    outside = 1 - shared.box.share(points)
+    if outside > _MAX_OUTSIDE_SHARE:
+        note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
+        return Frame.of(AxisBox.around(points), [points], has_north=has_north), note
+    note = f"{100 * outside:.1f} % of points outside the frame" if outside > _MIN_REPORTED_SHARE else ""
+    return shared, note
 
 
 def draw_own_colors(name: str, cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:
@@ -124,8 +135,8 @@ def draw_own_colors(name: str, cloud: Cloud | None, unit: str, shared: Frame, pa
     colors, note = cloud.colors, ""
     if colors is None:
         height, inside = cloud.points[:, 2], shared.box.holds(cloud.points)
-        low, high = np.percentile(height[inside] if inside.any() else height, [0.5, 99.5])
-        colors, note = Range(float(low), max(float(high), float(low) + 1e-12)).colors(height), ", coloured by height"
+        colors = height_range(height[inside] if inside.any() else height).colors(height)
+        note = ", coloured by height"
     image = _image(cloud.points, colors, shared, look)
     compose(image, shared, f"{name} ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
     return True

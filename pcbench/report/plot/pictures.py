@@ -12,12 +12,12 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, ranges, robust_maximum
+from pcbench.report.colors import Range, ranges, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture, bends, charts, maps
 from pcbench.report.plot.sections import draw_section
 from pcbench.report.plot.views import Frame
-from pcbench.report.read import Report, ReportedCandidate, read_deformation, read_report
+from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -34,7 +34,7 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
         return {}
     cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
     frame = maps.frame(None, {"candidate": cloud})
-    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or "units of the file", frame, look)
+    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or UNKNOWN_UNIT, frame, look)
 
 
 def _deformation_pictures(
@@ -93,7 +93,7 @@ def _maps(
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
     scales = _scales(values, report, look)
-    label = f"{maps.LABELS.get(scalar, scalar.replace('_', ' '))} [{report.unit}]"
+    label = f"{maps.label_of(scalar)} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
 
     def picture(name: str, scale: Range) -> Picture:
@@ -137,10 +137,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
 
 def _scales(values: Mapping[str, FloatArray], report: Report, look: Figures) -> dict[str, Range]:
     """Return the colour range of each candidate's values (N,), which may be NaN."""
-    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
-    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
-    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
-    return ranges(highest, spacing=report.spacing_median, signed=signed, given=look.range)
+    return ranges_of(values, spacing=report.spacing_median, given=look.range)
 
 
 def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[str, Picture]:

@@ -1,0 +1,84 @@
+"""Command that shows a report, a cloud or a mesh in a window: view."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pcbench.cli.messages import steps, warn
+from pcbench.cli.options import FILE
+from pcbench.errors import InputError
+
+
+@click.command(short_help="Show a report, a cloud or a mesh in a window.")
+@click.argument("path", type=FILE)
+@click.option("--screenshot", type=FILE, metavar="FILE", help="Write a PNG picture instead of opening a window.")
+def view(path: Path, screenshot: Path | None) -> None:
+    """Show PATH in a window: the folder of a report, or a file with a cloud or a mesh.
+
+    In a report, the key N shows the next candidate and M the next map, and a slider sets the end of the colour range. A
+    right click on a point prints its coordinates, its deviation and statistics of its closest points.
+
+    \b
+    Example: pcbench view report/
+    """
+    from pcbench.io.colmap import model_file
+    from pcbench.opengl import NoFiguresError
+    from pcbench.report.plotters.window import check_window
+
+    is_report = (path / "comparison.json").is_file()
+    if not is_report and model_file(path).is_dir():
+        raise InputError(f"{path}: expected the folder of a report (with comparison.json), or a file")
+    if screenshot is not None:
+        _check_screenshot(screenshot, path)
+    with steps(quiet=False) as step:
+        step("starting OpenGL")
+        try:
+            check_window(off_screen=screenshot is not None)
+        except NoFiguresError as error:
+            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_report=is_report)}") from error
+        step(f"reading {path}")
+        plotter = _plotter(path, off_screen=screenshot is not None, is_report=is_report)
+    if screenshot is None:
+        plotter.show()
+    else:
+        _write(plotter, screenshot)
+
+
+def _plotter(path: Path, *, off_screen: bool, is_report: bool) -> Any:
+    from pcbench.report.plotters.viewer import ReportViewer, view_file
+
+    if is_report:
+        return ReportViewer(path, click.echo, off_screen=off_screen).plotter
+    return view_file(path, click.echo, warn, off_screen=off_screen)
+
+
+def _write(plotter: Any, screenshot: Path) -> None:
+    from pcbench.io.files import atomic_write
+
+    picture = BytesIO()
+    plotter.screenshot(picture)
+    plotter.close()
+    with atomic_write(screenshot) as file:
+        file.write(picture.getvalue())
+
+
+def _check_screenshot(screenshot: Path, path: Path) -> None:
+    from pcbench.io.files import check_output
+
+    if screenshot.suffix.lower() != ".png":
+        raise InputError(f"{screenshot}: expected a file name that ends in .png")
+    check_output(screenshot, [path])
+
+
+def _instead(path: Path, screenshot: Path | None, *, is_report: bool) -> str:
+    """Return what to do where no window can be opened, or nothing rendered."""
+    if is_report and (path / "report.html").is_file():
+        return f"open {path / 'report.html'} in a browser"
+    if screenshot is None:
+        return f"write a picture with `pcbench view {path} --screenshot FILE.png`"
+    drawing = f"`pcbench plot {path}`" if is_report else "`pcbench compare REFERENCE CANDIDATE --out FOLDER`"
+    return f"{drawing} draws pictures without OpenGL"

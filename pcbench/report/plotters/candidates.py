@@ -1,0 +1,140 @@
+"""Scalar maps of the candidates of a comparison or a saved report, with common colour ranges and a common frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.measure.results import Candidate, CandidateComparisons
+from pcbench.measure.wording import pluralize
+from pcbench.report.colors import Range, ranges_of
+from pcbench.report.plot.maps import frame, frame_of, label_of
+from pcbench.report.plot.panels import join_title
+from pcbench.report.plot.views import Frame
+from pcbench.report.plotters.stage import Stage, Window
+from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate
+
+COMPLETENESS = "completeness"
+
+
+class ScalarMap(NamedTuple):
+    """Points with a scalar.
+
+    Attributes:
+        points: (N, 3) points.
+        values: (N,) finite values.
+    """
+
+    points: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateMaps:
+    """The maps of all candidates of a comparison.
+
+    Attributes:
+        maps: maps by candidate and scalar; the last scalar is `completeness`, the reference's distances.
+        unit: unit of lengths, if known.
+        spacing: median spacing of the reference.
+        range: the end of all colour ranges, if the user set it.
+    """
+
+    maps: Mapping[str, Mapping[str, ScalarMap]]
+    unit: str | None
+    spacing: float
+    range: float | None = None
+
+    @classmethod
+    def of_comparison(cls, comparison: CandidateComparisons, range: float | None) -> CandidateMaps:
+        """Return the maps of a measured comparison."""
+        reference = comparison.reference
+        maps = {candidate.name: _measured(candidate) for candidate in comparison}
+        return cls(maps, reference.unit, reference.spacing_median, range)
+
+    @classmethod
+    def of_report(cls, report: Report, range: float | None) -> CandidateMaps:
+        """Read the maps of a saved report."""
+        maps = {candidate.name: _reported(candidate) for candidate in report.candidates}
+        return cls(maps, None if report.unit == UNKNOWN_UNIT else report.unit, report.spacing_median, range)
+
+    def of(self, name: str, scalar: str) -> ScalarMap:
+        """Return a map.
+
+        Raises:
+            InputError: the candidate has no such map.
+        """
+        if scalar not in self.maps[name]:
+            known = ", ".join(self.maps[name])
+            raise InputError(f"expected a map of {name} ({known}), or deformation; got {scalar!r}")
+        return self.maps[name][scalar]
+
+    def ranges(self, scalar: str) -> dict[str, Range]:
+        """Return the colour range of a scalar for each candidate that has it."""
+        values = {name: maps[scalar].values for name, maps in self.maps.items() if scalar in maps}
+        return ranges_of(values, spacing=self.spacing, given=self.range)
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The common frame of all maps."""
+        first, *_ = self.maps.values()
+        measured = Cloud(first[COMPLETENESS].points) if COMPLETENESS in first else None
+        return frame(measured, {name: Cloud(next(iter(maps.values())).points) for name, maps in self.maps.items()})
+
+    def stage(self, name: str, scalar: str, window: Window) -> Stage:
+        """Return an empty stage with the frame of a map."""
+        return Stage(frame_of(self.of(name, scalar).points, self.frame)[0], self.unit, window)
+
+    def show(self, stage: Stage, name: str, scalar: str) -> Range:
+        """Show a map on a stage, in place of an earlier one, and return its colour range."""
+        shown, scale = self.of(name, scalar), self.ranges(scalar)[name]
+        # The reference is the ghost behind a candidate, and the candidate behind the reference.
+        behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
+        if behind in self.maps[name]:
+            stage.add_ghost(self.maps[name][behind].points)
+        stage.add_bar(stage.add_values(*shown, scale), label_of(scalar))
+        count = pluralize(len(shown.points), "core point" if scalar.startswith("m3c2") else "point")
+        title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
+        stage.write_title(join_title(title, frame_of(shown.points, self.frame)[1]))
+        return scale
+
+
+def _measured(candidate: Candidate) -> dict[str, ScalarMap]:
+    deviation = candidate.deviation
+    maps = {name: (deviation.points, values) for name, values in deviation.scalars.items()}
+    if deviation.m3c2 is not None:
+        maps["m3c2_distance"] = deviation.m3c2.cores, deviation.m3c2.distances
+    maps[COMPLETENESS] = candidate.completeness.points, candidate.completeness.scalars["distance"]
+    return _known(maps)
+
+
+def _reported(candidate: ReportedCandidate) -> dict[str, ScalarMap]:
+    deviation, m3c2, completeness = candidate.deviation, candidate.m3c2, candidate.completeness()
+    maps = {name: (deviation.points, _float(values)) for name, values in deviation.attributes.items()}
+    if m3c2 is not None:
+        maps["m3c2_distance"] = m3c2.points, _float(m3c2.attributes["m3c2_distance"])
+    if completeness is not None:
+        maps[COMPLETENESS] = completeness.points, _float(completeness.attributes["distance"])
+    return _known(maps)
+
+
+def _known(maps: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, ScalarMap]:
+    """Return the points of each map whose value is known, without maps that have none."""
+    known = {name: np.isfinite(values) for name, (_, values) in maps.items()}
+    return {
+        name: ScalarMap(points, values) if known[name].all() else ScalarMap(points[known[name]], values[known[name]])
+        for name, (points, values) in maps.items()
+        if known[name].any()
+    }
+
+
+def _float(values: NDArray[np.generic]) -> FloatArray:
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,245 @@
+"""A `pyvista.Plotter` with the appearance of a report's pictures: frame, colours, axes with their unit, colour bar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.extras import require
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.mesh import Mesh
+from pcbench.opengl import check_opengl, select_opengl
+from pcbench.report.colors import Range
+from pcbench.report.figures import WINDOW_SIZE, Figures, ink
+from pcbench.report.plot.views import Frame, Viewpoint
+from pcbench.report.plotters.axes import axes_of
+from pcbench.report.read import UNKNOWN_UNIT
+
+_VIEW = Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1))
+_FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
+_RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
+_COLORS = 256  # entries of a lookup table
+_AXES_OPACITY = 0.6
+_TITLE_PX = 36  # from the upper edge to the lower edge of the title
+_NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
+_DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
+_MIN_DOT_PX, _MAX_DOT_PX = 2.0, 6.0
+_GHOST_POINTS = 40_000  # more translucent points would add up to an opaque layer
+_GHOST_OPACITY, _GHOST_DOT_PX = 0.25, 2.0
+_PALE = [138, 138, 138]
+
+
+class Window(NamedTuple):
+    """A window, or the picture that is rendered without one.
+
+    Attributes:
+        off_screen: whether to render without a window; None: as pyvista is set up.
+        size: width and height in pixels.
+        background: background colour, see `Figures`.
+    """
+
+    off_screen: bool | None = None
+    size: tuple[int, int] = WINDOW_SIZE
+    background: str = "dark"
+
+
+class Stage:
+    """A plotter with a frame and a local origin.
+
+    OpenGL computes in float32, which has steps of half a metre at the northings of UTM. Points are therefore moved to
+    a local origin of round coordinates, which the titles of the axes name.
+
+    Args:
+        frame: the frame of the scene.
+        unit: unit of lengths.
+        window: the window.
+        axes: names of the axes.
+
+    Attributes:
+        plotter: the plotter, which is not yet shown.
+        origin: (3,) the local origin.
+        frame: the frame.
+        unit: unit of lengths, or words for an unknown one.
+        ink: colour of text on the background.
+
+    Raises:
+        MissingExtra: pyvista is not installed.
+        NoFiguresError: there is neither a display nor EGL nor OSMesa.
+    """
+
+    def __init__(
+        self, frame: Frame, unit: str | None, window: Window, axes: tuple[str, str, str] = ("x", "y", "z")
+    ) -> None:
+        ground = Figures(window.background).ground("dark")
+        check_opengl()  # before VTK, which pyvista imports
+        select_opengl()
+        self._pyvista = require("pyvista")
+        self.plotter = self._pyvista.Plotter(
+            off_screen=window.off_screen, window_size=list(window.size), title="pcbench"
+        )
+        self.plotter.set_background(ground)
+        self.ink = ink(ground)
+        self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
+        self.origin = local_origin(frame)
+        self._place_camera(self._add_axes(axes))
+
+    def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
+        """Add points (N, 3) as round dots, and return the actor.
+
+        Args:
+            points: (N, 3) in the clouds' coordinates.
+            name: name of the actor, which replaces an earlier one of that name.
+            how: arguments of `pyvista.Plotter.add_mesh`; `scalars` are (N,) values or (N, 3) colours.
+        """
+        local = (points - self.origin).astype(np.float32)
+        inside = max(int(np.count_nonzero(self.frame.box.holds(points))), 1)
+        dot = float(np.clip(_DOT_SHARE * np.sqrt(self._size[0] * self._size[1] / inside), _MIN_DOT_PX, _MAX_DOT_PX))
+        options = {"point_size": dot, "pickable": False, **how}
+        return self.plotter.add_mesh(
+            self._pyvista.PolyData(local),
+            style="points",
+            name=name,
+            render_points_as_spheres=True,
+            lighting=False,  # light would change the colours, which show values
+            show_scalar_bar=False,
+            reset_camera=False,
+            **options,
+        )
+
+    def add_surface(self, mesh: Mesh, name: str, **how: Any) -> Any:
+        """Add a mesh with light from the camera, and return the actor."""
+        surface = mesh.shifted(self.origin).to_pyvista()
+        return self.plotter.add_mesh(surface, name=name, reset_camera=False, pickable=False, **how)
+
+    def add_ghost(self, shown: FloatArray | Mesh) -> Any:
+        """Add points (N, 3) or a mesh as a pale, translucent ghost, and return the actor."""
+        how: dict[str, Any] = {"color": _PALE, "opacity": _GHOST_OPACITY}
+        if isinstance(shown, Mesh):
+            return self.add_surface(shown, "ghost", **how)
+        thinned = shown[:: -(-len(shown) // _GHOST_POINTS)]
+        return self.add_points(thinned, "ghost", point_size=_GHOST_DOT_PX, **how)
+
+    def add_values(self, points: FloatArray, values: FloatArray, scale: Range, name: str = "values") -> Any:
+        """Add points (N, 3) coloured by finite values (N,), which a mouse click can pick, and return the actor."""
+        return self.add_points(
+            points, name, scalars=values, cmap=self.lookup_table(scale), clim=(scale.low, scale.high), pickable=True
+        )
+
+    def add_arrows(self, tails: FloatArray, vectors: FloatArray, values: FloatArray, scale: Range) -> Any:
+        """Add arrows from tails (N, 3) along vectors (N, 3), coloured by values (N,), and return the actor."""
+        data = self._pyvista.PolyData((tails - self.origin).astype(np.float32))
+        data["vectors"], data["values"] = vectors, values
+        arrows = data.glyph(orient="vectors", scale="vectors", geom=self._pyvista.Arrow(shaft_resolution=8))
+        table = self.lookup_table(scale)
+        how = {"cmap": table, "clim": (scale.low, scale.high), "lighting": False, "show_scalar_bar": False}
+        return self.plotter.add_mesh(arrows, scalars="values", name="arrows", reset_camera=False, pickable=False, **how)
+
+    def add_lines(self, lines: Sequence[FloatArray], name: str, color: str) -> Any:
+        """Add lines, each through points (K, 3), and return the actor."""
+        return self._add_local_lines([line - self.origin for line in lines], name, color=color, line_width=2)
+
+    def lookup_table(self, scale: Range) -> Any:
+        """Return the colours of a range as a `pyvista.LookupTable`."""
+        middles = scale.low + (np.arange(_COLORS) + 0.5) * (scale.high - scale.low) / _COLORS
+        opaque = np.full((_COLORS, 1), 255, np.uint8)
+        values = np.concatenate([scale.colors(middles), opaque], axis=1)
+        return self._pyvista.LookupTable(values=values, scalar_range=(scale.low, scale.high))
+
+    def add_bar(self, actor: Any, label: str) -> None:
+        """Add the colour bar of an actor, with its label and the unit; it replaces an earlier one."""
+        for title in [*self.plotter.scalar_bars.keys()]:
+            self.plotter.remove_scalar_bar(title, render=False)
+        self.plotter.add_scalar_bar(
+            title=f"{label} [{self.unit}]\n",
+            mapper=actor.mapper,
+            vertical=False,
+            position_x=0.27,
+            position_y=0.03,
+            width=0.46,
+            height=0.09,
+            n_labels=5,
+            fmt="%.3g",
+            color=self.ink,
+            title_font_size=16,
+            label_font_size=14,
+            unconstrained_font_size=True,
+        )
+
+    def write_title(self, text: str) -> None:
+        """Write the title at the upper edge; it replaces an earlier one."""
+        self.plotter.add_text(
+            text,
+            position=(0.015, 1 - _TITLE_PX / self._size[1]),
+            viewport=True,
+            font_size=11,
+            color=self.ink,
+            name="title",
+        )
+
+    def _add_axes(self, names: tuple[str, str, str]) -> FloatArray:
+        """Add axes along edges of the frame's box, and return the places (K, 3) of their labels."""
+        axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin)
+        lines = [axis.ends for axis in axes] + [tick for axis in axes for tick in axis.ticks]
+        self._add_local_lines(lines, "axes", color=self.ink, opacity=_AXES_OPACITY)
+        unit = f" [{self._known_unit}]" if self._known_unit else ""
+        titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
+        places = np.concatenate([axis.places for axis in axes] + [axis.title_place[None] for axis in axes])
+        labels = [f"{value:.6g}" for axis in axes for value in axis.values] + titles
+        self.plotter.add_point_labels(
+            places,
+            labels,
+            name="axis labels",
+            show_points=False,
+            shape=None,
+            always_visible=True,
+            text_color=self.ink,
+            font_size=13,
+            bold=False,
+            justification_horizontal="center",
+            justification_vertical="center",
+            reset_camera=False,
+        )
+        x, y, z = names
+        self.plotter.add_axes(color=self.ink, line_width=3, xlabel=x, ylabel=y, zlabel=z)
+        return places
+
+    def _add_local_lines(self, lines: Sequence[FloatArray], name: str, **how: Any) -> Any:
+        """Add lines, each through points (K, 3) relative to the origin."""
+        starts = np.cumsum([0, *map(len, lines)])
+        cells = [[len(line), *range(start, start + len(line))] for line, start in zip(lines, starts[:-1], strict=True)]
+        shown = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
+        return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
+
+    def _place_camera(self, labels: FloatArray) -> None:
+        """Show the frame's box and the places (K, 3) of labels, with parallel projection as in the pictures."""
+        right, up, toward = _VIEW.axes
+        box, center = self.frame.box, self.frame.box.center - self.origin
+        corners = np.stack(np.meshgrid(*zip(box.low, box.high, strict=True)), axis=-1).reshape(-1, 3) - self.origin
+        shown = (np.concatenate([corners, labels]) - center) @ _VIEW.axes[:2].T
+        low, high = shown.min(axis=0), shown.max(axis=0)
+        width, height = (high - low) / _FRAME_SHARE
+        visible = max(float(height), float(width) * self._size[1] / self._size[0])  # height of the whole window
+        middle = 0.5 * (low + high)
+        focus = center + middle[0] * right + (middle[1] - _RAISED_SHARE * visible) * up
+        camera = self.plotter.camera
+        camera.parallel_projection = True
+        camera.focal_point, camera.position = focus.tolist(), (focus + 2 * visible * toward).tolist()
+        camera.up, camera.parallel_scale = _VIEW.up, 0.5 * visible
+        self.plotter.camera_set = True
+
+
+def local_origin(frame: Frame) -> FloatArray:
+    """Return round coordinates (3,) at or below a frame's lower corner; 0 on axes on which the frame is near 0."""
+    low, high = frame.box.low, frame.box.high
+    extent = max(float((high - low).max()), 1e-9)
+    step = 10.0 ** np.floor(np.log10(extent))
+    far = np.maximum(np.abs(low), np.abs(high)) > _NEAR_EXTENTS * extent
+    origin: FloatArray = np.where(far, step * np.floor(low / step), 0.0)
+    return origin
+
+
+def _minus(start: float) -> str:
+    """Return what was subtracted from a coordinate, such as " − 637,000"; nothing for 0."""
+    return f" {'−' if start > 0 else '+'} {abs(start):,.15g}" if start else ""
