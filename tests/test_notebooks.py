@@ -22,8 +22,9 @@ MARKS = {"gao": [pytest.mark.slow], "reconstructor": [pytest.mark.long], "bend":
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
     import_or_skip("matplotlib")
-    if path.stem in ("reconstructor", "gao"):  # render photographs
+    if path.stem in ("reconstructor", "gao"):
         import_or_skip("pycolmap")
+    if path.stem in ("compare", "reconstructor", "gao"):  # render scenes
         request.getfixturevalue("renderer")
     if path.stem == "gao":
         import_or_skip("torch")
