@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.report.colors import Range, ranges, robust_maximum
+from pcbench.report.colors import Range, ranges_of
 from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, scalar_codes
 from pcbench.report.inputs import SourcedComparison
 
@@ -74,25 +74,18 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
     scales = {}
     for key in dict.fromkeys(key for map_ in maps.values() for key in map_.scalars):
         having = {name: map_.scalars[key] for name, map_ in maps.items() if key in map_.scalars}
-        scales[key] = _scales(having, spacing, given)
+        scales[key] = ranges_of(having, spacing=spacing, given=given)
     for name, map_ in maps.items():
         scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
         yield _Source(name, map_.points, scalars)
     cores = {name: map_.m3c2 for name, map_ in maps.items() if map_.m3c2 is not None}
-    along = _scales({name: found.distances for name, found in cores.items()}, spacing, given)
+    along = ranges_of({name: found.distances for name, found in cores.items()}, spacing=spacing, given=given)
     for name, found in cores.items():
         yield _Source(f"{name}, M3C2", found.cores, [_Scalar("m3c2_distance", found.distances, along[name])])
     missing = {c.name: c.completeness.scalars["distance"] for c in comparison}
-    to_candidates = _scales(missing, spacing, given)
+    to_candidates = ranges_of(missing, spacing=spacing, given=given)
     scalars = [_Scalar("distance", values, to_candidates[name], name) for name, values in missing.items()]
     yield _Source("", comparison.candidates[0].completeness.points, scalars)  # the same points for each candidate
-
-
-def _scales(values: Mapping[str, FloatArray], spacing: float, given: float | None) -> dict[str, Range]:
-    finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
-    signed = any(bool((scalars < 0).any()) for scalars in finite.values())
-    highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
-    return ranges(highest, spacing=spacing, signed=signed, given=given)
 
 
 def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:

@@ -92,7 +92,7 @@ def _maps(
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    scales = _scales(values, report, look)
+    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
     label = f"{maps.label_of(scalar)} [{report.unit}]"
     noun = "core point" if scalar.startswith("m3c2") else "point"
 
@@ -120,7 +120,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     clouds = {candidate.name: candidate.deviation for candidate in report.candidates}
     scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
-    scales = _scales(values, report, look)
+    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
     label = f"{maps.LABELS[scalar]} [{report.unit}]"
 
     def picture(name: str) -> Picture:
@@ -133,11 +133,6 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
         return Picture(draw, "no place has enough points for a section")
 
     return {f"{name}_section": picture(name) for name in clouds} if len(reference) else {}
-
-
-def _scales(values: Mapping[str, FloatArray], report: Report, look: Figures) -> dict[str, Range]:
-    """Return the colour range of each candidate's values (N,), which may be NaN."""
-    return ranges_of(values, spacing=report.spacing_median, given=look.range)
 
 
 def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[str, Picture]:
