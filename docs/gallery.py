@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from pcbench import plot, read_cloud, write_cloud
+from pcbench import compare, read_cloud, write_cloud
 
 HERE = Path(__file__).parent / "gallery"
 CITY_IMAGES = "0014.png", "0034.png"  # from the third and the sixth circle of cameras
@@ -59,9 +59,8 @@ def report(folder: Path) -> None:
 def view(folder: Path) -> None:
     """Create the picture of a view in three dimensions."""
     pcbench("demo --points 200000 --no-bench --no-figures --quiet --out FOLDER", folder)
-    reference, candidate = folder / "clouds" / "reference.ply", folder / "report" / "densified_deviation.ply"
-    plotter = plot.deviation(reference, candidate, "plane_distance", off_screen=True)
-    plotter.screenshot(folder / "view.png")
+    clouds = {name: folder / "clouds" / f"{name}.ply" for name in ("reference", "densified")}
+    compare(clouds["reference"], clouds["densified"]).plot("densified", off_screen=True).screenshot(folder / "view.png")
     save_compressed(folder / "view.png", "view")
 
 

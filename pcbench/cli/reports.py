@@ -87,7 +87,8 @@ if TYPE_CHECKING:
 @click.option(
     "--table",
     type=click.Choice(["latex", "markdown", "csv"]),
-    help="Print only a table: the main metrics as latex, or all metrics as markdown or csv.",
+    help="Print a table instead of the answer: the main metrics as latex, all metrics as csv, or table.md as markdown;"
+    " warnings go to the standard error.",
 )
 @no_figures_option()
 @click.option(
@@ -198,6 +199,8 @@ def compare_and_print(
         output.write(document(outcome.comparison))
     if table is not None:
         click.echo(TABLES[table](outcome.comparison), nl=False)
+        for text in warnings(outcome.comparison):
+            warn(text)
     elif not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
     for problem in filter(None, (outcome.without_page, outcome.without_figures)):

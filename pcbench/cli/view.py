@@ -29,6 +29,8 @@ def view(path: Path, screenshot: Path | None) -> None:
     from pcbench.opengl import NoFiguresError
     from pcbench.report.plotters.window import check_window
 
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder: check the name")
     is_report = (path / "comparison.json").is_file()
     if not is_report and model_file(path).is_dir():
         raise InputError(f"{path}: expected the folder of a report (with comparison.json), or a file")

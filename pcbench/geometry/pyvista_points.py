@@ -45,7 +45,7 @@ def add(
 def add_frame(data: Any, *, crs: str | None, unit: str | None) -> None:
     """Add the coordinate system and the unit as field data."""
     for name, text in zip(_FRAME, (crs, unit), strict=True):
-        if text is not None:
+        if text is not None and text.isascii():  # VTK's field data hold no other text
             data.field_data[name] = [text]
 
 
@@ -70,14 +70,14 @@ def fields(data: Any) -> dict[str, Any]:
         "points": np.array(data.points, np.float64),
         "normals": normals,
         "colors": colors,
-        "attributes": {name: values for name, values in arrays.items() if values.ndim == 1},
+        "attributes": {name: values for name, values in arrays.items() if name and values.ndim == 1},
         **frame(data),
     }
 
 
 def frame(data: Any) -> dict[str, str]:
     """Return the coordinate system and the unit, as far as they are in the field data."""
-    return {name: str(data.field_data[name][0]) for name in _FRAME if name in data.field_data}
+    return {name: str(data.field_data[name][0]) for name in _FRAME if len(data.field_data.get(name, ()))}
 
 
 def _holds_colors(arrays: Mapping[str, NDArray[Any]], name: str | None) -> bool:

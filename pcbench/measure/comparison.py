@@ -151,7 +151,10 @@ def _compare_one(
         completeness = DeviationMap(*reference.measured, {"distance": back.distances.to_points})
     with _record_time(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
-        quoted = {key: presets.measure_preset(key, matched.pair, thresholds, to_poisson) for key in settings.presets}
+        pair = matched.pair
+        if not measurement.metrics.d2_samples:
+            pair = _with_normals(pair, reference)
+        quoted = {key: presets.measure_preset(key, pair, thresholds, to_poisson) for key in settings.presets}
     step(f"{name}: testing for deformation")
     with _record_time(timings, "deformation"):
         deformation = _deformation(reference, aligned, settings.seed)
@@ -251,19 +254,21 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
 
 
 def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
-    """Crop both clouds to the region and match them; without a region they are matched as they are.
-
-    The pair has no normals if the comparison has a tolerance: presets would need those of all points.
-    """
-    rows, given = reference.rows, reference.cloud.normals
-    has_all_normals = reference.has_normals and reference.tolerance is None
-    normals = reference.surface.compute_normals(rows) if has_all_normals else None
-    if rows is None:
-        return presets.match(reference.index, candidate, reference.nearest_other, normals, given)
-    normals, given = (None if n is None else n[rows] for n in (normals, given))
+    """Crop both clouds to the region and match them, without normals; without a region they are matched as they are."""
+    if reference.region is None:
+        return presets.match(reference.index, candidate, reference.nearest_other, None, None)
     cut = Index(reference.measured_points)
     nearest_other = cut.nearest_other() if len(cut) > 1 else None
-    return presets.match(cut, Index(candidate.points[inside]), nearest_other, normals, given)
+    return presets.match(cut, Index(candidate.points[inside]), nearest_other, None, None)
+
+
+def _with_normals(pair: presets.CroppedPair, reference: Reference) -> presets.CroppedPair:
+    """Return a cropped pair with the reference's normals, computed and as given, if there are any."""
+    rows, given = reference.rows, reference.cloud.normals
+    normals = reference.surface.compute_normals(rows) if reference.has_normals else None
+    if rows is not None:
+        normals, given = (None if n is None else n[rows] for n in (normals, given))
+    return pair._replace(normals=normals, raw_normals=given)
 
 
 def _differences(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.metrics import NORMAL_MAD, RANKS, nmad, percentiles
+from pcbench.measure.metrics import NORMAL_MAD, nmad, percentiles
 from pcbench.measure.plane_sample import PlaneSample
 
 LOD_Z = 1.96  # normal quantile of a two-sided 95 % level of detection
@@ -24,6 +24,8 @@ _MIN_LOD_POINTS = 5  # points needed to estimate a standard deviation, as in Clo
 @dataclass(frozen=True)
 class Spread:
     """Summary statistics of distances, signed or not, in the clouds' unit; all None if there are no distances.
+
+    A sample of distances to planes has only the median, the root mean square and the NMAD.
 
     Attributes:
         percentiles: percentiles by name, as {"p50": ...}.
@@ -54,21 +56,12 @@ class Spread:
 
     @classmethod
     def _of_sample(cls, sample: PlaneSample) -> Spread:
-        values, weights = sample.distances, sample.weights
+        def median(values: FloatArray) -> float:
+            return float(np.percentile(values, 50, method="inverted_cdf", weights=sample.weights))
 
-        def quantiles(of: FloatArray, ranks: Sequence[float]) -> list[float]:
-            found: list[float] = np.percentile(of, ranks, method="inverted_cdf", weights=weights).tolist()
-            return found
-
-        (median,), mean = quantiles(values, [50]), float(np.average(values, weights=weights))
-        return cls(
-            {f"p{rank:g}": value for rank, value in zip(RANKS, quantiles(values, RANKS), strict=True)},
-            rms=math.sqrt(sample.mean_square),
-            bias=mean,
-            median=median,
-            std=math.sqrt(max(sample.mean_square - mean**2, 0.0)),
-            nmad=NORMAL_MAD * quantiles(np.abs(values - median), [50])[0],
-        )
+        middle = median(sample.distances)
+        spread = NORMAL_MAD * median(np.abs(sample.distances - middle))
+        return cls(rms=math.sqrt(sample.mean_square), median=middle, nmad=spread)
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,6 +168,8 @@ def _to_planes(
         return None
     sample = None
     if reference.tolerance is not None:
+        if not to_points.any():
+            return np.zeros(len(to_points))
         sample = sample_planes(to_points, measure, reference.tolerance, seed)
     return measure(None) if sample is None else sample
 

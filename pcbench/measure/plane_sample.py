@@ -21,7 +21,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_FIRST_SIZE = 10_000  # expected number of queries of the first sample
+_FIRST_SIZE = 20_000  # expected number of queries of the first sample
 _MAX_SHARE = 0.3  # of the queries; a larger sample would save no time
 _UNIFORM_SHARE = 0.25  # of the sample; it represents queries close to the reference, for the median and the NMAD
 _MAX_GROWTH = 16.0  # of the size of the sample in one round: the first estimates of the variance are rough

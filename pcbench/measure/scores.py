@@ -131,7 +131,9 @@ def _directed_metrics(
         for way, direction in ways.items():
             values = metric.values_of(direction.distances)
             assert values is not None
-            area_weighted = metrics.area_weighted_mean(values, grids[way])
+            # A sample represents a whole direction, but not each voxel.
+            is_sampled = key == "d2_mse" and isinstance(direction.distances.to_planes, PlaneSample)
+            area_weighted = None if is_sampled else metrics.area_weighted_mean(values, grids[way])
             estimates[way] = known.estimate(f"{key}/{way}")._replace(
                 floor=direction.floors[key], area_weighted=area_weighted
             )

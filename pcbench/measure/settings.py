@@ -125,7 +125,7 @@ def _check_tolerance(value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         share = np.nan
     if isinstance(value, bool) or not 0 < share < 1:
-        raise InputError(f"expected the tolerance as a share between 0 and 1, such as 0.01 for 1 %, got {value!r}")
+        raise InputError(f"expected a tolerance above 0 and below 1 (100 %), such as 0.01 (1 %), got {value!r}")
     return share
 
 

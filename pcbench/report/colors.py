@@ -140,6 +140,11 @@ def ranges_of(
     return ranges(highest, spacing=spacing, signed=signed, given=given)
 
 
+def has_colors(colors: NDArray[np.uint8] | None) -> bool:
+    """Return whether a cloud has colours (N, 3); those of many LAS files are all zero."""
+    return colors is not None and bool(colors.any())
+
+
 def height_range(heights: FloatArray) -> Range:
     """Return the range of colours that show heights (N,): their inner 99 %."""
     low, high = (float(height) for height in np.percentile(heights, [0.5, 99.5]))

@@ -63,7 +63,7 @@ class Comparison(SourcedComparison):
 
     def plot(
         self,
-        name: str,
+        name: str | None = None,
         scalar: str = "plane_distance",
         *,
         range: float | None = None,
@@ -74,7 +74,7 @@ class Comparison(SourcedComparison):
         """Return a plotter of one candidate, with the frame and the colour ranges of the report's pictures.
 
         Args:
-            name: name of the candidate.
+            name: name of the candidate; None: the only one.
             scalar: a scalar of its deviation map, coloured, with the reference as a ghost; `m3c2_distance`;
                 `completeness`: the reference, coloured by its distance to the candidate; or `deformation`: arrows.
             range: distance at which the colour range ends; default: as in the pictures. Not for `deformation`.
@@ -87,7 +87,8 @@ class Comparison(SourcedComparison):
 
         Raises:
             KeyError: no candidate has that name.
-            InputError: the candidate has no such map or no displacements, or an option is invalid.
+            InputError: the candidate has no such map or no displacements, an option is invalid, or there are several
+                candidates and none is named.
             MissingExtra: pyvista is not installed.
             NoFiguresError: there is neither a display nor EGL nor OSMesa.
         """
@@ -95,11 +96,15 @@ class Comparison(SourcedComparison):
         from pcbench.report.plotters.candidates import CandidateMaps
         from pcbench.report.plotters.stage import Window
 
+        if name is None:
+            if len(self) > 1:
+                raise InputError(f"expected the name of a candidate: {', '.join(c.name for c in self)}")
+            name = self.candidates[0].name
         candidate, window = self[name], Window(off_screen, window_size, background)
         if scalar == "deformation":
             field = candidate.deformation.field
             if field is None or not field.displacements.any():
-                raise InputError(f"{name}: the {candidate.deformation.model} model has no displacements")
+                raise InputError(f"{name}: no deformation was found, so there are no displacements")
             cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
             return plotters.show_displacements(
                 name, cloud, field.places, field.displacements, None, None, window

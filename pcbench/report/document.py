@@ -203,9 +203,15 @@ def provenance(seed: int | None) -> dict[str, Any]:
         "seed": seed,
         "machine": f"{platform.system()} {platform.machine()}, {cpu_count()} cores,"
         f" Python {platform.python_version()}, numpy {np.__version__}",
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": shlex.join([_program(), *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def _program() -> str:
+    """Return the name of the running program; `python -m pcbench` is the command `pcbench`."""
+    path = Path(sys.argv[0])
+    return "pcbench" if path.name == "__main__.py" and "pcbench" in path.parts else path.name
 
 
 def _commit(root: Path = Path(pcbench.__file__).parents[1]) -> str | None:

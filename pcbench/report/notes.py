@@ -110,7 +110,10 @@ def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:
             f"D2 {ARROWS[way]} is estimated from {sample.points:,} of {points[way]:,} points"
             f" (mean square ± {sample.half_width / value:.2%}, 95 % confidence)"
         )
-    return f"{' and '.join(parts)}; all other distances are exact"
+    return (
+        f"{' and '.join(parts)}. The median and the NMAD of distances to planes come from the same sample. Distances to"
+        " points are exact. Area-weighted D2 and the presets' D2 need all points and are left out"
+    )
 
 
 def _label(quantity: Quantity) -> str:

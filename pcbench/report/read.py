@@ -16,6 +16,7 @@ from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import REFERENCE_TO_CANDIDATE
+from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
 
 UNKNOWN_UNIT = "units of the file"
@@ -56,7 +57,7 @@ class ReportedCandidate:
             cloud = read_cloud(self.path, on_warning=lambda _: None)
         except PcbenchError:
             return None
-        return None if cloud.colors is None else cloud.transformed(self.transform)
+        return cloud.transformed(self.transform) if has_colors(cloud.colors) else None
 
     @property
     def has_completeness(self) -> bool:

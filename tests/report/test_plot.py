@@ -103,6 +103,27 @@ def test_candidates_with_colours_are_drawn_in_them(tmp_path):
         draw_in_process(tmp_path / "report", "ref_colors")
 
 
+@pytest.mark.parametrize(
+    "points", [np.full((300, 3), 2.0), np.outer(np.arange(300.0), [1, 0, 0])], ids=["point", "line"]
+)
+def test_points_without_extent_are_drawn(points, tmp_path):
+    import_or_skip("matplotlib")
+    from pcbench import compare
+
+    compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
+    assert "same_distance" in {path.stem for path in draw_in_process(tmp_path / "report")}
+
+
+def test_names_that_are_no_text_are_drawn(tmp_path):
+    import_or_skip("matplotlib")
+    from pcbench import compare
+
+    points = shapes.city(2000, seed=5)[0]
+    found = compare(points, {"\udcff\udcfe": points + [0, 0, 0.1]}, Settings(register="none"))
+    found.save(tmp_path / "report", figures=False)
+    assert len(draw_in_process(tmp_path / "report")) > 4
+
+
 def test_a_display_is_not_needed(monkeypatch, report):
     monkeypatch.setattr("pcbench.opengl._LIBRARIES", ("libNoSuchThing.so",))
     monkeypatch.delenv("DISPLAY", raising=False)

@@ -44,6 +44,12 @@ def test_the_frame_extends_by_at_most_a_quarter_beyond_the_reference():
     assert clipped_frame.box.high[0] == pytest.approx(5.5 + 0.25 * 11, rel=0.03)
 
 
+def test_the_frame_of_a_wall_contains_a_cloud_in_front_of_it():
+    wall = Cloud(cube([10, 0, 5]).points)
+    result = frame(wall, {"moved": Cloud(wall.points + [0, 0.3, 0])})
+    assert result.box.share(wall.points + [0, 0.3, 0]) > 0.9
+
+
 def test_outliers_do_not_widen_the_frame():
     points = np.concatenate([cube([10, 10, 10]).points, [[1e5, 0, 0], [0, -1e6, 0]]])
     assert AxisBox.around(points).high.max() < 6
@@ -186,12 +192,24 @@ def test_a_section_goes_through_the_place_of_the_largest_deviations():
     assert np.abs(found.center[:2] - [70, 20]).max() < 5
     across = np.array([-found.direction[1], found.direction[0]])
     for cloud, rows in ((points, found.rows), (reference, found.reference_rows)):
+        along = (cloud[:, :2] - found.center[:2]) @ found.direction
         expected = (np.abs((cloud[:, :2] - found.center[:2]) @ across) <= found.thickness / 2) & (
-            np.abs((cloud[:, :2] - found.center[:2]) @ found.direction) <= found.length / 2
+            (found.ends[0] <= along) & (along <= found.ends[1])
         )
         np.testing.assert_array_equal(rows, np.flatnonzero(expected))
     assert is_raised[found.rows].any()
     assert len(found.rows) + len(found.reference_rows) >= 400
+
+
+def test_a_section_at_the_border_stays_inside_the_scene():
+    rng = np.random.default_rng(1)
+    reference = np.column_stack([rng.uniform(0, 100, (50_000, 2)), np.zeros(50_000)])
+    values = np.where((reference[:, :2] > 96).all(axis=1), 1.0, 0.0)
+    found = Section.through_worst_place(reference, values, reference, spacing=0.3)
+    ends = found.center[:2] + np.outer(found.ends, found.direction)
+    assert (ends > -6).all() and (ends < 106).all()
+    assert found.ends[0] < 0 < found.ends[1]
+    assert found.length > 20
 
 
 def test_clouds_that_are_too_sparse_have_no_section():

@@ -13,7 +13,7 @@ from pcbench.report.colors import SERIES
 from pcbench.report.inputs import SourcedComparison
 
 WIDTH, HEIGHT = 520, 260  # of a chart, in SVG units
-_LEFT, _RIGHT, _TOP, _BOTTOM = 36, 12, 12, 40
+_LEFT, _RIGHT, _TOP, _BOTTOM = 36, 12, 26, 40
 _BINS = 48
 _THRESHOLDS = 81
 _RANGE_SAMPLE = 100_000  # distances from which the range of the axis is chosen

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,9 +60,9 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
     return _environment().get_template("page.html").render(
         title=_heading(comparison),
         subtitle=title(comparison),
-        answer=answer(comparison),
-        remarks=[*remarks(comparison)],
-        warnings=warnings(comparison),
+        answer=_one_line_each(answer(comparison)),
+        remarks=_one_line_each(remarks(comparison)),
+        warnings=_one_line_each(warnings(comparison)),
         names=[printable(c.name) for c in comparison],
         unit=comparison.reference.unit,
         rows=main,
@@ -70,7 +70,7 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         is_wide=len(comparison) > MAX_ACROSS,
         has_best=any(cell.is_best for row in main for pair in row.cells for cell in pair),
         all_rows=all_rows(comparison),
-        details=[*details(comparison)][len(comparison) :],  # those of single candidates have a section
+        details=_one_line_each(details(comparison))[len(comparison) :],  # those of single candidates have a section
         layers=clouds,
         shown=_shown(clouds),
         charts=charts(comparison),
@@ -86,6 +86,11 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         has_arrows=bool(view["arrows"]),
         scalar_labels=_scalar_labels(clouds),
     )  # fmt: skip
+
+
+def _one_line_each(sentences: Iterable[str]) -> list[str]:
+    """Return sentences without characters that names may contain and that would change the text around them."""
+    return [printable(" ".join(sentence.split())) for sentence in sentences]
 
 
 def _heading(comparison: SourcedComparison) -> str:

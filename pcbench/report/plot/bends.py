@@ -18,6 +18,7 @@ from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import compose, save
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length
+from pcbench.report.words import printable
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
@@ -68,7 +69,7 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
     width, height = 6.8 * columns, 0.9 + 4.2 * rows
     figure = Figure(figsize=(width, height), dpi=110)
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13, y=1 - 0.22 / height, va="center")
+    figure.suptitle(printable(title), fontsize=13, y=1 - 0.22 / height, va="center")
     figure.subplots_adjust(left=0.85 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
                            bottom=(1.0 if growth_panels else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
     axes = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]

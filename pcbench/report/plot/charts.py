@@ -11,6 +11,7 @@ from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
 from pcbench.report.read import Report
+from pcbench.report.words import printable
 
 _HISTOGRAM_BINS = 80
 _MAX_CURVE_POINTS = 1000
@@ -55,7 +56,8 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
         percentiles = [(float(v), float(rank[1:])) for rank, v in candidate.percentiles_completeness.items() if v > 0]
         if percentiles:
             cumulative.plot(*zip(*percentiles, strict=True), color=color, linestyle="--", marker=".")
-        handles.append(Line2D([], [], color=color, linewidth=2.5, label=shorten(candidate.name, 30, placeholder="…")))
+        label = shorten(printable(candidate.name), 30, placeholder="…")
+        handles.append(Line2D([], [], color=color, linewidth=2.5, label=label))
     dark = ink(look.ground("white"))
     handles += [
         Line2D([], [], color=dark, label="candidate → reference"),

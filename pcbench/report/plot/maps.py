@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, height_range
+from pcbench.report.colors import Range, has_colors, height_range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import Backdrop, splat
@@ -132,13 +132,14 @@ def draw_own_colors(name: str, cloud: Cloud | None, unit: str, shared: Frame, pa
     """
     if cloud is None:
         return False
-    colors, note = cloud.colors, ""
-    if colors is None:
+    colors, scale = cloud.colors, None
+    if colors is None or not has_colors(colors):
         height, inside = cloud.points[:, 2], shared.box.holds(cloud.points)
-        colors = height_range(height[inside] if inside.any() else height).colors(height)
-        note = ", coloured by height"
+        scale = height_range(height[inside] if inside.any() else height)
+        colors = scale.colors(height)
     image = _image(cloud.points, colors, shared, look)
-    compose(image, shared, f"{name} ({pluralize(len(cloud), 'point')}{note})", unit, path, look)
+    title = f"{name} ({pluralize(len(cloud), 'point')})"
+    compose(image, shared, title, unit, path, look, scale=scale, label=f"height [{unit}]")
     return True
 
 

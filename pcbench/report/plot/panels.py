@@ -16,6 +16,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.views import Frame, Viewpoint, round_length
+from pcbench.report.words import printable
 
 DPI = 120
 # Lengths are in inches.
@@ -58,7 +59,7 @@ def compose(
         over: draws over a view. It gets the axes, the viewpoint, a function that maps window positions (N, 2) to the
             picture in inches, and the inches per unit of length.
     """
-    ground = look.ground("dark")
+    title, ground = printable(title), look.ground("dark")
     color = ink(ground)
     inches = min(_MAX_WIDTH / float(frame.sizes[:, 0].sum()), _MAX_HEIGHT / float(frame.sizes[:, 1].max()))
     drawn = frame.sizes * inches

@@ -16,18 +16,22 @@ from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
 from pcbench.report.plot.views import AxisBox, thin_out
+from pcbench.report.words import printable
 
 _CELLS_ALONG = 40  # cells along the scene's diagonal in which deviations are compared
 _MIN_CELL_POINTS = 8
 _REACH_SHARE = 0.05  # of the diagonal: points farther outside the reference's box are not a place of the scene
 _LENGTH_SHARE = 0.25  # of the scene's diagonal, for the length of the section
 _MIN_SPACINGS, _MAX_THICKNESS_SHARE = 2.0, 0.02  # bounds of the slice's thickness; the latter of the diagonal
-_MIN_SLICE_POINTS = 400  # of both clouds, before the slice is made thicker
+_MIN_SLICE_POINTS, _MIN_OWN_POINTS = (
+    400,
+    40,
+)  # of both clouds and of the candidate; with fewer the slice is made thicker
 _DIRECTIONS_DEG = (0, 45, 90, 135)
 _EXAGGERATIONS = (1, 2, 5, 10, 20)
 _MIN_HEIGHT_RATIO = 0.12  # of the drawn height to the length, before heights are exaggerated
 _SECTION_INCHES, _MARGIN_INCHES = 9.2, 1.4  # length of the drawn section, and space above and below it
-_REFERENCE_GREY = "#8f959c"
+_REFERENCE_GREY, _LINE_COLOR = "#8f959c", "#ff7f2a"
 
 
 class Section(NamedTuple):
@@ -36,20 +40,26 @@ class Section(NamedTuple):
     Attributes:
         center: (3,) the place.
         direction: (2,) horizontal direction along the section.
-        length, thickness: size of the slice.
+        ends: (2,) positions of its ends along it, from the place.
+        thickness: thickness of the slice.
         rows: (M,) rows of the candidate's points in it.
         reference_rows: (K,) rows of the reference's points in it.
     """
 
     center: FloatArray
     direction: FloatArray
-    length: float
+    ends: FloatArray
     thickness: float
     rows: NDArray[np.int64]
     reference_rows: NDArray[np.int64]
 
+    @property
+    def length(self) -> float:
+        """Length of the section."""
+        return float(self.ends[1] - self.ends[0])
+
     def positions(self, points: FloatArray) -> FloatArray:
-        """Return positions (N, 2) of points (N, 3) in the section: along it from its centre, and height."""
+        """Return positions (N, 2) of points (N, 3) in the section: along it from the place, and height."""
         return np.column_stack([(points[:, :2] - self.center[:2]) @ self.direction, points[:, 2]])
 
     @classmethod
@@ -68,7 +78,7 @@ class Section(NamedTuple):
         diagonal = float(np.linalg.norm(box.high - box.low))
         reach = _REACH_SHARE * diagonal
         inside = np.flatnonzero(AxisBox(box.low - reach, box.high + reach).holds(points) & np.isfinite(values))
-        if not len(inside):
+        if not len(inside) or not diagonal > 0:
             return None
         grid = cells(points[inside], diagonal / _CELLS_ALONG, box.low)
         order = np.lexsort((np.abs(values[inside]), grid.of_point))
@@ -85,10 +95,10 @@ class Section(NamedTuple):
         near = [_rows_around(cloud, center, length) for cloud in (points, reference)]
         while True:
             slices = [
-                cls._slice(center, angle, length, thickness, points, reference, near) for angle in _DIRECTIONS_DEG
+                cls._slice(center, angle, box, length, thickness, points, reference, near) for angle in _DIRECTIONS_DEG
             ]
             best = max(slices, key=lambda found: len(found.rows) + len(found.reference_rows))
-            if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS:
+            if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS and len(best.rows) >= _MIN_OWN_POINTS:
                 return best
             if thickness >= _MAX_THICKNESS_SHARE * diagonal:
                 return best
@@ -99,6 +109,7 @@ class Section(NamedTuple):
         cls,
         center: FloatArray,
         angle: float,
+        box: AxisBox,
         length: float,
         thickness: float,
         points: FloatArray,
@@ -106,13 +117,26 @@ class Section(NamedTuple):
         near: Sequence[NDArray[np.int64]],
     ) -> Section:
         direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+        ends = _ends(center[:2], direction, box, length)
         found = []
         for cloud, rows in zip((points, reference), near, strict=True):
             from_center = cloud[rows, :2] - center[:2]
             across = from_center @ np.array([-direction[1], direction[0]])
-            is_inside = (np.abs(across) <= 0.5 * thickness) & (np.abs(from_center @ direction) <= 0.5 * length)
+            along = from_center @ direction
+            is_inside = (np.abs(across) <= 0.5 * thickness) & (along >= ends[0]) & (along <= ends[1])
             found.append(rows[is_inside])
-        return cls(center, direction, length, thickness, *found)
+        return cls(center, direction, ends, thickness, *found)
+
+
+def _ends(center: FloatArray, direction: FloatArray, box: AxisBox, length: float) -> FloatArray:
+    """Return the ends (2,) of a line of a length through a place (2,), moved along it to stay inside a box."""
+    with np.errstate(divide="ignore"):
+        borders = np.where(
+            np.abs(direction) > 1e-9, (np.stack([box.low, box.high])[:, :2] - center) / direction, [[-np.inf], [np.inf]]
+        )
+    low, high = borders.min(axis=0).max(), borders.max(axis=0).min()
+    start = max(low, min(-0.5 * length, high - length))
+    return np.array([start, min(start + length, high)])
 
 
 def _rows_around(points: FloatArray, center: FloatArray, length: float) -> NDArray[np.int64]:
@@ -166,15 +190,17 @@ def draw_section(
     along.scatter(theirs[:, 0], theirs[:, 1], s=7, c=_REFERENCE_GREY, linewidths=0)
     order = np.argsort(np.abs(values[found.rows]))  # large deviations on top
     along.scatter(ours[order, 0], ours[order, 1], s=14, c=scale.colors(values[found.rows][order]) / 255, linewidths=0)
-    along.set(xlim=(-0.5 * found.length, 0.5 * found.length), ylim=(low, high), aspect=factor, facecolor=ground)
+    along.set(xlim=tuple(found.ends), ylim=(low, high), aspect=factor, facecolor=ground)
     x, y = found.center[:2]
-    along.set_xlabel(f"along the section, from x = {x:,.1f}, y = {y:,.1f} [{unit}]")
-    along.set_ylabel(f"height [{unit}]" + (f", exaggerated {factor} times" if factor > 1 else ""))
+    at = f"x = {x:,.1f}, y = {y:,.1f}".replace("-", "−")
+    along.set_xlabel(f"along the section, from A; 0 is at {at} [{unit}]")
+    along.set_ylabel(f"height [{unit}]" + (f"\n× {factor}" if factor > 1 else ""))
     everything = thin_out(reference)
     box = AxisBox.around(reference)
     above.scatter(everything[:, 0], everything[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
-    ends = found.center[:2] + np.outer([-0.5, 0.5], found.length * found.direction)
-    above.plot(*ends.T, color="#d55e00", linewidth=2.5, solid_capstyle="butt")
+    ends = found.center[:2] + np.outer(found.ends, found.direction)
+    above.plot(*ends.T, color=_LINE_COLOR, linewidth=2.5, solid_capstyle="butt")
+    above.annotate("A", ends[0], color=_LINE_COLOR, fontsize=11, fontweight="bold", ha="center", va="bottom")
     above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
     above.set_xticks([])
     above.set_yticks([])
@@ -191,7 +217,7 @@ def draw_section(
     bar = figure.colorbar(mappable, ax=along, extend="both" if scale.signed else "max", pad=0.01)
     bar.set_label(fill(label, max(18, int(11 * height) - 14)), color=color)
     bar.ax.tick_params(colors=color)
-    text = f"{title}: section through the largest deviations, {found.thickness:.2g} {unit} thick; grey: reference"
-    figure.suptitle(text, color=color, fontsize=13)
+    what = f"section through the largest deviations, {found.thickness:.2g} {unit} thick; grey: reference"
+    figure.suptitle(f"{printable(title)}: {what}", color=color, fontsize=13)
     save(figure, path)
     return True

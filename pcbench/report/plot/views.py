@@ -12,6 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 
 _MARGIN_SHARE = 0.05  # of a box around the inner 99 % of the points, which then includes most of the others too
 _MAX_GROWTH_SHARE = 0.25  # of the size of the reference's box, for candidates that extend beyond it
+_MIN_SIZE_SHARE = 0.2  # of the diagonal: a wall is thinner than the deviations that its frame shows
 _MAX_SAMPLE = 200_000  # points that determine a box or a window
 _MAX_FLATNESS = 0.35  # ratio of the smallest to the middle standard deviation of a wall
 _MIN_SLENDERNESS = 0.75  # ratio of height to horizontal size of an object, which is seen from the sides
@@ -65,8 +66,9 @@ class AxisBox:
         return cls(low - margin, high + margin)
 
     def grown(self) -> AxisBox:
-        """Return the box enlarged by a quarter of its size on each side."""
-        reach = _MAX_GROWTH_SHARE * (self.high - self.low)
+        """Return the box enlarged on each side by a quarter of its size, or of a share of its diagonal if it is flat."""
+        size = self.high - self.low
+        reach = _MAX_GROWTH_SHARE * np.maximum(size, _MIN_SIZE_SHARE * float(np.linalg.norm(size)))
         return AxisBox(self.low - reach, self.high + reach)
 
     def widen(self, others: Iterable[AxisBox]) -> AxisBox:

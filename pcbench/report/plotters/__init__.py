@@ -21,7 +21,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, height_range, ranges_of
+from pcbench.report.colors import Range, has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.plot.bends import round_exaggeration
 from pcbench.report.plot.cameras import camera_drawing, rings_of
@@ -69,7 +69,7 @@ def cloud(
         stage.add_surface(shown, "mesh", color="#c8ccd0")
         stage.write_title(pluralize(len(shown), "face"))
         return stage.plotter
-    if shown.colors is not None:
+    if has_colors(shown.colors):
         stage.add_points(shown.points, "cloud", scalars=shown.colors, rgb=True, pickable=True)
     else:
         heights = shown.points[:, 2]
@@ -191,8 +191,10 @@ def cameras(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    from pcbench.scenes import read_scene
+    from pcbench.scenes import Scene, read_scene
 
+    if not isinstance(scene, Scene | str | os.PathLike):
+        raise InputError(f"expected a scene or the path of its folder, got {type(scene).__name__}")
     drawing = camera_drawing(read_scene(Path(scene)) if isinstance(scene, str | os.PathLike) else scene)
     everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
     box = AxisBox(everything.min(axis=0), everything.max(axis=0))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
@@ -16,6 +18,7 @@ from pcbench.report.figures import WINDOW_SIZE, Figures, ink
 from pcbench.report.plot.views import Frame, Viewpoint
 from pcbench.report.plotters.axes import axes_of
 from pcbench.report.read import UNKNOWN_UNIT
+from pcbench.report.words import printable
 
 _VIEW = Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1))
 _FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
@@ -28,6 +31,7 @@ _DOT_SHARE = 0.8  # of the mean distance between points if they covered the wind
 _MIN_DOT_PX, _MAX_DOT_PX = 2.0, 6.0
 _GHOST_POINTS = 40_000  # more translucent points would add up to an opaque layer
 _GHOST_OPACITY, _GHOST_DOT_PX = 0.25, 2.0
+_MAX_SIZE_PX = 16_384
 _PALE = [138, 138, 138]
 
 
@@ -72,6 +76,7 @@ class Stage:
     def __init__(
         self, frame: Frame, unit: str | None, window: Window, axes: tuple[str, str, str] = ("x", "y", "z")
     ) -> None:
+        _check_size(window.size)
         ground = Figures(window.background).ground("dark")
         check_opengl()  # before VTK, which pyvista imports
         select_opengl()
@@ -160,7 +165,7 @@ class Stage:
             width=0.46,
             height=0.09,
             n_labels=5,
-            fmt="%.3g",
+            fmt=f"%.{_digits(*actor.mapper.scalar_range)}g",
             color=self.ink,
             title_font_size=16,
             label_font_size=14,
@@ -170,7 +175,7 @@ class Stage:
     def write_title(self, text: str) -> None:
         """Write the title at the upper edge; it replaces an earlier one."""
         self.plotter.add_text(
-            text,
+            printable(text),
             position=(0.015, 1 - _TITLE_PX / self._size[1]),
             viewport=True,
             font_size=11,
@@ -228,6 +233,21 @@ class Stage:
         camera.focal_point, camera.position = focus.tolist(), (focus + 2 * visible * toward).tolist()
         camera.up, camera.parallel_scale = _VIEW.up, 0.5 * visible
         self.plotter.camera_set = True
+
+
+def _check_size(size: Any) -> None:
+    try:
+        is_valid = len(size) == 2 and all(int(pixels) == pixels and 1 <= pixels <= _MAX_SIZE_PX for pixels in size)
+    except (TypeError, ValueError, OverflowError):
+        is_valid = False
+    if not is_valid:
+        raise InputError(f"expected the window size as two whole numbers from 1 to {_MAX_SIZE_PX}, got {size!r}")
+
+
+def _digits(low: float, high: float) -> int:
+    """Return the significant digits that distinguish the labels of a bar from `low` to `high`."""
+    largest, step = max(abs(low), abs(high)), (high - low) / 4
+    return 3 if not step > 0 else max(3, math.ceil(math.log10(largest / step)) + 2)
 
 
 def local_origin(frame: Frame) -> FloatArray:

@@ -16,12 +16,14 @@ class Camera {
     const corners = Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]));
     const slope = Math.tan(FIELD_OF_VIEW / 2);
     this.target = low.map((l, k) => (l + high[k]) / 2);
-    for (let round = 0; round < 3; round++) {
+    const rounds = 8;
+    for (let round = 0; round <= rounds; round++) {
       const { right, up, ahead } = this.axes();
       const along = (axis) => corners.map((at) => at.reduce((sum, x, k) => sum + (x - this.target[k]) * axis[k], 0));
       const [across, above, depth] = [right, up, ahead].map(along);
       const needed = corners.map((_, k) => Math.max(Math.abs(across[k]) / aspect, Math.abs(above[k])) / slope - depth[k]);
       this.distance = 1.04 * Math.max(...needed);
+      if (round === rounds) return; // with the last distance, the whole box is in view
       // Centre the picture: perspective makes the near side larger.
       const seen = (values) => values.map((value, k) => value / (this.distance + depth[k]));
       const middle = (values) => ((Math.min(...values) + Math.max(...values)) / 2) * this.distance;
