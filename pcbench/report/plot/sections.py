@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,7 +200,8 @@ def draw_section(
     above.scatter(everything[:, 0], everything[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
     ends = found.center[:2] + np.outer(found.ends, found.direction)
     above.plot(*ends.T, color=_LINE_COLOR, linewidth=2.5, solid_capstyle="butt")
-    above.annotate("A", ends[0], color=_LINE_COLOR, fontsize=11, fontweight="bold", ha="center", va="bottom")
+    style: dict[str, Any] = {"color": _LINE_COLOR, "fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
+    above.annotate("A", ends[0], -10 * found.direction, textcoords="offset points", **style)
     above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
     above.set_xticks([])
     above.set_yticks([])

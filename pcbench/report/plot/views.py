@@ -66,7 +66,7 @@ class AxisBox:
         return cls(low - margin, high + margin)
 
     def grown(self) -> AxisBox:
-        """Return the box enlarged on each side by a quarter of its size, or of a share of its diagonal if it is flat."""
+        """Return the box enlarged on each side by a quarter of its size, or of a fifth of its diagonal if flat."""
         size = self.high - self.low
         reach = _MAX_GROWTH_SHARE * np.maximum(size, _MIN_SIZE_SHARE * float(np.linalg.norm(size)))
         return AxisBox(self.low - reach, self.high + reach)
