@@ -201,7 +201,7 @@ def draw_section(
     ends = found.center[:2] + np.outer(found.ends, found.direction)
     above.plot(*ends.T, color=_LINE_COLOR, linewidth=2.5, solid_capstyle="butt")
     style: dict[str, Any] = {"color": _LINE_COLOR, "fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
-    above.annotate("A", ends[0], -10 * found.direction, textcoords="offset points", **style)
+    above.annotate("A", ends[0], tuple(-10 * found.direction), textcoords="offset points", **style)
     above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
     above.set_xticks([])
     above.set_yticks([])
