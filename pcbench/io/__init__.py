@@ -10,9 +10,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
 from pcbench.io.colmap import model_file
@@ -28,6 +30,8 @@ __all__ = [
     "to_cloud",
     "write_cloud",
 ]
+
+_MIN_NULL_POINTS, _MIN_NULL_SHARE = 100, 0.001  # of points at the origin, for a warning
 
 CloudLike = Cloud | ArrayLike | os.PathLike[str]  # accepted by `to_cloud`; `ArrayLike` includes str, so paths too
 FILTERABLE_EXTENSIONS = tuple(
@@ -69,9 +73,21 @@ def read_cloud(
             raise InputError(
                 f"expected {', '.join(FILTERABLE_EXTENSIONS)} to filter by classes or returns, got another format"
             )
-        return filter_splats(finite_cloud(form.read(path, warn, **filters), warn), min_opacity, max_axis)
+        cloud = finite_cloud(form.read(path, warn, **filters), warn)
+        _warn_of_null_points(cloud.points, warn)
+        return filter_splats(cloud, min_opacity, max_axis)
 
     return read_named(model_file(as_path(path)), read, on_warning)
+
+
+def _warn_of_null_points(points: FloatArray, warn: Warn) -> None:
+    x, y, z = points.T
+    count = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
+    if count >= max(_MIN_NULL_POINTS, _MIN_NULL_SHARE * len(points)):
+        warn(
+            f"{count:,} of {len(points):,} points are exactly (0, 0, 0), as some scanners write missing returns: remove"
+            " them, or they count as points"
+        )
 
 
 def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:

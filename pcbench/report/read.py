@@ -66,7 +66,7 @@ class ReportedCandidate:
 
     def completeness(self) -> Cloud | None:
         """Read the reference's measured points with their `distance`; the file may be large."""
-        return read_cloud(self.completeness_path) if self.has_completeness else None
+        return _read(self.completeness_path) if self.has_completeness else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +143,11 @@ def damage_in_one_line(folder: Path) -> Iterator[None]:
         raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
 
 
+def _read(path: Path) -> Cloud:
+    """Read a cloud of the report, without the warnings that its input had already."""
+    return read_cloud(path, on_warning=lambda _: None)
+
+
 def _input_path(folder: Path, candidate: str | None = None) -> Path | None:
     """Return the absolute path of the reference or a candidate in settings.json; None if it is missing.
 
@@ -159,11 +164,11 @@ def _input_path(folder: Path, candidate: str | None = None) -> Path | None:
 def _candidate(folder: Path, values: dict[str, Any], path: Path | None) -> ReportedCandidate:
     def table(kind: str) -> Cloud | None:
         path = folder / f"{values['name']}_{kind}.ply"
-        return read_cloud(path) if path.is_file() else None
+        return _read(path) if path.is_file() else None
 
     return ReportedCandidate(
         name=values["name"],
-        deviation=read_cloud(folder / f"{values['name']}_deviation.ply"),
+        deviation=_read(folder / f"{values['name']}_deviation.ply"),
         m3c2=table("m3c2"),
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,

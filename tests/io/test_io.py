@@ -11,7 +11,7 @@ import pytest
 from data_folder import data_folder
 from ply_bytes import XYZ, corpus, ply, points
 from refusals import refusal
-from wording import check_error
+from wording import check_error, check_text
 
 import pcbench
 from pcbench.errors import InputError
@@ -83,6 +83,19 @@ def test_cloud_with_only_nan_is_refused(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(ply("ascii", ("vertex", XYZ, [(NAN, NAN, NAN)] * 3)).replace(b"nan", b"NaN"))
     refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("nulls", "others", "is_warned"), [(200, 1000, True), (99, 1000, False), (200, 500_000, False)]
+)
+def test_many_points_at_the_origin_are_a_warning(tmp_path, nulls, others, is_warned):
+    points = np.concatenate([np.zeros((nulls, 3)), np.random.default_rng(0).normal(size=(others, 3))])
+    write_cloud(tmp_path / "scan.ply", points)
+    warnings = []
+    assert len(read_cloud(tmp_path / "scan.ply", on_warning=warnings.append)) == nulls + others
+    assert bool(warnings) == is_warned
+    for text in warnings:
+        check_text(text)
 
 
 def test_signalling_nan_gives_no_numpy_warning(tmp_path):

@@ -32,7 +32,9 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
     bend = read_deformation(folder)
     if not (folder / "deformation.ply").is_file():
         return {}
-    cloud, field = read_cloud(folder / "aligned.ply"), read_cloud(folder / "deformation.ply")
+    cloud, field = (
+        read_cloud(folder / f"{name}.ply", on_warning=lambda _: None) for name in ("aligned", "deformation")
+    )
     frame = maps.frame(None, {"candidate": cloud})
     return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or UNKNOWN_UNIT, frame, look)
 
