@@ -65,7 +65,7 @@ def sample_planes(
     """Measure distances to tangent planes at as few queries as a tolerance permits.
 
     Args:
-        to_points: (M,) distances of all queries to their closest points.
+        to_points: (M,) distances of all queries to their closest points, not all 0.
         measure: function that returns the signed distances (S,) to planes of the queries in ascending rows (S,).
         tolerance: largest half width of the 95 % confidence interval of the mean square, relative to its estimate.
         seed: random seed.
@@ -76,9 +76,7 @@ def sample_planes(
     count = len(to_points)
     squares = np.square(to_points)
     total = float(squares.sum())
-    density = np.full(count, (1.0 if total == 0 else _UNIFORM_SHARE) / count)
-    if total > 0:
-        density += (1 - _UNIFORM_SHARE) / total * squares
+    density = _UNIFORM_SHARE / count + (1 - _UNIFORM_SHARE) / total * squares
     order = np.random.default_rng(seed).random(count) / density  # a query is in all samples of a larger size
     distances = np.full(count, np.nan)
     size = float(_FIRST_SIZE)
@@ -113,7 +111,7 @@ def _estimate(
         distances: (S,) signed distances to planes.
         squares: (S,) squared distances to points.
         probabilities: (S,) inclusion probabilities.
-        mean: mean of the squared distances of all queries to points.
+        mean: mean of the squared distances of all queries to points, above 0.
         count: number of all queries.
     """
     weights = 1 / (count * probabilities)
@@ -121,6 +119,5 @@ def _estimate(
     if estimated > 0:
         weights *= mean / estimated
     sample = PlaneSample(rows, distances, weights, math.inf, count)
-    ratio = sample.mean_square / mean if mean > 0 else 0.0
-    residuals = weights * (np.square(distances) - ratio * squares)
+    residuals = weights * (np.square(distances) - sample.mean_square / mean * squares)
     return sample, math.sqrt(float((1 - probabilities) @ np.square(residuals)))
