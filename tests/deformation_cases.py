@@ -159,7 +159,9 @@ def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0
         cloud = read_cloud(data_folder(folder) / file, on_warning=lambda _: None)
         rng = np.random.default_rng(seed)
         points = cloud.points
-        is_used = cloud.attributes["classification"] == 2 if ground else np.ones(len(points), bool)
+        is_used = points.any(axis=1)  # scanners write (0, 0, 0) for missing returns
+        if ground:
+            is_used &= cloud.attributes["classification"] == 2
         is_in_first = rng.random(len(points)) < 0.5
         classes = {key: values for key, values in cloud.attributes.items() if key == "classification"}
 
