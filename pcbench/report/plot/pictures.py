@@ -53,11 +53,11 @@ def _deformation_pictures(
 
 
 def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
-    report = read_report(folder)
+    report = read_report(folder, upright=True)
     deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
     cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
     measured = report.candidates[0].completeness()
-    frame = maps.frame(measured, deviations)
+    frame = maps.frame(measured, deviations, report.cameras)
     scenery = maps.Scenery(np.zeros((0, 3)) if measured is None else measured.points, frame, look)
     named = {
         "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
@@ -129,7 +129,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
         def draw(path: Path) -> bool:
             return draw_section(
                 clouds[name].points, values[name], reference, report.spacing_median, name, scales[name], label,
-                report.unit, path, look,
+                report.unit, path, look, report.rotation,
             )  # fmt: skip
 
         return Picture(draw, "no place has enough points for a section")
