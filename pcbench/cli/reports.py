@@ -418,7 +418,10 @@ def _plot_cloud(
             step("reading the cameras")
             viewing = viewing_cameras(scene, cloud, warn_reader)
         step(f"drawing {out}")
-        draw_cloud(path.stem, cloud, out, look, scalar=scalar, cameras=viewing)
+        try:
+            draw_cloud(path.stem, cloud, out, look, scalar=scalar, cameras=viewing)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
     if not quiet:
         click.echo(out)
 

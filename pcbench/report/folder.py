@@ -157,12 +157,16 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
 
 
 def _input_file(row: dict[str, Any]) -> InputFile:
+    if not isinstance(row, dict):
+        raise ValueError(f"expected 'scene' as an object, got {row!r}")
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 must be text")
     return InputFile(row["path"], row["sha256"])
 
 
-def _scene(row: dict[str, Any]) -> SceneFolder:
+def _scene(row: Any) -> SceneFolder:
+    if not isinstance(row, dict):
+        raise ValueError(f"expected 'scene' as an object, got {row!r}")
     if not isinstance(row["path"], str) or not isinstance(row["cameras"], str):
         raise ValueError("path and cameras of the scene must be text")
     return SceneFolder(Path(row["path"]), row["cameras"])

@@ -76,12 +76,12 @@ def as_scene(scene: SceneLike) -> Scene | SceneFolder:
 
 
 def viewing_cameras(
-    scene: Scene | SceneFolder, reference: Cloud | Mesh, on_warning: Callable[[str], None]
+    scene: Scene | SceneFolder, shown: Cloud | Mesh, on_warning: Callable[[str], None]
 ) -> ViewingCameras:
-    """Return the cameras of a scene for the views of a reference, read from its folder if necessary.
+    """Return the cameras of a scene for the views of a cloud or a mesh, read from its folder if necessary.
 
     Raises:
-        InputError: the scene cannot be read, has no cameras, or none of them sees the reference.
+        InputError: the scene cannot be read, has no cameras, or none of them sees it.
     """
     if isinstance(scene, SceneFolder):
         from pcbench.scenes import read_scene
@@ -91,10 +91,10 @@ def viewing_cameras(
         raise InputError(
             f"{scene.folder}: expected a scene with cameras, got none: name their file or folder (--cameras)"
         )
-    z_is_up = reference.crs is not None or scene.origin is not None
+    z_is_up = shown.crs is not None or scene.origin is not None
     cameras = ViewingCameras.of(scene.cameras.values(), z_is_up=z_is_up)
     try:
-        cameras.check_sight(reference.vertices if isinstance(reference, Mesh) else reference.points)
+        cameras.check_sight(shown.vertices if isinstance(shown, Mesh) else shown.points)
     except InputError as error:
         raise InputError(f"{scene.folder}: {error}") from error
     return cameras

@@ -26,7 +26,7 @@ _MIN_TOP_LENGTH = 0.5  # of the mean of the images' upper sides, as the last res
 _MIN_HORIZONTAL_SHARE = 0.3  # mean horizontal part of viewing directions that have a common heading
 _FIELD_DEG = 60.0  # from the viewing direction: points beyond it are outside the image
 _MAX_REACH = 100.0  # distance of a point from a camera, as a multiple of the sizes of the cloud and of the flight
-_MAX_SEEN_SAMPLE = 2000  # points of the reference that some camera must see
+_MAX_SEEN_SAMPLE = 2000  # points of a cloud, some of which some camera must see
 _MAX_SEEING_CAMERAS = 500  # cameras for which this is checked
 
 
@@ -87,10 +87,10 @@ class ViewingCameras:
         return np.array([[y, -x, 0], [x, y, 0], [0, 0, 1.0]]) @ level
 
     def check_sight(self, points: FloatArray) -> None:
-        """Check that some camera sees some of the points (N, 3) of a reference.
+        """Check that some camera sees some of the points (N, 3) of a cloud.
 
         Raises:
-            InputError: no camera does, so the cameras are not in the coordinates of the reference.
+            InputError: no camera does, so the cameras are not in the coordinates of the cloud.
         """
         sample = random_rows(points, _MAX_SEEN_SAMPLE)
         rows = np.unique(np.linspace(0, len(self.centers) - 1, _MAX_SEEING_CAMERAS).astype(int))
@@ -102,8 +102,8 @@ class ViewingCameras:
             if (in_field & (distances <= _MAX_REACH * max(float(size), 1e-12))).any():
                 return
         raise InputError(
-            "expected cameras in the coordinates of the reference, got cameras that do not see it: transform them, or"
-            " choose the cameras of the reference"
+            "expected cameras in the coordinates of the cloud, got cameras that do not see it: transform them, or name"
+            " others (--cameras)"
         )
 
     def write(self, path: Path) -> None:
@@ -129,7 +129,8 @@ class ViewingCameras:
             centers, directions = (as_rows(name, values[name]) for name in ("centers", "directions"))
             up = None if values["up"] is None else as_rows("up", [values["up"]])
         except (InputError, LookupError, TypeError) as error:
-            raise InputError(f"{path}: expected cameras written by pcbench: {error}") from error
+            what = f"{error} is missing" if isinstance(error, KeyError) else error
+            raise InputError(f"{path}: expected cameras written by pcbench: {what}") from error
         vectors = directions if up is None else np.concatenate([directions, up])
         is_unit = np.abs(np.linalg.norm(vectors, axis=1) - 1) < 1e-6
         if not len(centers) or len(centers) != len(directions) or not np.isfinite(centers).all() or not is_unit.all():
