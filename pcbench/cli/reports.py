@@ -290,7 +290,9 @@ def deform(
 @click.command(short_help="Draw the pictures of a report again, or a picture of a cloud.")
 @click.argument("path", type=FILE)
 @click.argument("names", nargs=-1)
-@click.option("--out", type=FILE, metavar="FILE", help="Picture of a cloud: .png, .svg or .pdf.  [default: PATH.png]")
+@click.option(
+    "--out", type=FILE, metavar="FILE", help="Picture of a cloud: .png, .svg or .pdf.  [default: its name.png]"
+)
 @click.option("--scalar", metavar="NAME", help="Attribute that colours a cloud.")
 @scene_options
 @figure_options
@@ -394,6 +396,7 @@ def _plot_cloud(
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output, estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.colors import has_colors
     from pcbench.report.figures import FORMATS
@@ -408,18 +411,19 @@ def _plot_cloud(
     with steps(quiet) as show:
         step = ProgressPlan(show, [estimate_reading_seconds(path), *([0.5] if scene is not None else []), 2.0])
         step(f"reading {path}")
-        cloud = None if is_mesh_only(path) else read_cloud(path, on_warning=warn_reader)
+        name, cloud = path.stem, None if is_mesh_only(path) else read_cloud(path, on_warning=warn_reader)
         if cloud is None and scalar is not None:
             raise InputError(f"{path}: --scalar needs a cloud with attributes, got a mesh")
         if cloud is None or (holds_mesh(path) and scalar is None and not has_colors(cloud.colors)):
-            cloud = read_mesh(path, on_warning=warn_reader).sample(MESH_SAMPLES)
+            mesh = read_mesh(path, on_warning=warn_reader)
+            name, cloud = f"{name}, {pluralize(len(mesh), 'face')}", mesh.sample(MESH_SAMPLES)
         viewing = None
         if scene is not None:
             step("reading the cameras")
             viewing = viewing_cameras(scene, cloud, warn_reader)
         step(f"drawing {out}")
         try:
-            draw_cloud(path.stem, cloud, out, look, scalar=scalar, cameras=viewing)
+            draw_cloud(name, cloud, out, look, scalar=scalar, cameras=viewing)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     if not quiet:

@@ -126,6 +126,8 @@ class ViewingCameras:
         """
         try:
             values: Any = read_json(path)
+            if values["schema"] != SCHEMA:
+                raise InputError(f"expected the schema {SCHEMA}, got {values['schema']!r}")
             centers, directions = (as_rows(name, values[name]) for name in ("centers", "directions"))
             up = None if values["up"] is None else as_rows("up", [values["up"]])
         except (InputError, LookupError, TypeError) as error:

@@ -9,7 +9,7 @@ from wording import check_error
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
-from pcbench.report.viewing import ViewingCameras, up_of
+from pcbench.report.viewing import SCHEMA, ViewingCameras, up_of
 from pcbench.scenes.synthetic.rigs import Site, rig
 
 K = Intrinsics(400, 300, 350, 350, 200, 150)
@@ -117,10 +117,16 @@ def test_cameras_are_written_with_all_digits(tmp_path):
 @pytest.mark.parametrize(
     "changes",
     [{"centers": []}, {"centers": [[0, 0, None]]}, {"directions": [[0, 0, 2.0]]}, {"directions": "x"}]
-    + [{"up": [0, 0]}, {"up": [0, 0, 0]}, {"up": [float("nan"), 0, 1]}, {"centers": [[0, 0, float("inf")]]}],
+    + [
+        {"schema": "pcbench.cameras/9"},
+        {"up": [0, 0]},
+        {"up": [0, 0, 0]},
+        {"up": [float("nan"), 0, 1]},
+        {"centers": [[0, 0, float("inf")]]},
+    ],
 )
 def test_damaged_cameras_are_refused(changes, tmp_path):
-    values = {"centers": [[1.0, 2, 3]], "directions": [[0, 0, -1.0]], "up": [0, 0, 1.0]}
+    values = {"schema": SCHEMA, "centers": [[1.0, 2, 3]], "directions": [[0, 0, -1.0]], "up": [0, 0, 1.0]}
     (tmp_path / "cameras.json").write_text(json.dumps(values | changes))
     with check_error():
         ViewingCameras.read(tmp_path / "cameras.json")

@@ -73,11 +73,7 @@ class Stage:
     """
 
     def __init__(
-        self,
-        frame: Frame,
-        unit: str | None,
-        window: Window,
-        axes: tuple[str, str, str] = ("x", "y", "z"),
+        self, frame: Frame, unit: str | None, window: Window, axes: tuple[str, str, str] = ("x", "y", "z")
     ) -> None:
         _check_size(window.size)
         ground = Figures(window.background).ground("dark")
