@@ -291,7 +291,10 @@ def deform(
 @click.argument("path", type=FILE)
 @click.argument("names", nargs=-1)
 @click.option(
-    "--out", type=FILE, metavar="FILE", help="Picture of a cloud: .png, .svg or .pdf.  [default: its name.png]"
+    "--out",
+    type=FILE,
+    metavar="FILE",
+    help="Picture of a cloud: .png, .svg or .pdf.  [default: PATH's name with .png, in the working directory]",
 )
 @click.option("--scalar", metavar="NAME", help="Attribute that colours a cloud.")
 @scene_options

@@ -23,7 +23,7 @@ from pcbench.report.manifest import complete_replacement
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 
 UNKNOWN_UNIT = "units of the file"
-MESH_SAMPLES = 500_000  # points on a mesh that are drawn
+MESH_SAMPLES = 1_500_000  # points on a mesh that are drawn, without gaps
 
 
 @dataclass(frozen=True, eq=False)
