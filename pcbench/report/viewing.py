@@ -70,7 +70,7 @@ class ViewingCameras:
     @property
     def is_upright(self) -> bool:
         """Return whether +z is up, or may be because up is unknown."""
-        return self.up is None or bool(self.up[2] == 1)
+        return self.up is None or bool(self.up[2] > 1 - 1e-12)  # after a rotation it is rounded
 
     def upright_rotation(self) -> FloatArray:
         """Return the rotation (3, 3) about the origin after which +z is up; the identity if it is, or if up is unknown.
