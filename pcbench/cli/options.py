@@ -89,6 +89,28 @@ def cameras_option(
     return click.option("--cameras", default="auto", show_default=True, metavar="WHICH", help=help)
 
 
+def scene_options(command: _Command) -> _Command:
+    """Add the options for a scene whose cameras select the views of pictures."""
+    scene = "Scene with cameras in the coordinates of the cloud; they show which way is up and select the views."
+    cameras = "Cameras of --scene: auto (found in its folder), or a file or folder."
+    return click.option("--scene", type=FILE, metavar="FOLDER", help=scene)(cameras_option(cameras)(command))
+
+
+def scene_folder(context: click.Context, scene: Path | None, cameras: str) -> Any:
+    """Return the `SceneFolder` that the options of `scene_options` name, if any.
+
+    Raises:
+        UsageError: cameras are given without a scene.
+    """
+    from pcbench.report.inputs import SceneFolder
+
+    if scene is None:
+        if is_given(context, "cameras"):
+            raise click.UsageError("--cameras needs --scene, the folder of the photographs")
+        return None
+    return SceneFolder(scene, cameras)
+
+
 masks_option = click.option(
     "--masks", type=FILE, metavar="FOLDER", help="Folder of masks; black pixels are excluded.  [default: masks/]"
 )

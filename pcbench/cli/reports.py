@@ -25,6 +25,8 @@ from pcbench.cli.options import (
     numbers,
     quiet_option,
     register_option,
+    scene_folder,
+    scene_options,
     seed_option,
     share,
     splat_options,
@@ -35,6 +37,8 @@ from pcbench.errors import InputError
 if TYPE_CHECKING:
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.report.comparison import Comparison
+    from pcbench.report.figures import Figures
+    from pcbench.report.inputs import SceneFolder
 
 
 @click.command(short_help="Measure candidate clouds against a reference.")
@@ -90,6 +94,7 @@ if TYPE_CHECKING:
     help="Print a table instead of the answer: the main metrics as latex, all metrics as csv, or table.md as markdown;"
     " warnings go to the standard error.",
 )
+@scene_options
 @no_figures_option()
 @click.option(
     "--full", is_flag=True, help="Print all metrics, the verdict on each cloud, and the differences between candidates."
@@ -117,6 +122,8 @@ def compare(
     settings_file: Path | None,
     json_file: str | None,
     table: str | None,
+    scene: Path | None,
+    cameras: str,
     no_figures: bool,
     full: bool,
     background: str | None,
@@ -137,6 +144,7 @@ def compare(
     from pcbench.report.compare_files import ComparisonJob
     from pcbench.report.figures import Figures
 
+    viewed = scene_folder(context, scene, cameras)
     if settings_file is not None:
         options = [
             *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
@@ -149,6 +157,7 @@ def compare(
             )
         job = ComparisonJob.from_settings_file(settings_file)
         job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
+        job = replace(job, scene=viewed or job.scene)
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -167,7 +176,7 @@ def compare(
             tolerance=None if tolerance is None else share("--tolerance", tolerance),
         )
         figures = Figures().with_changes(background, color_range, figure_format)
-        job = ComparisonJob.of(reference, candidates, settings, figures)
+        job = ComparisonJob.of(reference, candidates, settings, figures, viewed)
     if table is not None and (full or json_file == "-"):
         raise click.UsageError("--table prints only a table: omit --full, and give --json a file")
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
@@ -278,26 +287,84 @@ def deform(
         warn(outcome.without_figures)
 
 
-@click.command(short_help="Draw the pictures of a report again.")
-@click.argument("report", type=FILE)
+@click.command(short_help="Draw the pictures of a report again, or a picture of a cloud.")
+@click.argument("path", type=FILE)
 @click.argument("names", nargs=-1)
+@click.option(
+    "--out",
+    type=FILE,
+    metavar="FILE",
+    help="Picture of a cloud: .png, .svg or .pdf.  [default: PATH's name with .png, in the working directory]",
+)
+@click.option("--scalar", metavar="NAME", help="Attribute that colours a cloud.")
+@scene_options
 @figure_options
 @quiet_option
+@click.pass_context
 def plot(
-    report: Path,
+    context: click.Context,
+    path: Path,
     names: tuple[str, ...],
+    out: Path | None,
+    scalar: str | None,
+    scene: Path | None,
+    cameras: str,
     background: str | None,
     color_range: float | None,
     figure_format: str | None,
     quiet: bool,
 ) -> None:
-    """Draw the pictures of the folder REPORT into REPORT/figures, all or those of NAMES.
+    """Draw the pictures of the report in the folder PATH again, or a picture of the cloud or mesh in the file PATH.
 
-    NAMES of a report are, for example, reference, distribution, and for a candidate a a_distance and a_completeness; of
-    a bench, speed and accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth.
-    An extension selects the format, as in distribution.svg. Options replace the recorded appearance. No display is
-    needed.
+    The pictures of a report are written into PATH/figures, all or those of NAMES. NAMES of a report are, for example,
+    reference, distribution, and for a candidate a a_distance and a_completeness; of a bench, speed and
+    accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth. An extension
+    selects the format, as in distribution.svg. Options replace the recorded appearance.
+
+    A cloud is drawn in its own colours, by height if it has none, or by an attribute (--scalar), into a file in the
+    working directory (--out selects another). No display is needed.
+
+    \b
+    Examples: pcbench plot report/ distribution
+              pcbench plot scan.las --scalar intensity
     """
+    _limit_openblas()
+    from pcbench.io.colmap import model_file
+    from pcbench.report.figures import Figures
+
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder: check the name")
+    viewed = scene_folder(context, scene, cameras)
+    if model_file(path).is_dir():
+        for option, value, instead in (
+            ("--out", out, "name its pictures"),
+            ("--scalar", scalar, "name its pictures"),
+            ("--scene", scene, "give --scene to `pcbench compare`"),
+        ):
+            if value is not None:
+                raise click.UsageError(f"{option} is for a file with a cloud, got a folder: {instead}")
+        _plot_report(path, names, background, color_range, figure_format, quiet=quiet)
+        return
+    if names:
+        raise click.UsageError("NAMES select pictures of a report, got a file: give its picture a name by --out")
+    if color_range is not None and scalar is None:
+        raise click.UsageError("--range needs --scalar, the attribute that colours the cloud")
+    if figure_format is not None and out is not None:
+        raise click.UsageError("--format and --out both select the format: give --out the extension and omit --format")
+    look = Figures().with_changes(background, color_range, figure_format)
+    _plot_cloud(path, out or Path(f"{path.stem or path.name}.{look.format}"), look, scalar, viewed, quiet=quiet)
+
+
+def _plot_report(
+    report: Path,
+    names: tuple[str, ...],
+    background: str | None,
+    color_range: float | None,
+    figure_format: str | None,
+    *,
+    quiet: bool,
+) -> None:
+    """Draw the pictures of a report into its folder."""
     from pcbench.progress import Step
     from pcbench.report.figures import recorded_figures
     from pcbench.report.manifest import complete_replacement
@@ -311,8 +378,8 @@ def plot(
     drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
-            f"{report}: expected the folder of a report (with comparison.json), a bench (bench.json), views"
-            " (scores.json) or `experiment gao` (gao.md)"
+            f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a bench"
+            " (bench.json), views (scores.json) or `experiment gao` (gao.md)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)
@@ -323,6 +390,47 @@ def plot(
     if not quiet:
         for path in written:
             click.echo(path)
+
+
+def _plot_cloud(
+    path: Path, out: Path, look: Figures, scalar: str | None, scene: SceneFolder | None, *, quiet: bool
+) -> None:
+    """Draw the cloud or the mesh in a file."""
+    from pcbench.io import read_cloud
+    from pcbench.io.files import check_output, estimate_reading_seconds
+    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.measure.wording import pluralize
+    from pcbench.progress import ProgressPlan
+    from pcbench.report.colors import has_colors
+    from pcbench.report.figures import FORMATS
+    from pcbench.report.plot.clouds import draw_cloud
+    from pcbench.report.plot.outputs import check_picture
+    from pcbench.report.read import MESH_SAMPLES
+    from pcbench.report.reading import viewing_cameras
+
+    check_output(out, [path, *(() if scene is None else scene.paths())])
+    check_picture(out, FORMATS)
+    warn_reader = warn_unless(quiet)
+    with steps(quiet) as show:
+        step = ProgressPlan(show, [estimate_reading_seconds(path), *([0.5] if scene is not None else []), 2.0])
+        step(f"reading {path}")
+        name, cloud = path.stem, None if is_mesh_only(path) else read_cloud(path, on_warning=warn_reader)
+        if cloud is None and scalar is not None:
+            raise InputError(f"{path}: --scalar needs a cloud with attributes, got a mesh")
+        if cloud is None or (holds_mesh(path) and scalar is None and not has_colors(cloud.colors)):
+            mesh = read_mesh(path, on_warning=warn_reader)
+            name, cloud = f"{name}, {pluralize(len(mesh), 'face')}", mesh.sample(MESH_SAMPLES)
+        viewing = None
+        if scene is not None:
+            step("reading the cameras")
+            viewing = viewing_cameras(scene, cloud, warn_reader)
+        step(f"drawing {out}")
+        try:
+            draw_cloud(name, cloud, out, look, scalar=scalar, cameras=viewing)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+    if not quiet:
+        click.echo(out)
 
 
 def _limit_openblas() -> None:

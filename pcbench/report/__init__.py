@@ -8,12 +8,14 @@ from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.table import html, markdown, rows
 from pcbench.report.terminal import print_columns, print_comparison
+from pcbench.report.viewing import ViewingCameras
 
 __all__ = [
     "Comparison",
     "Figures",
     "InputFile",
     "Inputs",
+    "ViewingCameras",
     "answer",
     "compare",
     "document",

@@ -148,7 +148,7 @@ def has_colors(colors: NDArray[np.uint8] | None) -> bool:
 def height_range(heights: FloatArray) -> Range:
     """Return the range of colours that show heights (N,): their inner 99 %."""
     low, high = (float(height) for height in np.percentile(heights, [0.5, 99.5]))
-    return Range(low, max(high, low + 1e-12))
+    return Range(low, max(high, low + max(1e-12, 1e-9 * abs(low))))
 
 
 def _range(high: float, signed: bool, note: str) -> Range:

@@ -16,7 +16,7 @@ from pcbench.progress import ProgressPlan
 from pcbench.report.comparison import Comparison, compare_inputs
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
-from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.inputs import InputFile, SceneFolder
 from pcbench.report.names import names_of
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 from pcbench.report.reading import paths_in
@@ -34,6 +34,7 @@ class ComparisonJob:
         settings: the settings.
         expected: recorded SHA-256 of files, by absolute path.
         figures: appearance of the pictures.
+        scene: the scene whose cameras select the views, if any.
     """
 
     reference: Path
@@ -41,19 +42,26 @@ class ComparisonJob:
     settings: Settings
     expected: dict[str, str]
     figures: Figures = field(default_factory=Figures)
+    scene: SceneFolder | None = None
 
     @property
     def inputs(self) -> list[Path]:
-        """The input files: the clouds, and the files named in settings."""
-        return [self.reference, *self.candidates.values(), *paths_in(self.settings)]
+        """The input files: the clouds, the files named in settings, and the scene."""
+        scene = [] if self.scene is None else self.scene.paths()
+        return [self.reference, *self.candidates.values(), *paths_in(self.settings), *scene]
 
     @classmethod
     def of(
-        cls, reference: Path, candidates: Sequence[Path], settings: Settings, figures: Figures | None = None
+        cls,
+        reference: Path,
+        candidates: Sequence[Path],
+        settings: Settings,
+        figures: Figures | None = None,
+        scene: SceneFolder | None = None,
     ) -> ComparisonJob:
         """Return the job for files; candidates are named after their files."""
         named = dict(zip(names_of(candidates), candidates, strict=True))
-        return cls(reference, named, settings, {}, figures or Figures())
+        return cls(reference, named, settings, {}, figures or Figures(), scene)
 
     @classmethod
     def from_settings_file(cls, settings_file: Path) -> ComparisonJob:
@@ -61,7 +69,8 @@ class ComparisonJob:
         settings, inputs = read_settings(settings_file)
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
         expected = {file.path: file.sha256 for file in inputs.all_files()}
-        return cls(Path(inputs.reference.path), candidates, settings, expected, recorded_figures(settings_file))
+        figures = recorded_figures(settings_file)
+        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, inputs.scene)
 
 
 @dataclass(frozen=True)
@@ -109,14 +118,14 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
 
 
 def _run(job: ComparisonJob, settings: Settings, step: ProgressPlan) -> Comparison:
-    measured = compare_inputs(job.reference, job.candidates, settings, step)
+    measured = compare_inputs(job.reference, job.candidates, settings, step, job.scene)
     assert measured.inputs is not None  # all clouds come from files
     inputs = measured.inputs
     reference, *files = (_with_change(job, file) for file in (inputs.reference, *inputs.files))
     warnings = [text for file in files for text in file.warnings]
     reference = replace(reference, warnings=(*reference.warnings, *warnings))
     candidates = {name: _with_change(job, file) for name, file in inputs.candidates.items()}
-    return replace(measured, inputs=Inputs(reference, candidates, tuple(files)))
+    return replace(measured, inputs=replace(inputs, reference=reference, candidates=candidates, files=tuple(files)))
 
 
 def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
@@ -133,7 +142,9 @@ def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
     reading = [estimate_reading_seconds(path) for path in (job.reference, *job.candidates.values())]
     pairs = [reading[0] + seconds for seconds in reading[1:]]
     writing = sum(pairs) if outputs.folder is not None else 0.0
-    return [*reading, sum(2.0 + 20 * pair for pair in pairs), writing, drawing_seconds(len(pairs))]
+    scene = [] if job.scene is None else [0.5]
+    measuring = sum(2.0 + 20 * pair for pair in pairs)
+    return [*reading[:1], *scene, *reading[1:], measuring, writing, drawing_seconds(len(pairs))]
 
 
 def _absolute(setting: _Setting) -> _Setting | str:

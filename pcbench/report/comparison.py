@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike, is_path
@@ -22,10 +22,14 @@ from pcbench.progress import ProgressPlan
 from pcbench.report import exports, plot
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
-from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
 from pcbench.report.names import names_of
-from pcbench.report.reading import named_files, read_candidate, read_reference
+from pcbench.report.reading import SceneLike, as_scene, named_files, read_candidate, read_reference, viewing_cameras
 from pcbench.report.table import html
+from pcbench.report.viewing import ViewingCameras
+
+if TYPE_CHECKING:
+    from pcbench.scenes import Scene
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,12 +38,18 @@ class Comparison(SourcedComparison):
 
     Attributes:
         inputs: the input files; None if a cloud came from memory.
+        cameras: the cameras of the scene, which select the views; None if unknown.
     """
 
     @classmethod
-    def of(cls, measured: results.CandidateComparisons, inputs: Inputs | None = None) -> Comparison:
-        """Return a measured comparison with its input files."""
-        return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs)
+    def of(
+        cls,
+        measured: results.CandidateComparisons,
+        inputs: Inputs | None = None,
+        cameras: ViewingCameras | None = None,
+    ) -> Comparison:
+        """Return a measured comparison with its input files and the cameras of its scene."""
+        return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs, cameras)
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
         """Write a report: report.html, comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.
@@ -107,7 +117,7 @@ class Comparison(SourcedComparison):
                 raise InputError(f"{name}: no deformation was found, so there are no displacements")
             cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
             return plotters.show_displacements(
-                name, cloud, field.places, field.displacements, None, None, window
+                name, cloud, field.places, field.displacements, None, None, window, self.cameras
             ).plotter
         maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
         stage = maps.stage(name, scalar, window)
@@ -132,6 +142,7 @@ def compare(
     candidates: Sequence[CloudLike] | Mapping[str, Cloud] | Mapping[str, Any] | CloudLike,
     settings: Settings | None = None,
     *,
+    scene: SceneLike | None = None,
     on_step: Callable[[str], None] | None = None,
     **changed: Any,
 ) -> Comparison:
@@ -142,6 +153,8 @@ def compare(
             uniformly by area, with the normals of its faces.
         candidates: one cloud, (N, 3) array or path; several; or several by name. A file's name is its stem.
         settings: the settings; default: `pcbench.Settings()`.
+        scene: a scene with cameras in the coordinates of the reference, or its folder. They show which way is up and
+            select the views of pictures; no metric depends on them. A report records a folder, not a `Scene`.
         on_step: called with a short text before each step that takes time.
         changed: settings by name that replace those of `settings`: `compare(a, b, register="similarity", seed=1)`.
 
@@ -149,10 +162,12 @@ def compare(
         The comparison. Warnings of file readers are in its `inputs`, and are also given by `warnings.warn`.
 
     Raises:
-        InputError: a file, a cloud, a setting or a region is invalid.
+        InputError: a file, a cloud, a setting or a region is invalid; or the scene has no cameras that see the
+            reference.
         RegistrationError: a candidate does not overlap the reference.
     """
-    compared = compare_inputs(reference, candidates, with_changes(settings, changed), on_step or (lambda _: None))
+    given, step = None if scene is None else as_scene(scene), on_step or (lambda _: None)
+    compared = compare_inputs(reference, candidates, with_changes(settings, changed), step, given)
     for file in () if compared.inputs is None else compared.inputs.all_files():
         for text in file.warnings:
             warnings.warn(text, stacklevel=2)
@@ -164,6 +179,7 @@ def compare_inputs(
     candidates: Sequence[CloudLike] | Mapping[str, Cloud] | Mapping[str, Any] | CloudLike,
     settings: Settings,
     step: Callable[[str], None],
+    scene: Scene | SceneFolder | None = None,
 ) -> Comparison:
     """Compare like `compare`, but only record the warnings of file readers, without `warnings.warn`.
 
@@ -172,12 +188,18 @@ def compare_inputs(
         candidates: as in `compare`.
         settings: the settings.
         step: called with a short text before each step that takes time.
+        scene: the scene or its folder, as in `compare`.
     """
     files: dict[str, InputFile] = {}
     reference_file, setting_files = None, named_files(settings)
     if isinstance(reference, str | os.PathLike):
         step(f"reading {reference}")
         reference, reference_file = read_reference(Path(reference), settings)
+    cameras, scene_warnings = None, list[str]()
+    if scene is not None:
+        reference = reference if isinstance(reference, Mesh) else as_cloud(reference)
+        step("reading the cameras")
+        cameras = viewing_cameras(scene, reference, scene_warnings.append)
     named = _by_name(candidates)
     for name, given in named.items():
         if is_path(given):
@@ -188,8 +210,12 @@ def compare_inputs(
     measured = comparison.compare(filtered, named, settings, on_step=within)
     inputs = None
     if reference_file is not None and files.keys() == named.keys():  # all clouds came from files
-        inputs = Inputs(reference_file, files, setting_files)
-    return Comparison.of(measured, inputs)
+        reference_file = replace(reference_file, warnings=(*reference_file.warnings, *scene_warnings))
+        inputs = Inputs(reference_file, files, setting_files, scene if isinstance(scene, SceneFolder) else None)
+    else:
+        for text in scene_warnings:
+            warnings.warn(text, stacklevel=3)
+    return Comparison.of(measured, inputs, cameras)
 
 
 def _without_transparent_splats(

@@ -24,12 +24,13 @@ from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
 from pcbench.report.html import page
-from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
+from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
 from pcbench.report.recorded import record, restore
 from pcbench.report.table import Row, markdown, rows
+from pcbench.report.viewing import CAMERAS_FILE
 from pcbench.scratch import lock_output, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
@@ -99,6 +100,8 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
     if comparison.inputs is not None:
         settings = to_json(_settings(comparison.settings, comparison.inputs, figures or Figures()))
         (folder / "settings.json").write_text(settings, encoding="utf-8")
+    if comparison.cameras is not None:
+        comparison.cameras.write(folder / CAMERAS_FILE)
     _write_maps(folder, comparison, figures or Figures())
     for candidate in comparison.candidates:
         transform = candidate.registration.T_reference_candidate
@@ -146,27 +149,40 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         for name in candidates:
             check_name(name)
         files = tuple(_input_file(row) for row in values.get("files", []))
-        return settings, Inputs(_input_file(values["reference"]), candidates, files)
+        scene = _scene(values["scene"]) if values.get("scene") is not None else None
+        return settings, Inputs(_input_file(values["reference"]), candidates, files, scene)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
 
 
 def _input_file(row: dict[str, Any]) -> InputFile:
+    if not isinstance(row, dict):
+        raise ValueError(f"expected 'scene' as an object, got {row!r}")
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 must be text")
     return InputFile(row["path"], row["sha256"])
+
+
+def _scene(row: Any) -> SceneFolder:
+    if not isinstance(row, dict):
+        raise ValueError(f"expected 'scene' as an object, got {row!r}")
+    if not isinstance(row["path"], str) or not isinstance(row["cameras"], str):
+        raise ValueError("path and cameras of the scene must be text")
+    return SceneFolder(Path(row["path"]), row["cameras"])
 
 
 def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str, Any]:
     def file(read: InputFile) -> dict[str, Any]:
         return {"path": str(Path(read.path).absolute()), "sha256": read.sha256}
 
+    scene = None if inputs.scene is None else inputs.scene.absolute()
     return {
         "schema": SETTINGS_SCHEMA,
         "reference": file(inputs.reference),
         "candidates": [{"name": name, **file(read)} for name, read in inputs.candidates.items()],
         "files": [file(read) for read in inputs.files],
+        **({} if scene is None else {"scene": {"path": str(scene.path), "cameras": scene.cameras}}),
         "settings": record(settings),
         "figures": figures.plain(),
     }

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pcbench.measure import results
+from pcbench.report.viewing import ViewingCameras
 
 
 @dataclass(frozen=True)
@@ -19,12 +20,37 @@ class InputFile:
 
 
 @dataclass(frozen=True)
+class SceneFolder:
+    """The folder of a scene and where its cameras are: `auto` (found in it), or a file or folder."""
+
+    path: Path
+    cameras: str = "auto"
+
+    def absolute(self) -> SceneFolder:
+        """Return the scene with absolute paths."""
+        cameras = self.cameras if self.cameras == "auto" else str(Path(self.cameras).absolute())
+        return SceneFolder(self.path.absolute(), cameras)
+
+    def paths(self) -> list[Path]:
+        """Return the folder, and the file or folder of the cameras if it is named."""
+        return [self.path, *([] if self.cameras == "auto" else [Path(self.cameras)])]
+
+
+@dataclass(frozen=True)
 class Inputs:
-    """The input files of a comparison: reference, candidates by name, and files named in settings, such as a matrix."""
+    """The input files of a comparison.
+
+    Attributes:
+        reference: the reference.
+        candidates: the candidates by name.
+        files: files named in settings, such as a matrix.
+        scene: the scene whose cameras select the views, if its folder was given.
+    """
 
     reference: InputFile
     candidates: Mapping[str, InputFile] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
+    scene: SceneFolder | None = None
 
     def all_files(self) -> tuple[InputFile, ...]:
         """Return all input files."""
@@ -41,6 +67,8 @@ class SourcedComparison(results.CandidateComparisons):
 
     Attributes:
         inputs: the files; None if a cloud came from memory.
+        cameras: the cameras of the scene, which select the views; None if unknown.
     """
 
     inputs: Inputs | None = None
+    cameras: ViewingCameras | None = None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError
@@ -18,9 +20,10 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
+from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 
 UNKNOWN_UNIT = "units of the file"
-_MESH_SAMPLES = 500_000
+MESH_SAMPLES = 1_500_000  # points on a mesh that are drawn, without gaps
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,8 @@ class ReportedCandidate:
         percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
         path: file of the candidate, if it came from one.
-        transform: maps candidate to reference coordinates.
+        transform: maps candidate to reference coordinates, or to the upright frame of the report.
+        rotation: rotation to that frame; None: the coordinates are those of the reference.
     """
 
     name: str
@@ -48,6 +52,7 @@ class ReportedCandidate:
     completeness_path: Path
     path: Path | None
     transform: Similarity
+    rotation: Similarity | None = None
 
     def own_colors(self) -> Cloud | None:
         """Read the aligned candidate in its own colours, if it has some and its file still exists."""
@@ -66,7 +71,7 @@ class ReportedCandidate:
 
     def completeness(self) -> Cloud | None:
         """Read the reference's measured points with their `distance`; the file may be large."""
-        return _read(self.completeness_path) if self.has_completeness else None
+        return _rotated(_read(self.completeness_path), self.rotation) if self.has_completeness else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +83,17 @@ class Report:
         spacing_median: median spacing of the reference.
         reference_path: file of the reference, if it came from one.
         candidates: the candidates.
+        cameras: the cameras of the scene, if recorded.
+        rotation: rotation from the coordinates of the reference to those of the clouds and cameras; None: there is
+            none.
     """
 
     unit: str
     spacing_median: float
     reference_path: Path | None
     candidates: tuple[ReportedCandidate, ...]
+    cameras: ViewingCameras | None = None
+    rotation: Similarity | None = None
 
     def reference(self) -> Cloud | None:
         """Read the reference cloud, if it came from a file that still exists."""
@@ -91,14 +101,20 @@ class Report:
             return None
         try:
             if holds_mesh(self.reference_path):
-                return read_mesh(self.reference_path, on_warning=lambda _: None).sample(_MESH_SAMPLES)
-            return read_cloud(self.reference_path, on_warning=lambda _: None)
+                cloud = read_mesh(self.reference_path, on_warning=lambda _: None).sample(MESH_SAMPLES)
+            else:
+                cloud = read_cloud(self.reference_path, on_warning=lambda _: None)
         except PcbenchError:
             return None
+        return _rotated(cloud, self.rotation)
 
 
-def read_report(folder: Path) -> Report:
+def read_report(folder: Path, *, upright: bool = False) -> Report:
     """Read the report in a folder.
+
+    Args:
+        folder: the folder.
+        upright: whether to rotate clouds and cameras about the origin so that +z is up, as the cameras show.
 
     Raises:
         InputError: one of its files is damaged.
@@ -108,13 +124,21 @@ def read_report(folder: Path) -> Report:
     with damage_in_one_line(folder):
         document = read_json(folder / "comparison.json")
         reference = document["reference"]
+        cameras = ViewingCameras.read(folder / CAMERAS_FILE) if (folder / CAMERAS_FILE).is_file() else None
+        rotation = None
+        if upright and cameras is not None and not cameras.is_upright:
+            rotation = Similarity(cameras.upright_rotation(), np.zeros(3))
+            cameras = cameras.rotated(rotation.rotation)
         return Report(
             unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),
             reference_path=_input_path(folder),
             candidates=tuple(
-                _candidate(folder, values, _input_path(folder, values["name"])) for values in document["candidates"]
+                _candidate(folder, values, _input_path(folder, values["name"]), rotation)
+                for values in document["candidates"]
             ),
+            cameras=cameras,
+            rotation=rotation,
         )
 
 
@@ -161,19 +185,36 @@ def _input_path(folder: Path, candidate: str | None = None) -> Path | None:
         return None
 
 
-def _candidate(folder: Path, values: dict[str, Any], path: Path | None) -> ReportedCandidate:
+def _candidate(
+    folder: Path, values: dict[str, Any], path: Path | None, rotation: Similarity | None
+) -> ReportedCandidate:
     def table(kind: str) -> Cloud | None:
         path = folder / f"{values['name']}_{kind}.ply"
-        return _read(path) if path.is_file() else None
+        return _rotated(_read(path), rotation) if path.is_file() else None
 
+    transform = Similarity.from_matrix(values["registration"]["T_reference_candidate"])
     return ReportedCandidate(
         name=values["name"],
-        deviation=_read(folder / f"{values['name']}_deviation.ply"),
+        deviation=_rotated(_read(folder / f"{values['name']}_deviation.ply"), rotation),
         m3c2=table("m3c2"),
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
         percentiles_completeness=values["metrics"]["percentiles"][REFERENCE_TO_CANDIDATE],
         completeness_path=folder / f"{values['name']}_completeness.ply",
         path=path,
-        transform=Similarity.from_matrix(values["registration"]["T_reference_candidate"]),
+        transform=transform if rotation is None else rotation @ transform,
+        rotation=rotation,
     )
+
+
+def _rotated(cloud: Cloud, rotation: Similarity | None) -> Cloud:
+    """Return a cloud of a report after a rotation, with its displacements."""
+    if rotation is None:
+        return cloud
+    rotated = cloud.transformed(rotation)
+    names = [f"displacement_{axis}" for axis in "xyz"]
+    if not set(names) <= cloud.attributes.keys():
+        return rotated
+    vectors = np.stack([np.asarray(cloud.attributes[name], np.float64) for name in names], axis=1)
+    turned = dict(zip(names, rotation.apply_normals(vectors).T, strict=True))
+    return replace(rotated, attributes={**rotated.attributes, **turned})

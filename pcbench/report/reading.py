@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import FILTERABLE_EXTENSIONS, read_cloud
@@ -12,7 +15,14 @@ from pcbench.io.files import digest, file_in_setting
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
-from pcbench.report.inputs import InputFile
+from pcbench.report.inputs import InputFile, SceneFolder
+from pcbench.report.viewing import ViewingCameras
+
+if TYPE_CHECKING:
+    from pcbench.scenes import Scene
+
+SceneLike: TypeAlias = "Scene | str | os.PathLike[str]"
+"""A scene, or the path of its folder."""
 
 
 def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputFile]:
@@ -48,3 +58,43 @@ def paths_in(settings: Settings) -> list[Path]:
 def named_files(settings: Settings) -> tuple[InputFile, ...]:
     """Record the files named in settings."""
     return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))
+
+
+def as_scene(scene: SceneLike) -> Scene | SceneFolder:
+    """Return a scene, or its folder.
+
+    Raises:
+        InputError: the argument is neither.
+    """
+    if isinstance(scene, str | os.PathLike):
+        return SceneFolder(Path(scene))
+    from pcbench.scenes import Scene
+
+    if not isinstance(scene, Scene):
+        raise InputError(f"expected a scene or the path of its folder, got {type(scene).__name__}")
+    return scene
+
+
+def viewing_cameras(
+    scene: Scene | SceneFolder, shown: Cloud | Mesh, on_warning: Callable[[str], None]
+) -> ViewingCameras:
+    """Return the cameras of a scene for the views of a cloud or a mesh, read from its folder if necessary.
+
+    Raises:
+        InputError: the scene cannot be read, has no cameras, or none of them sees it.
+    """
+    if isinstance(scene, SceneFolder):
+        from pcbench.scenes import read_scene
+
+        scene = read_scene(scene.path, cameras=scene.cameras, on_warning=on_warning)
+    if not scene.cameras:
+        raise InputError(
+            f"{scene.folder}: expected a scene with cameras, got none: name their file or folder (--cameras)"
+        )
+    z_is_up = shown.crs is not None or scene.origin is not None
+    cameras = ViewingCameras.of(scene.cameras.values(), z_is_up=z_is_up)
+    try:
+        cameras.check_sight(shown.vertices if isinstance(shown, Mesh) else shown.points)
+    except InputError as error:
+        raise InputError(f"{scene.folder}: {error}") from error
+    return cameras

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from command_line import is_one_line
 from optional import import_or_skip
+from scene_folders import NAMES, orbit, ten_images_folder
 from wording import check_text
 
 from pcbench import Cloud, write_cloud
+from pcbench.io.colmap_model import write_colmap_model
 
 import_or_skip("pyvista")
 
@@ -83,6 +85,18 @@ def test_a_crash_of_opengl_is_one_line(files, run, monkeypatch):
     code, _, err = run("view", "a.ply", "--screenshot", "view.png")
     assert (code, is_one_line(err)) == (2, True)
     check_text(err)
+
+
+@pytest.mark.usefixtures("off_screen")
+def test_a_scene_selects_the_view_of_a_file(report, run):
+    photographs = ten_images_folder(Path("photos"))
+    write_colmap_model(photographs / "sparse/0", orbit(NAMES))
+    assert run("view", "a.ply", "--scene", "photos", "--screenshot", "view.png") == (0, "", "")
+    assert size_and_colors("view.png")[1] > 20
+    for arguments in (("a.ply", "--cameras", "x"), (report, "--scene", "photos"), ("a.ply", "--scene", "nowhere")):
+        code, out, err = run("view", *arguments, "--screenshot", "view.png")
+        assert (code, out, is_one_line(err)) == (2, "", True)
+        check_text(err)
 
 
 @pytest.mark.usefixtures("off_screen")

@@ -1,8 +1,11 @@
 """Plotters: colours, precision, framing and errors of rendered scenes, against known answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapes
+from camera_rigs import random_rotation, rotated, sector
 from optional import break_library, import_or_skip
 from scene_folders import NAMES, orbit, ten_images_folder
 from wording import check_error, check_text
@@ -144,6 +147,29 @@ def test_cameras_are_pyramids_about_their_positions(tmp_path):
     assert pixels_of(picture, (0xE6, 0x9F, 0x00)) > 20
     with check_error():
         pcbench.plot.cameras(pcbench.read_scene(photographs, cameras="none"))
+
+
+def test_cameras_select_the_view(tmp_path):
+    """A picture with cameras is that of the upright cloud, in whatever frame both are."""
+    folder = ten_images_folder(tmp_path)
+    rig = [replace(camera, name=name) for camera, name in zip(sector(-130, -50, 10), NAMES, strict=True)]
+    points = shapes.city(4000, seed=1)[0]
+    turn = random_rotation(8)
+    write_colmap_model(folder / "sparse/0", rotated(rig, turn))
+    colors = np.where(points[:, 2:] > 1, 200, 90).astype(np.uint8) * np.ones(3, np.uint8)
+    plotter = pcbench.plot.cloud(Cloud(points @ turn.T, colors=colors), scene=folder, off_screen=True)
+    up = turn.T @ np.array(plotter.camera.up)
+    np.testing.assert_allclose(up, [0, 0, 1], atol=1e-6)
+    toward = turn.T @ (np.array(plotter.camera.position) - np.array(plotter.camera.focal_point))
+    assert toward[2] > 0 > toward[1]  # from above, and from the side of the cameras
+    assert background_share(render(plotter)) < 0.95
+    values = pcbench.plot.deviation(None, points @ turn.T, points[:, 2], scene=folder, off_screen=True)
+    np.testing.assert_allclose(turn.T @ np.array(values.camera.up), [0, 0, 1], atol=1e-6)
+    values.close()
+    found = pcbench.compare(points @ turn.T, {"a": (points @ turn.T)[::2]}, scene=folder, register="none")
+    plotter = found.plot("a", "distance", off_screen=True)
+    np.testing.assert_allclose(turn.T @ np.array(plotter.camera.up), [0, 0, 1], atol=1e-6)
+    plotter.close()
 
 
 def test_displacements_are_exaggerated_by_a_round_factor():

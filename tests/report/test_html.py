@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import shapes
+from camera_rigs import ring
 
 from pcbench import Cloud, Settings, compare, write_cloud
 from pcbench.deformation import LocalChanges
@@ -22,6 +23,7 @@ from pcbench.report.html.metrics_table import main_rows
 from pcbench.report.html.packing import UNKNOWN_CODE, CodeGrid, levels, morton_order, scalar_codes
 from pcbench.report.html.places import worst_places
 from pcbench.report.inputs import InputFile, Inputs
+from pcbench.report.viewing import ViewingCameras
 
 PROVENANCE = {
     "version": "1.2",
@@ -286,3 +288,20 @@ def test_grids_cover_flat_clouds():
     points = np.array([[1.0, 5, 0], [2.0, 5, 0]])
     grid = CodeGrid.of(points)
     assert np.allclose(grid.low + grid.codes(points) * grid.step, points)
+
+
+def test_the_view_has_up_and_some_cameras(comparison):
+    plain = Page(page(comparison, PROVENANCE)).view
+    assert plain["up"] is None
+    assert plain["cameras"] is None
+    cameras = ViewingCameras.of(ring(1200))
+    view = Page(page(replace(comparison, cameras=cameras), PROVENANCE)).view
+    assert view["up"] == [0, 0, 1]
+    centers, directions = (np.reshape(view["cameras"][name], (-1, 3)) for name in ("centers", "directions"))
+    assert len(centers) == len(directions) == 500
+    np.testing.assert_allclose(centers[[0, -1]], cameras.centers[[0, -1]], rtol=1e-8)
+    np.testing.assert_allclose(directions[[0, -1]], cameras.directions[[0, -1]], rtol=1e-8, atol=1e-12)
+    unknown = ViewingCameras(cameras.centers[:2], cameras.directions[:2], None)
+    view = Page(page(replace(comparison, cameras=unknown), PROVENANCE)).view
+    assert view["up"] is None
+    assert len(view["cameras"]["centers"]) == 6

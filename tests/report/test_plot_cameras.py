@@ -13,6 +13,7 @@ from pcbench.geometry.cameras import Camera, look_at
 from pcbench.geometry.geodesy import Gps
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.report.viewing import ViewingCameras
 from pcbench.scenes import read_scene
 
 
@@ -71,28 +72,25 @@ def flight(turn_deg, tilt_deg=3.0, size=(6, 5)):
 
 @pytest.mark.parametrize("turn_deg", [0, 180, 90])
 def test_a_survey_in_an_arbitrary_gauge_is_shown_from_above(turn_deg):
-    from pcbench.report.plot.cameras import _upright_rotation
-
     cameras, up = flight(turn_deg)
-    rotation, is_rotated = _upright_rotation(cameras)
-    assert is_rotated
+    viewing = ViewingCameras.of(cameras)
+    rotation = viewing.upright_rotation()
+    assert not viewing.is_upright
     assert (rotation @ up)[2] > 0.99
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
 
 
 def test_a_walk_along_a_wall_stays_upright():
     """All images look in the same direction from positions on a line: their upper sides define up."""
-    from pcbench.report.plot.cameras import _upright_rotation
-
     gauge = look_at([1, 2, 3], [0, 0, 0]).rotation
     cameras = []
     for n in range(12):
         pose = look_at([n, 0.2 * np.sin(n), 1.6 + 0.1 * (n % 3)], [n, 10, 1.6])
         rotation = pose.rotation @ gauge.T
         cameras.append(Camera(f"{n}.png", K, Similarity(rotation, pose.translation)))
-    upright_rotation, is_rotated = _upright_rotation(cameras)
-    assert is_rotated
-    assert (upright_rotation @ gauge @ [0, 0, 1])[2] > 0.99
+    viewing = ViewingCameras.of(cameras)
+    assert not viewing.is_upright
+    assert (viewing.upright_rotation() @ gauge @ [0, 0, 1])[2] > 0.99
 
 
 def test_rings_are_separated_and_closed():

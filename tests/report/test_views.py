@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from camera_rigs import nadir, random_rotation, ring, rotated, sector, walk
 
 from pcbench import Cloud
 from pcbench.report.plot.maps import frame
 from pcbench.report.plot.sections import Section
 from pcbench.report.plot.splats import Backdrop, splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length, suitable_views
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, oblique_view, round_length, suitable_views
+from pcbench.report.viewing import ViewingCameras
 
 BACKGROUND = np.array([10, 20, 30], np.uint8)
 TOP_VIEW = Viewpoint("from above", (0, 0, 1), (0, 1, 0))
@@ -215,3 +217,77 @@ def test_a_section_at_the_border_stays_inside_the_scene():
 def test_clouds_that_are_too_sparse_have_no_section():
     points = np.eye(3)
     assert Section.through_worst_place(points, np.ones(3), points, spacing=1.0) is None
+
+
+def azimuths_deg(views):
+    """Return the directions towards the viewer of oblique views, anticlockwise from +x."""
+    directions = [view.direction for view in views if view.direction[0] or view.direction[1]]
+    return [round(float(np.degrees(np.arctan2(y, x))) % 360, 6) for x, y, _ in directions]
+
+
+@pytest.mark.parametrize("shape", [[40, 50, 6], [40, 2, 20], [3, 4, 9]], ids=["town", "wall", "tower"])
+@pytest.mark.parametrize("has_north", [False, True])
+def test_cameras_all_around_or_above_keep_the_usual_views(shape, has_north):
+    points = cube(shape).points
+    usual = suitable_views(points, has_north=has_north)
+    for rig in (ring(), nadir(), ring(4, start_deg=45)):
+        assert suitable_views(points, has_north=has_north, cameras=ViewingCameras.of(rig)) == usual
+
+
+@pytest.mark.parametrize(
+    ("shape", "has_north", "titles", "azimuths"),
+    [
+        ([40, 50, 6], False, ["from above", "from the left", "from the right"], [0, 90]),
+        ([40, 50, 6], True, ["from above", "from the east", "from the north"], [0, 90]),
+        ([3, 4, 9], False, ["front", "from the left", "from the right"], [45, 0, 90]),
+        ([3, 4, 9], True, ["front", "from the left", "from the right"], [45, 0, 90]),
+    ],
+)
+def test_a_scene_is_seen_from_the_side_of_its_cameras(shape, has_north, titles, azimuths):
+    views = suitable_views(cube(shape).points, has_north=has_north, cameras=ViewingCameras.of(sector(5, 85)))
+    assert [view.title for view in views] == titles
+    assert azimuths_deg(views) == pytest.approx(azimuths, abs=1e-3)
+
+
+def test_two_groups_of_cameras_are_seen_from_where_they_are():
+    both = ViewingCameras.of([*sector(-20, 20), *sector(160, 200)])
+    views = suitable_views(cube([40, 50, 6]).points, has_north=True, cameras=both)
+    assert [view.title for view in views] == ["from above", "from the east", "from the west"]
+
+
+@pytest.mark.parametrize("angle_deg", [0, 30, 100, 170, 200, 290])
+def test_the_front_of_a_wall_is_the_side_of_the_cameras(angle_deg):
+    angle = np.radians(angle_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    points = cube([40, 1, 20]).points @ turn.T
+    views = suitable_views(points, has_north=False, cameras=ViewingCameras.of(rotated(walk(), turn)))
+    assert [view.title for view in views] == ["front", "from the left", "from the right"]
+    assert np.array(views[0].direction) @ turn @ [0, -1, 0] == pytest.approx(1, abs=0.01)
+    # The left view is turned towards the left of who stands in front.
+    assert np.array(views[1].direction) @ turn @ [-1, 0, 0] > 0.5
+
+
+def test_level_cameras_show_the_front_of_a_yard():
+    points = np.concatenate([cube([20, 1, 8]).points, cube([20, 12, 0.1], at=(0, -6, -4)).points])
+    views = suitable_views(points, has_north=False, cameras=ViewingCameras.of(walk()))
+    assert [view.title for view in views] == ["front", "from the left", "from the right"]
+    assert azimuths_deg(views) == pytest.approx([270, 225, 315], abs=0.5)
+
+
+def test_cameras_without_an_up_direction_change_nothing():
+    cameras = ViewingCameras.of(walk())
+    unknown = ViewingCameras(cameras.centers, cameras.directions, None)
+    points = cube([40, 50, 6]).points
+    assert suitable_views(points, has_north=False, cameras=unknown) == suitable_views(points, has_north=False)
+    assert oblique_view(unknown).direction == pytest.approx(oblique_view(None).direction)
+
+
+@pytest.mark.parametrize("rig", [walk(), sector(-130, -50), ring()], ids=["walk", "sector", "ring"])
+def test_the_oblique_view_has_up_and_the_side_of_the_cameras(rig):
+    turn = random_rotation(4)
+    view = oblique_view(ViewingCameras.of(rotated(rig, turn)))
+    np.testing.assert_allclose(turn.T @ view.up, [0, 0, 1], atol=1e-9)
+    direction = turn.T @ np.array(view.direction) / np.linalg.norm(view.direction)
+    assert np.degrees(np.arcsin(direction[2])) == pytest.approx(38, abs=1)
+    nearest = max(-camera.cam_from_world.rotation[2, :2] @ direction[:2] for camera in rig)
+    assert nearest > 0.3  # some camera looks from about there

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.answer import answer
@@ -26,6 +27,7 @@ from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, 
 from pcbench.report.html.places import Place, worst_places
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import bend_sentence, details, remarks, warnings
+from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import UNKNOWN, join_words, length, printable, title
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ _SCALAR_LABELS = {
     "m3c2_distance": "along the normal (M3C2)",
 }
 _MAX_ARROWS = 2000  # of a candidate's displacement field
+_MAX_CAMERAS = 500
 # `<`, `>` and `&` could end a script element or start another; JSON allows their escapes in strings.
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
@@ -136,6 +139,19 @@ def _view(comparison: SourcedComparison, clouds: list[Layer], places: list[Place
         "series": SERIES,
         "places": [vars(place) for place in places],
         "arrows": [arrows for c in comparison if (arrows := _arrows(c)) is not None],
+        **_cameras(comparison.cameras),
+    }
+
+
+def _cameras(cameras: ViewingCameras | None) -> dict[str, Any]:
+    """Return the upward direction, and centres and viewing directions of some cameras as [x, y, z, ...], if known."""
+    if cameras is None:
+        return {"up": None, "cameras": None}
+    rows = np.unique(np.linspace(0, len(cameras.centers) - 1, _MAX_CAMERAS).astype(np.int64))
+    centers, directions = (_digits(vectors[rows]) for vectors in (cameras.centers, cameras.directions))
+    return {
+        "up": None if cameras.up is None else _digits(cameras.up),
+        "cameras": {"centers": centers, "directions": directions},
     }
 
 
@@ -150,7 +166,12 @@ def _arrows(candidate: Candidate) -> dict[str, Any] | None:
     if not known.any():
         return None
     values = np.hstack([field.places[rows], moved])[known]
-    return {"name": candidate.name, "values": [float(f"{v:.9g}") for v in values.ravel()]}
+    return {"name": candidate.name, "values": _digits(values)}
+
+
+def _digits(values: FloatArray) -> list[float]:
+    """Return values with the digits that a picture needs, in one list."""
+    return [float(f"{value:.9g}") for value in values.ravel()]
 
 
 def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:

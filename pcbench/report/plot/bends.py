@@ -26,7 +26,15 @@ _MAX_TICK = 1e5  # of coordinates in tick labels
 _ARROW_SHARE = 0.07  # length of the arrow at the 95th percentile, as a share of the scene's size
 
 
-def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path, look: Figures) -> bool:
+def evidence(
+    bend: Deformation,
+    field: Cloud,
+    title: str,
+    unit: str,
+    path: Path,
+    look: Figures,
+    axes: tuple[str, str] = ("x", "y"),
+) -> bool:
     """Draw growth with distance and height, cross-validation and local changes, as far as they exist.
 
     Args:
@@ -36,6 +44,7 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
         unit: unit of lengths.
         path: the file to write.
         look: appearance of the picture.
+        axes: names of the horizontal axes.
 
     Returns:
         Whether there was anything to draw.
@@ -60,7 +69,16 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
         tested_cells = field.select(tested)
         ground = look.ground("white")
         panels.append(
-            partial(_changes, bend=bend, field=tested_cells, unit=unit, factor=factor, short=short, ground=ground)
+            partial(
+                _changes,
+                bend=bend,
+                field=tested_cells,
+                unit=unit,
+                factor=factor,
+                short=short,
+                ground=ground,
+                names=axes,
+            )
         )
     if not panels:
         return False
@@ -72,12 +90,12 @@ def evidence(bend: Deformation, field: Cloud, title: str, unit: str, path: Path,
     figure.suptitle(printable(title), fontsize=13, y=1 - 0.22 / height, va="center")
     figure.subplots_adjust(left=0.85 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
                            bottom=(1.0 if growth_panels else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
-    axes = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]
-    for axis, panel in zip(axes, panels, strict=True):
+    plots = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]
+    for axis, panel in zip(plots, panels, strict=True):
         panel(axis)
         axis.spines[["top", "right"]].set_visible(False)
     if growth_panels:
-        handles = axes[0].get_legend_handles_labels()
+        handles = plots[0].get_legend_handles_labels()
         figure.legend(*handles, loc="lower center", bbox_to_anchor=(0.5, 0.02 / height), ncols=3, frameon=False)
     save(figure, path)
     return True
@@ -185,7 +203,16 @@ def _cross_validation(axis: Any, bend: Deformation, factor: float, short: str) -
     axis.grid(alpha=0.25)
 
 
-def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: float, short: str, ground: str) -> None:
+def _changes(
+    axis: Any,
+    bend: Deformation,
+    field: Cloud,
+    unit: str,
+    factor: float,
+    short: str,
+    ground: str,
+    names: tuple[str, str],
+) -> None:
     from matplotlib.colors import LinearSegmentedColormap, to_rgb
 
     local = factor * np.asarray(field.attributes["local"], np.float64)
@@ -201,8 +228,8 @@ def _changes(axis: Any, bend: Deformation, field: Cloud, unit: str, factor: floa
     axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
     axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{short}]", shrink=0.9)
     axis.set_aspect("equal")
-    axis.set_xlabel(_coordinate_label("x", origin[0], unit))
-    axis.set_ylabel(_coordinate_label("y", origin[1], unit))
+    axis.set_xlabel(_coordinate_label(names[0], origin[0], unit))
+    axis.set_ylabel(_coordinate_label(names[1], origin[1], unit))
     if bend.local is None:
         return
     changes = bend.local

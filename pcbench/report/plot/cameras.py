@@ -12,15 +12,14 @@ from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
+from pcbench.report.plot.outputs import METADATA, check_picture
+from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
 _CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
-_SOFTWARE = "pcbench"  # metadata that identifies pictures of pcbench
 _MAX_POINTS = 20_000
-_MAX_TILT_DEG = 25.0  # between nadir views and their mean direction, and between that and the normal of the positions
-_MIN_WIDTH_RATIO = 0.3  # width to length of a flight over an area; a walk along a wall is narrower
 
 
 def draw_cameras(scene: Scene, path: Path) -> None:
@@ -34,7 +33,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
         MissingExtra: matplotlib is not installed.
         OSError: the file cannot be written.
     """
-    _check_picture(path)
+    check_picture(path)
     picture = camera_drawing(scene)
     require("matplotlib.figure")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -80,22 +79,7 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     figure.suptitle(picture.title, fontsize=12)
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", metadata={"Software": _SOFTWARE})
-
-
-def _check_picture(path: Path) -> None:
-    """Raise InputError if the file exists and was not drawn by pcbench, or if it is new and does not end in .png.
-
-    Photographs are PNG files too.
-    """
-    if not path.is_file():
-        if path.suffix.lower() != ".png":
-            raise InputError(f"{path}: expected the extension .png")
-        return
-    with path.open("rb") as file:
-        start = file.read(1024)
-    if not start.startswith(b"\x89PNG") or f"Software\0{_SOFTWARE}".encode() not in start:
-        raise InputError(f"{path}: the file exists and is not a picture of pcbench: choose another name")
+        figure.savefig(file, format="png", metadata=METADATA["png"])
 
 
 class CameraDrawing(NamedTuple):
@@ -120,7 +104,8 @@ def camera_drawing(scene: Scene) -> CameraDrawing:
 
 def _cameras(scene: Scene) -> CameraDrawing:
     cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
-    rotation, is_rotated = _upright_rotation(cameras)
+    viewing = ViewingCameras.of(cameras, z_is_up=scene.origin is not None)
+    rotation, is_rotated = viewing.upright_rotation(), not viewing.is_upright
     positions = np.stack([camera.position for camera in cameras]) @ rotation.T
     size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
     points = (
@@ -180,42 +165,6 @@ def _is_closed(ring: FloatArray) -> bool:
     """Return whether the ends of a line (N, 3) are as close as neighbours."""
     longest = np.linalg.norm(np.diff(ring, axis=0), axis=1).max(initial=0)
     return len(ring) > 3 and bool(np.linalg.norm(ring[0] - ring[-1]) < 1.5 * longest)
-
-
-def _upright_rotation(cameras: list[Camera]) -> tuple[FloatArray, bool]:
-    """Return the rotation (3, 3) that maps the scene's upward direction to +z, and whether one is needed.
-
-    +z is up already if the tops of the images point there on average, or if the cameras look along -z. Otherwise up is
-    opposite to the view of nadir cameras, and along the tops of the images of other cameras.
-    """
-    rotations = np.stack([camera.cam_from_world.rotation for camera in cameras])
-    up, direction = -rotations[:, 1].mean(axis=0), rotations[:, 2].mean(axis=0)
-    looks_down = _looks_down(np.stack([camera.position for camera in cameras]), rotations[:, 2])
-    upright = up[2] > 0.5 * np.linalg.norm(up) and (np.linalg.norm(up) > 0.5 or not looks_down)
-    if upright or direction[2] < -0.7:
-        return np.eye(3), False
-    up, forward = (-direction, up) if looks_down else (up, direction)
-    z = up / np.linalg.norm(up)
-    forward = forward - (forward @ z) * z
-    if np.linalg.norm(forward) < 1e-6:  # without a mean direction, any horizontal axis is suitable
-        forward = np.eye(3)[int(np.argmin(np.abs(z)))] - z[int(np.argmin(np.abs(z)))] * z
-    y = forward / np.linalg.norm(forward)
-    return np.stack([np.cross(y, z), y, z]), True
-
-
-def _looks_down(positions: FloatArray, directions: FloatArray) -> bool:
-    """Return whether cameras at positions (N, 3) look in one direction, at right angles to the plane of the positions.
-
-    This holds for a nadir survey. A wall photographed from a grid of positions is mistaken for one.
-    """
-    if len(positions) < 4:
-        return False
-    mean = directions.mean(axis=0)
-    mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
-    min_cosine = np.cos(np.radians(_MAX_TILT_DEG))
-    _, lengths, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
-    is_area = lengths[1] > _MIN_WIDTH_RATIO * lengths[0]
-    return bool(np.median(directions @ mean) > min_cosine and is_area and abs(axes[2] @ mean) > min_cosine)
 
 
 def _nearby_points(points: FloatArray, positions: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import Backdrop, splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
+from pcbench.report.viewing import ViewingCameras
 
 LABELS = {
     "distance": "distance to the closest reference point",
@@ -36,7 +37,7 @@ def label_of(scalar: str) -> str:
     return LABELS.get(scalar, scalar.replace("_", " "))
 
 
-def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
+def frame(measured: Cloud | None, clouds: Mapping[str, Cloud], cameras: ViewingCameras | None = None) -> Frame:
     """Return the common frame: the measured region of the reference, enlarged for candidates that extend beyond it.
 
     Candidates that are far off are ignored.
@@ -44,16 +45,17 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud]) -> Frame:
     Args:
         measured: the measured points of the reference; None in reports without them.
         clouds: the measured points of the candidates.
+        cameras: the cameras that photographed the scene, in the same coordinates.
     """
     if measured is None:
         boxes = [AxisBox.around(cloud.points) for cloud in clouds.values()]
         box = AxisBox(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
         has_north = all(cloud.crs is not None for cloud in clouds.values())
-        return Frame.of(box, [cloud.points for cloud in clouds.values()], has_north=has_north)
+        return Frame.of(box, [cloud.points for cloud in clouds.values()], has_north=has_north, cameras=cameras)
     box = AxisBox.around(measured.points)
     near = [cloud.points for cloud in clouds.values() if box.grown().share(cloud.points) > 1 - _MAX_OUTSIDE_SHARE]
     box = box.widen(map(AxisBox.around, near))
-    return Frame.of(box, [measured.points, *near], has_north=measured.crs is not None)
+    return Frame.of(box, [measured.points, *near], has_north=measured.crs is not None, cameras=cameras)
 
 
 class Scenery:
@@ -114,7 +116,8 @@ def frame_of(points: FloatArray, shared: Frame, *, has_north: bool = False) -> t
     outside = 1 - shared.box.share(points)
     if outside > _MAX_OUTSIDE_SHARE:
         note = f"separate frame: {100 * outside:.0f} % of the points are outside the common one"
-        return Frame.of(AxisBox.around(points), [points], has_north=has_north), note
+        separate = Frame.of(AxisBox.around(points), [points], has_north=has_north, cameras=shared.cameras)
+        return separate, note
     note = f"{100 * outside:.1f} % of points outside the frame" if outside > _MIN_REPORTED_SHARE else ""
     return shared, note
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
+from pcbench.report.plot.outputs import METADATA
 from pcbench.report.plot.views import Frame, Viewpoint, round_length
 from pcbench.report.words import printable
 
@@ -76,7 +78,9 @@ def compose(
         height + _SCALE_BAR_MARGIN + _TITLE_MARGIN,
     )
     figure, axis = _canvas(width, total_height, ground)
-    axis.text(0.5 * width, total_height - 0.24, title, color=color, fontsize=14, ha="center", va="center")
+    axis.text(
+        0.5 * width, total_height - 0.24, title, color=color, fontsize=14, ha="center", va="center", parse_math=False
+    )
     length = round_length(_MAX_SCALE_BAR_SHARE * float(panels.max()) / inches)
     left = 0.5 * (width - views - space) + _VIEW_GAP
     for view, window, size, panel in zip(frame.views, frame.windows, drawn, panels, strict=True):
@@ -96,13 +100,25 @@ def compose(
     save(figure, path)
 
 
+def drawing_style(look: Figures) -> AbstractContextManager[None]:
+    """Return a context with readable default colours on the chosen background, and text that can be edited."""
+    import matplotlib
+
+    ground = look.ground("white")
+    dark = ink(ground)
+    backgrounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
+    inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), dark)
+    # Text stays text, which can be edited and searched; ids are the same in each run.
+    files = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "pcbench"}
+    return matplotlib.rc_context({**backgrounds, **inks, **files})
+
+
 def save(figure: Any, path: Path) -> None:
     """Save a figure in the format of the path's extension; the same figure gives the same bytes."""
     kind = path.suffix[1:]
-    undated: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     # Dots hardly compress: a higher level takes longer and saves little.
     quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 2}} if kind == "png" else {}
-    figure.savefig(path, facecolor=figure.get_facecolor(), metadata=undated.get(kind), **quick)
+    figure.savefig(path, facecolor=figure.get_facecolor(), metadata=METADATA[kind], **quick)
 
 
 def _canvas(width: float, height: float, ground: str) -> tuple[Any, Any]:
@@ -162,7 +178,9 @@ class _Bar(NamedTuple):
         candidates = MaxNLocator(max(3, int(2 * height)), steps=(1, 2, 5, 10)).tick_values(scale.low, scale.high)
         ticks = [float(t) for t in candidates if scale.low - rounding <= t <= scale.high + rounding]
         ticks = [0.0 if abs(t) < rounding else t for t in ticks]
-        return cls(scale, height, ticks, _lines(label, 14 * (height + 0.5)), _lines(scale.note, 17 * (height + 0.5)))
+        return cls(
+            scale, height, ticks, _lines(printable(label), 14 * (height + 0.5)), _lines(scale.note, 17 * (height + 0.5))
+        )
 
     @property
     def label_at(self) -> float:
@@ -199,7 +217,7 @@ class _Bar(NamedTuple):
             y = low + self.height * (tick - scale.low) / (scale.high - scale.low)
             axis.plot([right, right + 0.05], [y, y], color=color, linewidth=0.8)
             axis.text(right + 0.09, y, _number(tick), color=color, fontsize=9.5, va="center")
-        upright = {"rotation": 90, "color": color, "ha": "left", "va": "center"}
+        upright: dict[str, Any] = {"rotation": 90, "color": color, "ha": "left", "va": "center", "parse_math": False}
         axis.text(left + self.label_at, middle, "\n".join(self.label), fontsize=10.5, **upright)
         axis.text(left + self.note_at, middle, "\n".join(self.note), fontsize=8, alpha=0.8, **upright)
 

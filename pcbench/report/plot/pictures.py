@@ -42,10 +42,12 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
 def _deformation_pictures(
     name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str, frame: Frame, look: Figures
 ) -> dict[str, Picture]:
+    is_rotated = frame.cameras is not None and frame.cameras.is_rotated
+    axes = ("right", "forward") if is_rotated else ("x", "y")
     title = f"{name or 'candidate'} against the reference: {bend.label} ({bend.model} model)"
     prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
-        f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look)),
+        f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look, axes)),
         f"{prefix}displacement": Picture(
             lambda path: bends.arrows(cloud, field, title, unit, frame, path, look), reason
         ),
@@ -53,11 +55,11 @@ def _deformation_pictures(
 
 
 def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
-    report = read_report(folder)
+    report = read_report(folder, upright=True)
     deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
     cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
     measured = report.candidates[0].completeness()
-    frame = maps.frame(measured, deviations)
+    frame = maps.frame(measured, deviations, report.cameras)
     scenery = maps.Scenery(np.zeros((0, 3)) if measured is None else measured.points, frame, look)
     named = {
         "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
@@ -129,7 +131,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
         def draw(path: Path) -> bool:
             return draw_section(
                 clouds[name].points, values[name], reference, report.spacing_median, name, scales[name], label,
-                report.unit, path, look,
+                report.unit, path, look, report.rotation,
             )  # fmt: skip
 
         return Picture(draw, "no place has enough points for a section")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cells
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
@@ -146,7 +147,7 @@ def _rows_around(points: FloatArray, center: FloatArray, length: float) -> NDArr
 
 def draw_section(
     points: FloatArray, values: FloatArray, reference: FloatArray, spacing: float, title: str, scale: Range,
-    label: str, unit: str, path: Path, look: Figures,
+    label: str, unit: str, path: Path, look: Figures, rotation: Similarity | None = None,
 ) -> bool:  # fmt: skip
     """Draw the section through the place of the largest deviations, beside its position on a map.
 
@@ -161,6 +162,7 @@ def draw_section(
         unit: unit of lengths.
         path: the file to write.
         look: appearance of the picture.
+        rotation: rotation from the clouds' coordinates to those of the points, for the coordinates in the picture.
 
     Returns:
         Whether there was enough to draw.
@@ -191,8 +193,8 @@ def draw_section(
     order = np.argsort(np.abs(values[found.rows]))  # large deviations on top
     along.scatter(ours[order, 0], ours[order, 1], s=14, c=scale.colors(values[found.rows][order]) / 255, linewidths=0)
     along.set(xlim=tuple(found.ends), ylim=(low, high), aspect=factor, facecolor=ground)
-    x, y = found.center[:2]
-    at = f"x = {x:,.1f}, y = {y:,.1f}".replace("-", "−")
+    place = found.center[:2] if rotation is None else rotation.inverse().apply(found.center[None])[0]
+    at = ", ".join(f"{axis} = {value:,.1f}" for axis, value in zip("xyz", place, strict=False)).replace("-", "−")
     along.set_xlabel(f"along the section, from A; 0 is at {at} [{unit}]")
     along.set_ylabel(f"height [{unit}]" + (f"\n× {factor}" if factor > 1 else ""))
     everything = thin_out(reference)

@@ -10,13 +10,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
 
 from pcbench.errors import PcbenchError
-from pcbench.report.figures import FORMATS, Figures, ink
+from pcbench.report.figures import FORMATS, Figures
 from pcbench.report.plot import Picture
+from pcbench.report.plot.panels import drawing_style
 from pcbench.report.read import damage_in_one_line
 
 
@@ -42,7 +42,7 @@ def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ())
         raise PcbenchError(f"no picture {unknown[0]!r}: expected {', '.join(pictures)}")
     (folder / "figures").mkdir(exist_ok=True)
     written = []
-    with _colors_of(look):
+    with drawing_style(look):
         for name, ending in requested or [(name, look.format) for name in pictures]:
             path = folder / "figures" / f"{name}.{ending}"
             if pictures[name].draw(path):
@@ -69,19 +69,6 @@ def main() -> int:
         return 2
     print("\n".join(str(path) for path in written))
     return 0
-
-
-def _colors_of(look: Figures) -> AbstractContextManager[None]:
-    """Return a context with readable default colours on the chosen background."""
-    import matplotlib
-
-    ground = look.ground("white")
-    dark = ink(ground)
-    backgrounds = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), ground)
-    inks = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), dark)
-    # Text stays text, which can be edited and searched; ids are the same in each run.
-    files = {"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "pcbench"}
-    return matplotlib.rc_context({**backgrounds, **inks, **files})
 
 
 if __name__ == "__main__":

@@ -8,9 +8,8 @@ name: OpenGL computes in float32, which would round northings of UTM to half a m
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import warnings
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,14 +22,15 @@ from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
+from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.bends import round_exaggeration
 from pcbench.report.plot.cameras import camera_drawing, rings_of
+from pcbench.report.plot.clouds import attribute_values
 from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plot.views import AxisBox, Frame
 from pcbench.report.plotters.stage import Stage, Window
-
-if TYPE_CHECKING:
-    from pcbench.scenes import Scene
+from pcbench.report.reading import SceneLike, as_scene, viewing_cameras
+from pcbench.report.viewing import ViewingCameras, up_of
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
@@ -40,6 +40,7 @@ _CAMERA_COLOR, _PATH_COLOR = "#56b4e9", "#e69f00"  # Okabe and Ito; readable on 
 def cloud(
     cloud: Mesh | CloudLike,
     *,
+    scene: SceneLike | None = None,
     unit: str | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
@@ -49,6 +50,8 @@ def cloud(
 
     Args:
         cloud: cloud, (N, 3) array, path of a file with a cloud, or mesh. The means of Gaussian splats are a cloud.
+        scene: scene with cameras in the cloud's coordinates, or its folder. They show which way is up and select the
+            view.
         unit: unit of the coordinates; default: that of the cloud.
         off_screen: whether to render without a window; default: as pyvista is set up.
         window_size: width and height in pixels.
@@ -58,13 +61,14 @@ def cloud(
         A `pyvista.Plotter`.
 
     Raises:
-        InputError: the cloud or the background is invalid.
+        InputError: the cloud, the scene or the background is invalid.
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
     shown = cloud if isinstance(cloud, Mesh) else to_cloud(cloud)
-    points = _points(shown)
-    stage = Stage(frame(None, {"": points}), unit or shown.unit, Window(off_screen, window_size, background))
+    cameras = _cameras_of(scene, shown)
+    window = Window(off_screen, window_size, background)
+    stage = Stage(frame(None, {"": _points(shown)}, cameras), unit or shown.unit, window)
     if isinstance(shown, Mesh):
         stage.add_surface(shown, "mesh", color="#c8ccd0")
         stage.write_title(pluralize(len(shown), "face"))
@@ -72,7 +76,7 @@ def cloud(
     if has_colors(shown.colors):
         stage.add_points(shown.points, "cloud", scalars=shown.colors, rgb=True, pickable=True)
     else:
-        heights = shown.points[:, 2]
+        heights = shown.points @ up_of(cameras)
         stage.add_bar(stage.add_values(shown.points, heights, height_range(heights)), "height")
     stage.write_title(pluralize(len(shown), "point"))
     return stage.plotter
@@ -83,6 +87,7 @@ def deviation(
     cloud: CloudLike,
     values: str | ArrayLike,
     *,
+    scene: SceneLike | None = None,
     label: str | None = None,
     range: float | None = None,
     unit: str | None = None,
@@ -99,6 +104,7 @@ def deviation(
         reference: cloud, (N, 3) array, path of a file with a cloud, or mesh; None: no ghost.
         cloud: cloud, (M, 3) array, or path of a file, in the reference's coordinates.
         values: (M,) distances, or the name of an attribute of the cloud.
+        scene: as in `cloud`.
         label: label of the colour bar; default: the description of a scalar of a report, or the name, or `distance`.
         range: distance at which the colour range ends.
         unit: unit of coordinates and distances; default: that of the reference, or of the cloud.
@@ -110,7 +116,7 @@ def deviation(
         A `pyvista.Plotter`.
 
     Raises:
-        InputError: a cloud, the values or an option is invalid.
+        InputError: a cloud, the values, the scene or an option is invalid.
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
@@ -120,7 +126,8 @@ def deviation(
     ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit
-    stage = Stage(frame(measured, {"": known}), unit, Window(off_screen, window_size, background))
+    shared = frame(measured, {"": known}, _cameras_of(scene, known if ghost is None else ghost))
+    stage = Stage(shared, unit, Window(off_screen, window_size, background))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
     label = label or (label_of(values) if isinstance(values, str) else "distance")
@@ -135,6 +142,7 @@ def displacements(
     vectors: ArrayLike,
     *,
     exaggeration: float | None = None,
+    scene: SceneLike | None = None,
     unit: str | None = None,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
@@ -148,6 +156,7 @@ def displacements(
         vectors: (M, 3) displacements there, such as `deformation.field.displacements`.
         exaggeration: factor of the arrows' lengths; default: a round number that makes long arrows a tenth of the
             scene.
+        scene: as in `cloud`.
         unit: unit of coordinates and displacements; default: that of the cloud.
         off_screen: as in `cloud`.
         window_size: as in `cloud`.
@@ -162,11 +171,13 @@ def displacements(
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
     window = Window(off_screen, window_size, background)
-    return show_displacements("", to_cloud(cloud), places, vectors, exaggeration, unit, window).plotter
+    shown = to_cloud(cloud)
+    found = _cameras_of(scene, shown)
+    return show_displacements("", shown, places, vectors, exaggeration, unit, window, found).plotter
 
 
 def cameras(
-    scene: Scene | str | os.PathLike[str],
+    scene: SceneLike,
     *,
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
@@ -191,11 +202,10 @@ def cameras(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    from pcbench.scenes import Scene, read_scene
+    from pcbench.scenes import read_scene
 
-    if not isinstance(scene, Scene | str | os.PathLike):
-        raise InputError(f"expected a scene or the path of its folder, got {type(scene).__name__}")
-    drawing = camera_drawing(read_scene(Path(scene)) if isinstance(scene, str | os.PathLike) else scene)
+    given = as_scene(scene)
+    drawing = camera_drawing(read_scene(given.path) if isinstance(given, SceneFolder) else given)
     everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
     box = AxisBox(everything.min(axis=0), everything.max(axis=0))
     window = Window(off_screen, window_size, background)
@@ -221,8 +231,9 @@ def show_displacements(
     exaggeration: float | None,
     unit: str | None,
     window: Window,
+    viewing: ViewingCameras | None = None,
 ) -> Stage:
-    """Return a stage with `displacements`, with a name in its title."""
+    """Return a stage with `displacements`, with a name in its title, seen from the side of cameras."""
     if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
         raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
     tails, arrows = as_rows("places", places), as_rows("vectors", vectors)
@@ -233,13 +244,20 @@ def show_displacements(
     if not moved.any():
         raise InputError("expected displacements, got none that is finite and not zero")
     tails, arrows, typical = tails[moved], arrows[moved], float(np.percentile(lengths[moved], 95))
-    stage = Stage(frame(None, {"": cloud}), unit or cloud.unit, window)
+    stage = Stage(frame(None, {"": cloud}, viewing), unit or cloud.unit, window)
     factor = exaggeration or round_exaggeration(typical, stage.frame.box)
     stage.add_ghost(cloud.points)
-    actor = stage.add_arrows(tails, factor * arrows, arrows[:, 2], Range(-typical, typical, signed=True))
+    actor = stage.add_arrows(tails, factor * arrows, arrows @ up_of(viewing), Range(-typical, typical, signed=True))
     stage.add_bar(actor, "vertical displacement")
     stage.write_title(f"{name + ': ' if name else ''}displacements exaggerated {factor:g} times")
     return stage
+
+
+def _cameras_of(scene: SceneLike | None, shown: Cloud | Mesh) -> ViewingCameras | None:
+    """Return the cameras of a scene that see a cloud or a mesh, if a scene is given."""
+    if scene is None:
+        return None
+    return viewing_cameras(as_scene(scene), shown, lambda text: warnings.warn(text, stacklevel=4))
 
 
 def _points(shown: Cloud | Mesh) -> Cloud:
@@ -254,10 +272,7 @@ def _known_values(cloud: Cloud, values: str | ArrayLike) -> tuple[Cloud, FloatAr
         InputError: the cloud has no such attribute, or not as many points as values; or no value is finite.
     """
     if isinstance(values, str):
-        if values not in cloud.attributes:
-            names = ", ".join(cloud.attributes) or "none"
-            raise InputError(f"expected an attribute of the cloud, got {values!r}; it has: {names}")
-        values = cloud.attributes[values]
+        values = attribute_values(cloud, values)
     scalars = np.asarray(values, np.float64)
     if scalars.shape != (len(cloud),):
         raise InputError(f"expected values of shape ({len(cloud)},), one per point, got {scalars.shape}")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.report.plot.views import round_length
+from pcbench.report.plot.views import SOUTH_WEST, Viewpoint, round_length
 
 _INTERVALS = 4  # at least this many between the labels of the longest axis
 _MIN_INTERVAL_SHARE = 0.08  # of the longest axis, between labels; an axis that is too short for four has two
@@ -33,21 +33,36 @@ class LabelledAxis(NamedTuple):
     title_place: FloatArray
 
 
-def axes_of(low: FloatArray, high: FloatArray) -> tuple[LabelledAxis, LabelledAxis, LabelledAxis]:
-    """Return the axes of a box, placed at the edges that the view from the south-west shows in front and on the left.
+def axes_of(
+    low: FloatArray, high: FloatArray, view: Viewpoint = SOUTH_WEST
+) -> tuple[LabelledAxis, LabelledAxis, LabelledAxis]:
+    """Return the axes of a box, placed at the edges that a view shows in front and on the left.
 
     Args:
         low: (3,) lower corner.
         high: (3,) upper corner.
+        view: the view.
     """
     longest = float((high - low).max()) or 1.0
-    left = np.array([low[0], high[1], low[2]])  # the corner of the vertical axis
-    outwards = np.array([[0.0, -1, 0], [-1, 0, 0], [-(0.5**0.5), 0.5**0.5, 0]])
-    starts = (low, low, left)
-    return tuple(_axis(k, starts[k], float(high[k]), outwards[k], longest) for k in range(3))  # type: ignore[return-value]
+    vertical = int(np.argmax(np.abs(view.up)))
+    right, up, _ = view.axes
+    axes = []
+    for k in range(3):
+        # Among four parallel edges, the one at the border of the box's picture: on the left, or below.
+        across = np.array([up[k], -right[k]])
+        if across @ ((-1, 0) if k == vertical else (0, -1)) < 0:
+            across = -across
+        is_high = np.stack([right, up], axis=1) @ across > 0
+        start = np.where(is_high, high, low)
+        start[k] = low[k]
+        beside = 3 - vertical - k  # the other horizontal axis
+        outwards = -right if k == vertical else (1 if is_high[beside] else -1) * np.eye(3)[beside]
+        axes.append(_axis(k, start, float(high[k]), outwards, longest, top=np.sign(up[k]) * (k == vertical)))
+    return axes[0], axes[1], axes[2]
 
 
-def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: float) -> LabelledAxis:
+def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: float, top: float) -> LabelledAxis:
+    """Return an axis from its start (3,) to a coordinate; `top` is the sign of its upper end, 0 if it has none."""
     length = end - float(start[k])
     step = round_length(max(length / _INTERVALS, 1e-300))
     values = _multiples(step, float(start[k]), end)
@@ -56,13 +71,14 @@ def _axis(k: int, start: FloatArray, end: float, outwards: FloatArray, longest: 
     unit = np.eye(3)[k]
     at = start + (values[:, None] - start[k]) * unit
     stop = start + length * unit
-    middle = 0.5 * (start + stop)
+    above = (stop if top > 0 else start) + top * _LABEL_SHARE * longest * unit
+    beside = 0.5 * (start + stop) + _TITLE_SHARE * longest * outwards
     return LabelledAxis(
         ends=np.stack([start, stop]),
         values=values,
         ticks=np.stack([at, at + _TICK_SHARE * longest * outwards], axis=1),
         places=at + _LABEL_SHARE * longest * outwards,
-        title_place=stop + _LABEL_SHARE * longest * unit if k == 2 else middle + _TITLE_SHARE * longest * outwards,
+        title_place=above if top else beside,
     )
 
 

@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.measure.results import Candidate, CandidateComparisons
+from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, ranges_of
+from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.maps import frame, frame_of, label_of
 from pcbench.report.plot.panels import join_title
 from pcbench.report.plot.views import Frame
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate
+from pcbench.report.viewing import ViewingCameras
 
 COMPLETENESS = "completeness"
 
@@ -46,25 +48,28 @@ class CandidateMaps:
         unit: unit of lengths, if known.
         spacing: median spacing of the reference.
         range: the end of all colour ranges, if the user set it.
+        cameras: the cameras of the scene, which select the view, if known.
     """
 
     maps: Mapping[str, Mapping[str, ScalarMap]]
     unit: str | None
     spacing: float
     range: float | None = None
+    cameras: ViewingCameras | None = None
 
     @classmethod
-    def of_comparison(cls, comparison: CandidateComparisons, range: float | None) -> CandidateMaps:
+    def of_comparison(cls, comparison: SourcedComparison, range: float | None) -> CandidateMaps:
         """Return the maps of a measured comparison."""
         reference = comparison.reference
         maps = {candidate.name: _measured(candidate) for candidate in comparison}
-        return cls(maps, reference.unit, reference.spacing_median, range)
+        return cls(maps, reference.unit, reference.spacing_median, range, comparison.cameras)
 
     @classmethod
     def of_report(cls, report: Report, range: float | None) -> CandidateMaps:
         """Read the maps of a saved report."""
         maps = {candidate.name: _reported(candidate) for candidate in report.candidates}
-        return cls(maps, None if report.unit == UNKNOWN_UNIT else report.unit, report.spacing_median, range)
+        unit = None if report.unit == UNKNOWN_UNIT else report.unit
+        return cls(maps, unit, report.spacing_median, range, report.cameras)
 
     def of(self, name: str, scalar: str) -> ScalarMap:
         """Return a map.
@@ -87,7 +92,8 @@ class CandidateMaps:
         """The common frame of all maps."""
         first, *_ = self.maps.values()
         measured = Cloud(first[COMPLETENESS].points) if COMPLETENESS in first else None
-        return frame(measured, {name: Cloud(next(iter(maps.values())).points) for name, maps in self.maps.items()})
+        shown = {name: Cloud(next(iter(maps.values())).points) for name, maps in self.maps.items()}
+        return frame(measured, shown, self.cameras)
 
     def stage(self, name: str, scalar: str, window: Window) -> Stage:
         """Return an empty stage with the frame of a map."""

@@ -15,12 +15,11 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
 from pcbench.report.figures import WINDOW_SIZE, Figures, ink
-from pcbench.report.plot.views import Frame, Viewpoint
+from pcbench.report.plot.views import Frame, oblique_view
 from pcbench.report.plotters.axes import axes_of
 from pcbench.report.read import UNKNOWN_UNIT
 from pcbench.report.words import printable
 
-_VIEW = Viewpoint("from the south-west", (-1, -1, 1.1), (0, 0, 1))
 _FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
@@ -56,7 +55,7 @@ class Stage:
     a local origin of round coordinates, which the titles of the axes name.
 
     Args:
-        frame: the frame of the scene.
+        frame: the frame of the scene; its cameras select the view.
         unit: unit of lengths.
         window: the window.
         axes: names of the axes.
@@ -87,7 +86,7 @@ class Stage:
         self.plotter.set_background(ground)
         self.ink = ink(ground)
         self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
-        self.origin = local_origin(frame)
+        self.origin, self._view = local_origin(frame), oblique_view(frame.cameras)
         self._place_camera(self._add_axes(axes))
 
     def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
@@ -185,7 +184,7 @@ class Stage:
 
     def _add_axes(self, names: tuple[str, str, str]) -> FloatArray:
         """Add axes along edges of the frame's box, and return the places (K, 3) of their labels."""
-        axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin)
+        axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin, self._view)
         lines = [axis.ends for axis in axes] + [tick for axis in axes for tick in axis.ticks]
         self._add_local_lines(lines, "axes", color=self.ink, opacity=_AXES_OPACITY)
         unit = f" [{self._known_unit}]" if self._known_unit else ""
@@ -219,10 +218,10 @@ class Stage:
 
     def _place_camera(self, labels: FloatArray) -> None:
         """Show the frame's box and the places (K, 3) of labels, with parallel projection as in the pictures."""
-        right, up, toward = _VIEW.axes
+        right, up, toward = self._view.axes
         box, center = self.frame.box, self.frame.box.center - self.origin
         corners = np.stack(np.meshgrid(*zip(box.low, box.high, strict=True)), axis=-1).reshape(-1, 3) - self.origin
-        shown = (np.concatenate([corners, labels]) - center) @ _VIEW.axes[:2].T
+        shown = (np.concatenate([corners, labels]) - center) @ self._view.axes[:2].T
         low, high = shown.min(axis=0), shown.max(axis=0)
         width, height = (high - low) / _FRAME_SHARE
         visible = max(float(height), float(width) * self._size[1] / self._size[0])  # height of the whole window
@@ -231,7 +230,7 @@ class Stage:
         camera = self.plotter.camera
         camera.parallel_projection = True
         camera.focal_point, camera.position = focus.tolist(), (focus + 2 * visible * toward).tolist()
-        camera.up, camera.parallel_scale = _VIEW.up, 0.5 * visible
+        camera.up, camera.parallel_scale = self._view.up, 0.5 * visible
         self.plotter.camera_set = True
 
 

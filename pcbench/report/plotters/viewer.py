@@ -18,10 +18,12 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
+from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.maps import label_of
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.plotters.stage import Window
 from pcbench.report.read import damage_in_one_line, read_report
+from pcbench.scenes import read_scene
 
 NEIGHBORS = 50
 """Number of closest points whose values are summarised for a picked point."""
@@ -148,17 +150,19 @@ class ReportViewer:
         )
 
 
-def view_file(path: Path, say: Say, warn: Say, *, off_screen: bool) -> Any:
+def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = None, off_screen: bool) -> Any:
     """Return a plotter of a cloud or a mesh; a right click on a point of a cloud says its coordinates and attributes.
 
     Args:
         path: the file.
         say: called with the lines about a picked point.
-        warn: called with the warnings of the reader.
+        warn: called with the warnings of the readers.
+        scene: a scene with cameras in the file's coordinates, which select the view.
         off_screen: whether to render without a window.
     """
     shown: Cloud | Mesh = read_mesh(path, on_warning=warn) if holds_mesh(path) else read_cloud(path, on_warning=warn)
-    plotter = plotters.cloud(shown, off_screen=off_screen)
+    given = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
+    plotter = plotters.cloud(shown, scene=given, off_screen=off_screen)
     if isinstance(shown, Cloud) and not off_screen:
         enable_picking(plotter, lambda row: say(describe_point(shown, row)))
     return plotter

@@ -1,0 +1,96 @@
+"""A picture of one cloud, in its own colours, coloured by height, or by one of its attributes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.extras import require
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
+from pcbench.io.files import atomic_write
+from pcbench.measure.wording import pluralize
+from pcbench.report.colors import Range, height_range, ranges_of
+from pcbench.report.figures import Figures
+from pcbench.report.plot import maps
+from pcbench.report.plot.panels import drawing_style
+from pcbench.report.read import UNKNOWN_UNIT
+from pcbench.report.viewing import ViewingCameras
+
+_MIN_ZERO_RATIO = 0.5  # of the lowest to the highest value: above, the colours do not start at zero
+
+
+def draw_cloud(
+    name: str,
+    cloud: Cloud,
+    path: Path,
+    look: Figures,
+    *,
+    scalar: str | None = None,
+    cameras: ViewingCameras | None = None,
+) -> None:
+    """Draw a cloud from three viewpoints that suit it.
+
+    Args:
+        name: name of the cloud, for the title.
+        cloud: the cloud.
+        path: the file to write; its extension is the format.
+        look: appearance of the picture.
+        scalar: attribute that colours the points; points without a finite value are grey. None: the cloud's own
+            colours, or its heights if it has none.
+        cameras: cameras that photographed the cloud, which select the views.
+
+    Raises:
+        InputError: the cloud has no such attribute, or no finite value of it.
+        MissingExtra: matplotlib is not installed.
+        OSError: the file cannot be written.
+    """
+    require("matplotlib.figure")
+    values = None if scalar is None else attribute_values(cloud, scalar)
+    if cameras is not None and not cameras.is_upright:
+        rotation = Similarity(cameras.upright_rotation(), np.zeros(3))
+        cloud, cameras = cloud.transformed(rotation), cameras.rotated(rotation.rotation)
+    frame, unit = maps.frame(None, {name: cloud}, cameras), cloud.unit or UNKNOWN_UNIT
+    with TemporaryDirectory() as folder, drawing_style(look):
+        picture = Path(folder) / f"picture{path.suffix.lower()}"
+        if scalar is None or values is None:
+            maps.draw_own_colors(name, cloud, unit, frame, picture, look)
+        else:
+            label = maps.label_of(scalar) + (f" [{unit}]" if scalar in maps.LABELS else "")
+            title = f"{name} ({pluralize(int(np.isfinite(values).sum()), 'point')})"
+            scenery = maps.Scenery(cloud.points, frame, look)
+            scale = _range(values, look.range)
+            maps.draw_coloured_cloud(cloud, values, title, scale, label, unit, scenery, picture, look)
+        with atomic_write(path) as file:
+            file.write(picture.read_bytes())
+
+
+def attribute_values(cloud: Cloud, name: str) -> FloatArray:
+    """Return an attribute (N,) of a cloud, of which some values are finite.
+
+    Raises:
+        InputError: the cloud has no such attribute, or it has no finite value.
+    """
+    if name not in cloud.attributes:
+        names = ", ".join(cloud.attributes) or "none"
+        raise InputError(f"expected an attribute of the cloud, got {name!r}; it has: {names}")
+    values = np.asarray(cloud.attributes[name], np.float64)
+    if not np.isfinite(values).any():
+        raise InputError(f"expected finite values of {name!r}, got none")
+    return values
+
+
+def _range(values: FloatArray, given: float | None) -> Range:
+    """Return the colour range of an attribute: that of distances, or the inner 99 % of values far from zero."""
+    known = values[np.isfinite(values)]
+    if not known.any():
+        return Range(0.0, given or 1.0, "all values are 0")
+    low, high = np.percentile(known, [0.5, 99.5])
+    if given is None and low > _MIN_ZERO_RATIO * high:
+        scale = height_range(known)
+        return Range(scale.low, scale.high, "inner 99 %")
+    return ranges_of({"": values}, given=given)[""]
