@@ -1,7 +1,8 @@
-"""`report.html`: a comparison as one page that opens from disk, with all data, styles and scripts inside.
+"""Pages that open from disk, with all data, styles and scripts inside; `report.html` shows a comparison.
 
-`page` fills the template; `content` and `charts` provide its words, tables and curves; `layers` selects the points of
-the 3D view, and `packing` encodes them. `viewer/` has the scripts that draw them, in the order of `page.SCRIPTS`.
+`template` fills a template and adds what all pages share, `base.html`. `page` and `page.html` are a comparison's:
+`metrics_table`, `places` and `charts` provide its tables and curves; `layers` selects the points of the 3D view, and
+`packing` encodes them. `viewer/` has the scripts that draw them, in the order of `page.SCRIPTS`.
 """
 
 from pcbench.report.html.page import page
