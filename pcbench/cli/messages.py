@@ -30,13 +30,13 @@ def warn_unless(quiet: bool) -> Callable[[str], None]:
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
 
 
-def name_files(out: Path, *files: str) -> str:
+def name_files(kind: str, out: Path, *files: str) -> str:
     """Return a line that names the files of a study's folder, its page first if there is one."""
     from pcbench.report.html import PAGE
     from pcbench.report.words import join_words
 
     page = [f"{PAGE} (a page to read or mail)"] if (out / PAGE).is_file() else []
-    return f"report: {out}/ has {join_words([*page, *files])}"
+    return f"{kind}: {out}/ has {join_words([*page, *files])}"
 
 
 def report_error(message: str) -> None:

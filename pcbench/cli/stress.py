@@ -141,6 +141,6 @@ def stress(
         click.echo()
         click.echo(outcome.table)
         click.echo()
-        click.echo(name_files(out, "stress.md", "stress.csv", "stress.json"))
+        click.echo(name_files("report", out, "stress.md", "stress.csv", "stress.json"))
     for problem in filter(None, (outcome.without_page, outcome.without_figures)):
         warn(problem)

@@ -110,6 +110,6 @@ def tradeoff(
             click.echo(sentence)
         if out is not None:
             click.echo()
-            click.echo(name_files(out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))
+            click.echo(name_files("report", out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))
     for problem in filter(None, (outcome.without_page, outcome.without_figures)):
         warn(problem)
