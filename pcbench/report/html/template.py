@@ -16,7 +16,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcbench.errors import record_error
+from pcbench.errors import PcbenchError, record_error
+from pcbench.extras import require
 from pcbench.io.files import atomic_write
 from pcbench.report.words import printable
 
@@ -107,17 +108,17 @@ def script_json(values: Any) -> str:
 
 
 def _environment() -> Environment:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-
-    return Environment(
-        loader=FunctionLoader(source),
+    jinja2 = require("jinja2")
+    made: Environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(source),
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         finalize=lambda value: printable(value) if type(value) is str else value,  # not sources, which are marked safe
     )
+    return made
 
 
 def write_page(path: Path, make: Callable[[], str]) -> str | None:
@@ -133,6 +134,8 @@ def write_page(path: Path, make: Callable[[], str]) -> str | None:
     path.unlink(missing_ok=True)
     try:
         text = make()
+    except PcbenchError as error:
+        return f"{path.name} was not written: {record_error(error)}"
     except Exception as error:
         return f"{path.name} was not written: {type(error).__name__}: {record_error(error)}"
     with atomic_write(path) as file:
