@@ -12,7 +12,7 @@ from pcbench.report.article import Article, Block, Bullets, Cell, Heading, Link,
 from pcbench.report.html.embedding import EmbeddedPicture, embed
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, source
 
-_LONG_TEXT = 32  # letters in a cell of numbers from which its text is wrapped
+_LONG_TEXT = 24  # letters from which the text of a cell is wrapped
 
 
 def article_page(article: Article, origin: Origin, folder: Path) -> str:
@@ -95,5 +95,5 @@ def _styled(rows: Iterator[Sequence[Cell]], labels: int) -> list[list[_StyledCel
 
 
 def _style(cell: Cell, is_label: bool) -> str:
-    kind = "text" if is_label else "long" if len(cell.text) > _LONG_TEXT else ""
-    return " ".join(filter(None, (kind, cell.mark)))
+    classes = ("text" if is_label else "", "long" if len(cell.text) > _LONG_TEXT else "", cell.mark)
+    return " ".join(filter(None, classes))

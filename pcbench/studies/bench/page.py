@@ -1,4 +1,4 @@
-"""The article of a bench: the best configurations, failures, the table, charts and notes; and its page."""
+"""The article of a bench: the best configurations, failures and doubts, charts and tables; and its page."""
 
 from __future__ import annotations
 
@@ -35,13 +35,11 @@ def article(doc: dict[str, Any], figures: Sequence[str] = ()) -> Article:
                                                   Bullets(list(legend(doc)))])]  # fmt: skip
     if thresholds := threshold_table(doc):
         sections.append(Section("At each threshold", [Table("Scores at each threshold", thresholds, 2)]))
-    if notes := list(run_lines(doc, failures=False)):
-        sections.append(Section("Notes of the runs", [Bullets(notes)]))
     return Article(
         kind="Reconstructors side by side",
         title=f"{join_words(methods, 4)} on {scene.name or scene}, against {reference.name}",
         answer=list(_answer(doc)),
-        warnings=[*run_lines(doc, notes=False), *doc["notes"]],
+        warnings=[*run_lines(doc), *doc["notes"]],
         setup=[],
         sections=sections,
     )

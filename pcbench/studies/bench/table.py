@@ -151,14 +151,13 @@ def legend(doc: dict[str, Any]) -> Iterator[str]:
         yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
 
 
-def run_lines(doc: dict[str, Any], *, failures: bool = True, notes: bool = True) -> Iterator[str]:
-    """Yield why runs failed, and the notes of their reconstructors; one line for all seeds with the same text."""
+def run_lines(doc: dict[str, Any]) -> Iterator[str]:
+    """Yield why runs failed, and doubts about their registrations; one line for all seeds with the same text."""
     seeds_by_note: dict[tuple[str, str], list[str]] = {}
     for row in doc["rows"]:
         run = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
-        texts = [f"{row['status']}: {row['message']}"] if failures and row["status"] != "ok" else []
-        texts += [f"note: {note}" for note in row.get("notes") or ()] if notes else []
-        for text in texts:
+        texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
+        for text in (*texts, *(f"note: {note}" for note in row.get("notes") or ())):
             seeds_by_note.setdefault((run, text), []).append(str(row["seed"]))
     for (run, text), seeds in seeds_by_note.items():
         yield f"{run}: {text}" if seeds == ["None"] else f"{run}, seed {', '.join(seeds)}: {text}"
