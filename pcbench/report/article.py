@@ -91,10 +91,17 @@ Block = Paragraph | Heading | Bullets | Table | Picture | Links
 
 @dataclass(frozen=True)
 class Section:
-    """A section with a title."""
+    """A section.
+
+    Attributes:
+        title: its title.
+        blocks: its content.
+        summary: text under which a page hides the content until a click; empty to show it.
+    """
 
     title: str
     blocks: Sequence[Block]
+    summary: str = ""
 
 
 @dataclass(frozen=True)

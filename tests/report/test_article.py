@@ -104,6 +104,16 @@ def test_hostile_texts_stay_text(tmp_path):
     assert "\u202e" not in text and "49" not in "".join(parsed.words)
 
 
+def test_a_section_with_a_summary_is_folded(tmp_path):
+    sections = [Section("Shown", [Paragraph("a")]), Section("Folded", [Paragraph("b")], "12 lines")]
+    made = article(sections=sections)
+    parsed = check_page_of_study(page(made))
+    assert parsed.tags.count("details") == parsed.tags.count("summary") == 1
+    words = [word for word in parsed.words if word.strip()]
+    assert words.index("Folded") + 1 == words.index("12 lines") == words.index("b") - 1
+    assert "## Folded\n\nb\n" in markdown(made)
+
+
 def test_empty_parts_leave_nothing_behind():
     parsed = check_page_of_study(page(article(Bullets([]), Links([]), answer=["Only this."], warnings=[], setup=[])))
     assert "ul" not in parsed.tags and "What not to trust" not in "".join(parsed.words)

@@ -32,6 +32,7 @@ def article_page(article: Article, origin: Origin, folder: Path) -> str:
     sections = [
         {
             "title": section.title,
+            "summary": section.summary,
             "blocks": [values for block in section.blocks for values in _block(block, folder, pictures)],
         }
         for section in article.sections

@@ -37,7 +37,7 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         ),
         Section("Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias.png", figures)]),
         Section("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
-        Section("Errors of all metrics in %", [Table("Errors of all metrics", error_rows(study))]),
+        Section("Errors of all metrics in %", [Table("Errors of all metrics", error_rows(study))], "all errors"),
     ]
     return Article(
         kind="Trade-off between cost and accuracy",
