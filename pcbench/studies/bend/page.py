@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.article import Article, Block, Bullets, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Paragraph
 from pcbench.report.words import join_words
 from pcbench.studies.bend.findings import table
 from pcbench.studies.bend.results import BendStudy
@@ -31,13 +31,13 @@ def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
     """
     unit = f" [{study.unit}]" if study.unit else ""
     blocks: list[Block] = [
-        *(Picture(file, _CAPTION) for file in figures),
-        Table("Deformation of each solution", list(table(study))),
+        *(Figure(file, _CAPTION) for file in figures),
+        DataTable("Deformation of each solution", list(table(study))),
         Paragraph(_LEGEND.format(unit=unit)),
     ]
-    sections = [Section("Solutions", blocks)]
+    sections = [ArticleSection("Solutions", blocks)]
     if notes := _by_text((row.name, note) for row in study.rows for note in row.notes):
-        sections.append(Section("Notes of the reconstructor", [Bullets(notes)], pluralize(len(notes), "note")))
+        sections.append(ArticleSection("Notes of the reconstructor", [Bullets(notes)], pluralize(len(notes), "note")))
     return Article(
         kind="Causes of deformation",
         title=f"What deforms the clouds of {Path(study.scene.path).name}",
