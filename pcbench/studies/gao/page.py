@@ -21,6 +21,7 @@ from pcbench.studies.gao.table import (
 )
 from pcbench.studies.views.page import score_blocks, view_pictures
 from pcbench.studies.views.scores import ViewStudy
+from pcbench.studies.views.table import doubts
 
 _CAPTIONS = {
     "directions": "Accuracy and completeness of each cloud against both references",
@@ -54,7 +55,7 @@ def article(
     measures: list[Block] = [
         *pictures("directions"),
         DataTable("Measures of each cloud against both references", list(measures_table(study)), 2),
-        Paragraph(LEGEND.format(unit=unit)),
+        Paragraph(f"{LEGEND.format(unit=unit)}."),
     ]
     if reports:
         measures.append(Links([Link(_report_title(PurePath(folder)), f"{folder}/{PAGE}") for folder in reports]))
@@ -64,7 +65,9 @@ def article(
     ]
     if any(scene.injected for scene in study.scenes):
         injected = DataTable("Verdicts on deformations of known size", list(injection_table(study)))
-        sections.append(ArticleSection("Deformations of known size", [Paragraph(INJECTED.format(unit=unit)), injected]))
+        sections.append(
+            ArticleSection("Deformations of known size", [Paragraph(f"{INJECTED.format(unit=unit)}."), injected])
+        )
     if views is not None:
         sections.append(ArticleSection("New views", [*score_blocks(views), *view_pictures(view_figures)]))
     sections += [
@@ -75,7 +78,7 @@ def article(
         kind="Gao et al. 2025",
         title="The paper, reproduced",
         answer=list(answer(study)),
-        warnings=[*failures(study), *caveats(study)],
+        warnings=[*failures(study), *caveats(study), *(() if views is None else doubts(views))],
         setup=[],
         sections=sections,
     )

@@ -26,7 +26,7 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         f" {exact.cpu_s:.3g} CPU s. {study.settings.seeds} rounds with different seeds; intervals are 95 % prediction"
         f" intervals of one run.{threshold}"
     )
-    found = [
+    sections = [
         ArticleSection(
             "Error and cost",
             [
@@ -49,7 +49,7 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         answer=list(answer(study)),
         warnings=list(caveats(study)),
         setup=[setup],
-        sections=found,
+        sections=sections,
     )
 
 

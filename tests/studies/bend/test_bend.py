@@ -258,7 +258,7 @@ def test_repeated_experiment_reuses_its_runs(run, renderer, tmp_path):
     import_or_skip("pycolmap")
     code, out, err = run("experiment", "bend", "--out", tmp_path / "bend", "--images", "18", "--size", "480x360")
     assert code == 0, err
-    assert "report: " in out
+    assert f"report: {tmp_path / 'bend'}/ has report.html" in out
     study = read_study(tmp_path / "bend")
     rows = {row.name: row for row in study.rows}
     assert all(row.failure is None for row in rows.values())
