@@ -53,7 +53,7 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         self.words.append(data)
-        if self._open and self._open[-1] in ("td", "th"):
+        if {"td", "th"} & set(self._open):
             self.tables[-1][-1][-1] += data
         if self._inside:
             self.by_id[self._inside] = self.by_id.get(self._inside, "") + data

@@ -216,7 +216,7 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
 
     with steps(quiet) as step:
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
-        step("drawing the charts")
+        step("drawing the charts" if figures else "writing the page")
         problems = write_bench_report(out, doc, figures=figures)
     output.write(doc)
     if not quiet and not output.on_stdout:
@@ -284,7 +284,7 @@ def views(
     job = ViewsJob(scenes, method, values, cameras, image_scale, time_limit)
     with steps(quiet) as step:
         study = run_views(job, out, step)
-        step("drawing the pictures")
+        step("writing the page" if no_figures else "drawing the pictures")
         problems = write_views_report(out, study, figures=not no_figures)
     if not quiet:
         print_columns(table(study))
