@@ -6,12 +6,12 @@ import re
 import zlib
 from dataclasses import replace
 from html import unescape
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import shapes
 from camera_rigs import ring
+from html_pages import HOSTILE, PROVENANCE, Page
 
 from pcbench import Cloud, Settings, compare, write_cloud
 from pcbench.deformation import LocalChanges
@@ -25,15 +25,6 @@ from pcbench.report.html.places import worst_places
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.viewing import ViewingCameras
 
-PROVENANCE = {
-    "version": "1.2",
-    "commit": "abc",
-    "machine": "a machine",
-    "created": "2026-01-01T00:00:00+00:00",
-    "command": "pcbench compare ref.ply a.ply --out report",
-}
-HOSTILE = "</script><img src=x onerror=alert(1)>\"'&\u2028{{ 7 * 7 }}]]>"
-
 
 @pytest.fixture(scope="module")
 def comparison():
@@ -43,33 +34,6 @@ def comparison():
     a, b = (points[::k] + rng.normal(0, 0.02, points[::k].shape) for k in (2, 3))
     clouds = {"a": Cloud(a), "b": Cloud(b[b[:, 0] < b[:, 0].mean() + 5])}
     return compare(Cloud(points, unit="m"), clouds, Settings(register="none", maps=("m3c2",)))
-
-
-class Page(HTMLParser):
-    """The elements of a page, and the text of those with an id."""
-
-    def __init__(self, text):
-        super().__init__(convert_charrefs=True)
-        self.tags, self.attributes, self.by_id, self._inside, self.words = [], [], {}, None, []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes += attrs
-        self._inside = dict(attrs).get("id") if tag == "script" else None
-
-    def handle_endtag(self, tag):
-        self._inside = None
-
-    def handle_data(self, data):
-        self.words.append(data)
-        if self._inside:
-            self.by_id[self._inside] = self.by_id.get(self._inside, "") + data
-
-    @property
-    def view(self):
-        return json.loads(self.by_id["view-data"])
 
 
 def unpack(head, text):
@@ -226,6 +190,7 @@ def test_it_asks_for_nothing(comparison):
     assert not {name for name, _ in parsed.attributes} & {"src", "href", "srcset", "action", "data"}
     assert not {"link", "img", "iframe", "object", "base"} & set(parsed.tags)
     assert re.findall(r"https?:|url\(|@import|import\(|fetch\(|XMLHttpRequest", text) == []
+    assert parsed.unbalanced == []
     policy = next(value for name, value in parsed.attributes if value and "default-src" in value)
     assert policy.startswith("default-src 'none'; script-src 'sha256-") and "unsafe-eval" not in policy
 

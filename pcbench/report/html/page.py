@@ -1,18 +1,10 @@
-"""Fill the template of `report.html`.
-
-Names of files and candidates come from users and may contain markup: the template escapes every text, and JSON inside
-the page has no character that could end its element.
-"""
+"""`report.html`: the content of a comparison's page."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
-from collections.abc import Iterable, Mapping
-from importlib.resources import files
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,13 +17,11 @@ from pcbench.report.html.charts import charts
 from pcbench.report.html.layers import Layer, layers
 from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, main_rows
 from pcbench.report.html.places import Place, worst_places
+from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import bend_sentence, details, remarks, warnings
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import UNKNOWN, join_words, length, printable, title
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 SCRIPTS = ("decode", "camera", "webgl", "painter", "scene", "controls", "main")
 _SCALAR_LABELS = {
@@ -44,8 +34,6 @@ _SCALAR_LABELS = {
 }
 _MAX_ARROWS = 2000  # of a candidate's displacement field
 _MAX_CAMERAS = 500
-# `<`, `>` and `&` could end a script element or start another; JSON allows their escapes in strings.
-_JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
 def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_range: float | None = None) -> str:
@@ -58,14 +46,21 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
     """
     clouds, places = layers(comparison, color_range), worst_places(comparison)
     view = _view(comparison, clouds, places)
-    script = "\n".join(_source(f"viewer/{name}.js") for name in SCRIPTS)
     main = main_rows(comparison)
-    return _environment().get_template("page.html").render(
-        title=_heading(comparison),
-        subtitle=title(comparison),
-        answer=_one_line_each(answer(comparison)),
-        remarks=_one_line_each(remarks(comparison)),
-        warnings=_one_line_each(warnings(comparison)),
+    opening = Opening(
+        "Point cloud comparison",
+        _heading(comparison),
+        title(comparison),
+        answer(comparison),
+        list(warnings(comparison)),
+        list(remarks(comparison)),
+    )
+    repeat = None if comparison.inputs is None else "pcbench compare --settings settings.json"
+    return render(
+        "page.html",
+        opening,
+        Origin(provenance, repeat, _inputs(comparison)),
+        script="\n".join(source(f"viewer/{name}.js") for name in SCRIPTS) if clouds else "",
         names=[printable(c.name) for c in comparison],
         unit=comparison.reference.unit,
         rows=main,
@@ -73,27 +68,16 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         is_wide=len(comparison) > MAX_ACROSS,
         has_best=any(cell.is_best for row in main for pair in row.cells for cell in pair),
         all_rows=all_rows(comparison),
-        details=_one_line_each(details(comparison))[len(comparison) :],  # those of single candidates have a section
+        details=one_line_each(details(comparison))[len(comparison) :],  # those of single candidates have a section
         layers=clouds,
         shown=_shown(clouds),
         charts=charts(comparison),
         deformations=_deformations(comparison),
         places=places,
-        inputs=_inputs(comparison),
-        provenance=provenance,
-        repeat=None if comparison.inputs is None else "pcbench compare --settings settings.json",
-        style=_source("style.css"),
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode(),
-        data=_json(view),
+        data=script_json(view),
         has_arrows=bool(view["arrows"]),
         scalar_labels=_scalar_labels(clouds),
-    )  # fmt: skip
-
-
-def _one_line_each(sentences: Iterable[str]) -> list[str]:
-    """Return sentences without characters that names may contain and that would change the text around them."""
-    return [printable(" ".join(sentence.split())) for sentence in sentences]
+    )
 
 
 def _heading(comparison: SourcedComparison) -> str:
@@ -210,25 +194,3 @@ def _inputs(comparison: SourcedComparison) -> list[tuple[str, str, str]]:
         return []
     named = [("reference", inputs.reference), *inputs.candidates.items(), *(("setting", file) for file in inputs.files)]
     return [(printable(role), printable(str(file.path)), file.sha256) for role, file in named]
-
-
-def _environment() -> Environment:
-    from jinja2 import DictLoader, Environment, StrictUndefined
-
-    return Environment(
-        loader=DictLoader({"page.html": _source("page.html")}),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-
-
-def _source(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
-
-
-def _json(values: Any) -> str:
-    """Return JSON that is safe inside a script element."""
-    return json.dumps(values, allow_nan=False, ensure_ascii=True, separators=(",", ":")).translate(_JSON_ESCAPES)

@@ -62,6 +62,8 @@ def test_demo_ends_with_a_bench(tmp_path, run):
     import_or_skip("torch")
     code, out, _ = run("demo", "--points", 20_000, "--out", tmp_path / "demo")
     assert code == 0
+    assert f"bench: {tmp_path / 'demo/bench'}/ has report.html" in out
+    assert (tmp_path / "demo/bench/report.html").is_file()
     rows = json.loads((tmp_path / "demo/bench/bench.json").read_text())["rows"]
     assert [(r["method"], r["status"]) for r in rows] == [("sfm", "ok")] * 4 + [("mvs", "ok")] * 2 + [
         ("splat", "ok")

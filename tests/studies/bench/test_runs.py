@@ -15,6 +15,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from benches import METHODS, OWN, executed_methods, job
+from html_pages import check_page_of_study, markdown_tables
 from optional import import_or_skip
 from processes import has_ended
 from wording import check_error, check_text
@@ -90,6 +91,11 @@ def test_each_run_is_a_row(bench_folder, run):
     assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
     with Path("out/bench.md").open() as file:
         assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one per threshold
+    page = check_page_of_study(Path("out/report.html").read_text(encoding="utf-8"))
+    *tables, inputs = page.tables
+    assert tables == markdown_tables(Path("out/bench.md").read_text())
+    assert [row[0] for row in inputs] == ["input", "scene", "reference"]
+    assert doc["reference"]["sha256"] in inputs[2] and len(page.values("src")) == 2
     # `compare` with the same threshold and matrix gives the same score.
     code, text, _ = run(
         "compare",
@@ -270,7 +276,7 @@ def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process)
         code, out, err = run(*command, f"methods.py:{method}")
         assert code == 2
         check_text(err)
-        assert out.splitlines()[-1] == "bench: out"
+        assert out.splitlines()[-1].startswith("bench: out/ has report.html")
     assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
 
 

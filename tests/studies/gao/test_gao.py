@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import is_one_line
+from html_pages import check_page_of_study
 from optional import import_or_skip
 from scene_folders import orbit, ten_images_folder
 from wording import check_error, check_text
@@ -315,6 +316,9 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     for name in (SPARSE, MEANS, SURFACE):
         assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
     assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
+    page = check_page_of_study((out / "report.html").read_text(encoding="utf-8"))
+    assert page.values("href") == ["./city_1/against-mvs/report.html", "./city_1/against-truth/report.html"]
+    assert len(page.values("src")) == 4
     contents = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
     assert run("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "steps=1200")[:2] == (0, out_text)
     assert all(path.read_bytes() == text for path, text in contents.items())

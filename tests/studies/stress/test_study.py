@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import is_one_line
+from html_pages import check_page_of_study, markdown_tables
 from optional import import_or_skip
 from wording import check_error, check_text
 
@@ -51,7 +52,7 @@ def test_quick_study_answers_each_subject(outcome):
     verdicts = {cell.level: cell for cell in study.verdicts if cell.method == "deform"}
     assert (verdicts[1].outcome, verdicts[16].outcome) == ("right", "withheld")
     assert study.sentences and all(sentence.endswith((".", ":")) for sentence in study.sentences)
-    assert outcome.without_figures is None
+    assert outcome.without_figures is None and outcome.without_page is None
 
 
 def test_files_of_a_study(outcome, folder):
@@ -60,6 +61,9 @@ def test_files_of_a_study(outcome, folder):
     assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in SUBJECTS)
     assert {row["subject"] for row in rows} == set(SUBJECTS) and rows[0]["outcome"]
     page = (folder / "stress.md").read_text()
+    parsed = check_page_of_study((folder / "report.html").read_text(encoding="utf-8"))
+    assert parsed.tables == markdown_tables(page)
+    assert len(parsed.values("src")) == len(list((folder / "figures").iterdir()))
     assert all(sentence in page for sentence in outcome.study.sentences)
     for name in (line.split("](")[1].rstrip(")") for line in page.splitlines() if line.startswith("![")):
         assert (folder / name).stat().st_size > 1000, name

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapes
+from html_pages import check_page_of_study, markdown_tables
 from optional import break_library, import_or_skip
 from wording import check_error, check_text
 
@@ -107,6 +108,8 @@ def test_files_of_a_quick_study_and_resumed_runs(tmp_path, monkeypatch):
     assert all(sentence in page for sentence in study.sentences)
     for name in ("errors.png", "bias.png"):
         assert f"figures/{name}" in page and (folder / "figures" / name).stat().st_size > 10_000
+    parsed = check_page_of_study((folder / "report.html").read_text(encoding="utf-8"))
+    assert parsed.tables == markdown_tables(page) and len(parsed.values("src")) == 2
     assert json.loads((folder / "tradeoff.json").read_text())["schema"] == "pcbench.tradeoff/1"
 
     monkeypatch.setattr(runs, "_run", lambda pair, approximation, seed: pytest.fail("run again"))
