@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +53,8 @@ class TileGrid(NamedTuple):
         return self.low[0] + self.size * first, self.low[1] + self.size * second
 
 
-class TileDeviations(NamedTuple):
+@dataclass(frozen=True)
+class TileDeviations:
     """Deviations of the points within a tile, in the clouds' unit.
 
     Attributes:

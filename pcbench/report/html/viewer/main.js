@@ -86,7 +86,7 @@ class ViewPage {
       onChange: () => this.later(),
       onPick: (x, y) => this.pick(x, y),
     });
-    new ResizeObserver(() => this.later()).observe(canvas);
+    new ResizeObserver(() => this.fits() || this.later()).observe(canvas);
     window.addEventListener("beforeprint", () => this.draw());
     // A browser takes the GPU away from pages in the background, and gives it back without their data.
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
@@ -112,13 +112,22 @@ class ViewPage {
     this.showMarked();
   }
 
+  // Return the width and height of the canvas on the page, in device pixels.
+  sizeOnPage() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return [clientWidth, clientHeight].map((x) => Math.max(1, Math.round(x * this.scene.pixelRatio)));
+  }
+
+  fits() {
+    const [width, height] = this.sizeOnPage();
+    return this.canvas.width === width && this.canvas.height === height;
+  }
+
   // Adapt the canvas to its size on the page, and divide it into panes.
   layOut() {
-    const ratio = Math.min(2, window.devicePixelRatio || 1);
     const { canvas, scene, camera } = this;
-    const size = [Math.max(1, Math.round(canvas.clientWidth * ratio)), Math.max(1, Math.round(canvas.clientHeight * ratio))];
-    if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
-    scene.pixelRatio = ratio;
+    scene.pixelRatio = Math.min(2, window.devicePixelRatio || 1);
+    if (!this.fits()) [canvas.width, canvas.height] = this.sizeOnPage();
     this.panes = panesOf(scene, canvas.width, canvas.height);
     // Narrower panes show the same width of the scene as one pane would.
     const widening = Math.max(1, canvas.width / canvas.height / aspectOf(this.panes[0]));
