@@ -55,6 +55,11 @@ class Tile:
     p95: str
 
     @property
+    def name(self) -> str:
+        """Name of the candidate as it is printed."""
+        return printable(self.candidate)
+
+    @property
     def text(self) -> str:
         """The statistics as one line."""
         return f"{self.found.count:,} points, median {self.median}, NMAD {self.nmad}, 95th percentile {self.p95}"
@@ -97,9 +102,11 @@ class TileMaps:
 
     @property
     def maps(self) -> dict[str, list[tuple[int, Tile]]]:
-        """The tiles of each candidate, with their places in `tiles`."""
+        """The tiles of each candidate, by its printed name, with their places in `tiles`."""
         numbered = list(enumerate(self.tiles))
-        return {name: [(k, tile) for k, tile in numbered if tile.candidate == name] for name in self.candidates}
+        return {
+            printable(name): [(k, tile) for k, tile in numbered if tile.candidate == name] for name in self.candidates
+        }
 
     @property
     def axes(self) -> str:
@@ -125,7 +132,7 @@ class TileMaps:
         """Return what the 3D view reads: places to fly to, in the order of the tiles."""
         places = [
             {
-                "candidate": printable(tile.candidate),
+                "candidate": tile.name,
                 "what": "tile",
                 "size": tile.text,
                 "at": tile.found.at,

@@ -3,16 +3,16 @@
 const ARROW_COLOR = [255, 80, 240]; // these colours are in no colour map
 const CAMERA_COLOR = [255, 255, 255];
 const TILE_COLOR = [255, 160, 20];
-const CAMERA_SHARE = 0.03; // length of a drawn camera, as a share of the scene's radius
+const CAMERA_SHARE = 0.05; // length of a drawn camera, as a share of the scene's radius
 
-// Return the lines over some views as {color, ends}, with the 6 coordinates of two ends per line.
+// Return the lines over some views as {color, width, ends}: width in pixels, and 6 coordinates of two ends per line.
 function linesOf(scene, views) {
   const kinds = [
-    [ARROW_COLOR, scene.exaggeration ? arrowLines(scene, views) : []],
-    [CAMERA_COLOR, scene.showsCameras ? cameraLines(scene) : []],
-    [TILE_COLOR, scene.tile ? tileLines(scene) : []],
+    { color: ARROW_COLOR, width: 2, ends: scene.exaggeration ? arrowLines(scene, views) : [] },
+    { color: CAMERA_COLOR, width: 1, ends: scene.showsCameras ? cameraLines(scene) : [] },
+    { color: TILE_COLOR, width: 2, ends: scene.tile ? tileLines(scene) : [] },
   ];
-  return kinds.filter(([, ends]) => ends.length).map(([color, ends]) => ({ color, ends: new Float32Array(ends) }));
+  return kinds.filter(({ ends }) => ends.length).map((lines) => ({ ...lines, ends: new Float32Array(lines.ends) }));
 }
 
 // Displacements of visible candidates, exaggerated, with small heads.

@@ -11,7 +11,7 @@ async function start() {
   camera.sceneRadius = scene.radius;
   camera.reach = Math.max(3 * scene.radius, ...scene.cameraCenters().map((at) => 1.1 * Math.hypot(...at)));
   if (data.cameras) camera.startAlong(data.cameras.directions);
-  const report = { scene, camera, renderer: null, firstPictureMs: null, allPointsMs: null };
+  const report = { scene, camera, renderer: null, page: null, firstPictureMs: null, allPointsMs: null };
   window.pcbenchReport = report;
   report.ready = open(report);
 }
@@ -26,10 +26,8 @@ async function open(report) {
   const preview = paintPreview(scene, camera, canvas);
   await nextFrame();
   report.firstPictureMs = performance.now(); // since the page began to load
-  const page = new ViewPage(report, rendererFor(report, canvas));
-  report.draw = () => page.draw();
-  report.pick = (x, y) => page.pick(x, y);
-  await page.refresh();
+  report.page = new ViewPage(report, rendererFor(report, canvas));
+  await report.page.refresh();
   await report.renderer.finished();
   report.allPointsMs = performance.now();
   preview.remove();

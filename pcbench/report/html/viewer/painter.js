@@ -42,7 +42,7 @@ class Painter {
     });
   }
 
-  drawLines({ color, ends }, camera, pane) {
+  drawLines({ color, width, ends }, camera, pane) {
     const { context } = this;
     context.save();
     context.beginPath();
@@ -50,7 +50,7 @@ class Painter {
     context.clip();
     context.translate(pane.x, pane.y);
     context.strokeStyle = `rgb(${color})`;
-    context.lineWidth = 2;
+    context.lineWidth = width;
     context.beginPath();
     for (let k = 0; k < ends.length; k += 6) {
       const from = camera.project(ends.subarray(k, k + 3), pane.width, pane.height);

@@ -164,7 +164,7 @@ class WebglRenderer {
     gl.drawArrays(gl.POINTS, 0, layer.head.shown);
   }
 
-  drawLines({ color, ends }, camera, { width, height }) {
+  drawLines({ color, width: lineWidth, ends }, camera, { width, height }) {
     const gl = this.gl;
     gl.useProgram(this.lines.program);
     gl.bindVertexArray(null);
@@ -174,8 +174,8 @@ class WebglRenderer {
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
     gl.uniformMatrix4fv(this.lines.matrix, false, camera.matrix(width / height));
     gl.uniform3fv(this.lines.color, color.map((c) => c / 255));
-    // Lines are one pixel wide, so they are drawn next to each other.
-    for (const [across, down] of [[0, 0], [1, 0], [0, 1]]) {
+    // Lines are one pixel wide; wider ones are drawn next to each other.
+    for (const [across, down] of lineWidth > 1 ? [[0, 0], [1, 0], [0, 1]] : [[0, 0]]) {
       gl.uniform2f(this.lines.shift, (2 * across) / width, (2 * down) / height);
       gl.drawArrays(gl.LINES, 0, ends.length / 3);
     }
