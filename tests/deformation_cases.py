@@ -156,19 +156,21 @@ def cloud_halves(folder: str, file: str, ground: bool = False, bend: float = 0.0
     """Return halves of a real cloud, undeformed or with a cubic bend of this RMS in its unit."""
 
     def make(seed: int) -> Pair:
-        cloud = read_cloud(data_folder(folder) / file)
+        cloud = read_cloud(data_folder(folder) / file, on_warning=lambda _: None)
         rng = np.random.default_rng(seed)
         points = cloud.points
-        is_used = cloud.attributes["classification"] == 2 if ground else np.ones(len(points), bool)
+        is_used = points.any(axis=1)  # scanners write (0, 0, 0) for missing returns
+        if ground:
+            is_used &= cloud.attributes["classification"] == 2
         is_in_first = rng.random(len(points)) < 0.5
-        classes = cloud.attributes["classification"]
+        classes = {key: values for key, values in cloud.attributes.items() if key == "classification"}
 
         def take_half(is_in_half: np.ndarray, candidate_points: Points) -> Cloud:
             return Cloud(
                 candidate_points[is_in_half],
                 unit=cloud.unit,
                 crs=cloud.crs,
-                attributes={"classification": classes[is_in_half]},
+                attributes={key: values[is_in_half] for key, values in classes.items()},
             )
 
         candidate_points, field = points, None
@@ -318,6 +320,9 @@ NULLS: dict[str, Callable[[int], Pair]] = {
     "conifer ground": cloud_halves("wild", "MixedConifer.laz", ground=True),
     "topography ground": cloud_halves("wild", "Topography.laz", ground=True),
     "autzen halves": cloud_halves("autzen", "autzen_trim.las"),
+    "street scan halves": cloud_halves("small_gicp", "target.ply"),
+    "vehicle scan halves": cloud_halves("scans", "vehicle0.xyz"),
+    "terrestrial scan halves": cloud_halves("scans", "webots1.xyz"),
 }
 BENDS: dict[str, Callable[[int], Pair]] = {
     **{

@@ -42,7 +42,7 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
     rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
-    changed, length, local = local_changes(geometry, noise, sums, resolution)
+    changed, length, local = local_changes(geometry, noise, sums, negligible)
     remaining = sums.energy.sum() - geometry.explained_sum(scores, finding.model)
     answer: Deformation = round_to_six_digits(
         Deformation(

@@ -132,7 +132,7 @@ class _Writer:
         if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
         if off.floor is not None and off.is_sampling:
-            return f"{text}, no more than error-free points with this density ({self.length(off.floor)})."
+            return f"{text}, about as far as error-free points with this density ({self.length(off.floor)})."
         if off.floor is not None:
             text += f" (error-free points: {self.length(off.floor)})"
         if (robust := _nmad(candidate)) is not None and off.value > _MIN_OUTLIER_RATIO * robust:
@@ -145,7 +145,7 @@ class _Writer:
         if away.floor is None:
             return f"{text}."
         if away.is_sampling:
-            return f"{text}, no more than the point spacing explains ({self.length(away.floor)})."
+            return f"{text}, about what the point spacing explains ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
         position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
         return (

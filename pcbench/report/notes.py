@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from pcbench.geometry.arrays import bounds
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Difference
@@ -14,6 +15,7 @@ from pcbench.report.words import join_words, length
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
+_MIN_OUTSIDE_SHARE = 0.5  # of the points beyond the reference, for which its bounding box is recommended
 _REPORTED_DIFFERENCES = (  # all are squared lengths
     f"d1_mse/{CANDIDATE_TO_REFERENCE}",
     f"d1_mse/{REFERENCE_TO_CANDIDATE}",
@@ -89,9 +91,18 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
         distance = length(registration.overlap_distance, comparison.reference.unit)
         yield (
             f"a large part of the cloud is farther than {distance} from the reference and counts in all distances;"
-            " --crop reference measures only points inside the reference's bounding box, --crop polygon:FILE any region"
+            f" {_crop_advice(candidate)}"
         )
     yield from map(str, candidate.deformation.further_warnings)
+
+
+def _crop_advice(candidate: Candidate) -> str:
+    """Return the options that exclude points beyond the reference; its bounding box only if many are outside."""
+    points, (lower, upper) = candidate.deviation.points, bounds(candidate.completeness.points)
+    outside = float(((points < lower) | (points > upper)).any(axis=1).mean())
+    if outside < _MIN_OUTSIDE_SHARE * (1 - candidate.registration.overlap):
+        return "--crop polygon:FILE measures only points inside a region"
+    return "--crop reference measures only points inside the reference's bounding box, --crop polygon:FILE any region"
 
 
 def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:

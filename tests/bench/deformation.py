@@ -43,7 +43,7 @@ def table_row(name: str, results: list[Deformation]) -> str:
 
 def print_nulls(runs: int, name_part: str, first_seed: int) -> None:
     """Print the verdicts on undeformed pairs."""
-    print(f"\nundeformed\n{TABLE_HEAD}{'smallest p':>12}{'moved':>7}")
+    print(f"\nundeformed\n{TABLE_HEAD}{'smallest p':>12}{'moved':>7}{'changed tiles':>15}")
     for name, make in NULLS.items():
         if name_part not in name:
             continue
@@ -53,7 +53,10 @@ def print_nulls(runs: int, name_part: str, first_seed: int) -> None:
             continue
         smallest = min((result.p_value for result in results if result.p_value is not None), default=1.0)
         moved_count = sum("a part moved" in result.sentence() for result in results)
-        print(f"{table_row(name, results)}{smallest:12.1e}{moved_count:7}", flush=True)
+        local = [result.local for result in results if result.local is not None]
+        tiles = sum(changes.tiles_changed for changes in local), sum(changes.tiles_tested for changes in local)
+        changed = f"{tiles[0] / max(tiles[1], 1):15.2%}"
+        print(f"{table_row(name, results)}{smallest:12.1e}{moved_count:7}{changed}", flush=True)
 
 
 def print_bends(runs: int, name_part: str, first_seed: int) -> None:

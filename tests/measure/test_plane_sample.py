@@ -168,7 +168,8 @@ def test_small_references_and_those_with_normals_are_measured_completely(monkeyp
     assert "all distances are exact" in capsys.readouterr().out
 
 
-def test_the_report_says_what_was_estimated(sampled_from_any_size, pair, tmp_path, capsys):
+def test_the_report_says_what_was_estimated(sampled_from_any_size, pair, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     cloud, other = pair
     found = compare(cloud, other, register="none", tolerance=0.2)
     print_comparison(found)

@@ -160,8 +160,22 @@ def test_no_deformation_is_claimed_if_the_pose_is_undetermined(comparison):
         assert "is bent" not in text
 
 
-def test_a_small_overlap_is_reported_with_the_crop_option(comparison):
-    small_overlap = with_registration(select_candidates(comparison, "a"), "a", result.LOW_OVERLAP, overlap=0.42)
+def test_the_bounding_box_is_recommended_only_if_points_are_outside():
+    points = shapes.terrain(3000, seed=1)[0]
+    wide = points * [2.0, 2.0, 1.0]
+    tall = np.concatenate([points, points + [0, 0, 3.0]])  # another surface above, inside the box of its highest point
+    reference = np.concatenate([points, [[*points[0, :2], 100.0]]])
+    text = " ".join(warnings(compare(points, {"wide": wide}, NO_REGISTRATION)))
+    assert "--crop reference" in text
+    text = " ".join(warnings(compare(reference, {"tall": tall}, NO_REGISTRATION)))
+    assert "--crop polygon:FILE measures only" in check_text(text)
+    assert "--crop reference" not in text
+
+
+def test_a_small_overlap_is_reported_with_the_crop_option():
+    points = shapes.terrain(3000, seed=1)[0]
+    wide = compare(points, {"a": shapes.terrain(3000, seed=2)[0] * [2.0, 2.0, 1.0]}, NO_REGISTRATION)
+    small_overlap = with_registration(wide, "a", result.LOW_OVERLAP, overlap=0.42)
     check_text("\n".join(warnings(small_overlap)))
     assert "--crop reference" in " ".join(warnings(small_overlap))
     assert "low-overlap said" not in warnings(small_overlap)  # not repeated
