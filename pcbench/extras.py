@@ -21,6 +21,7 @@ LIBRARIES = {
     "cuda": _Library("cuda-core", "cuda"),
     "fricp_cpp": _Library("fricp-cpp", ""),
     "flip_evaluator": _Library("flip-evaluator", ""),
+    "jinja2": _Library("jinja2", ""),  # of pages; a dependency of pcbench, so that only a broken installation lacks it
     "kiss_matcher": _Library("kiss-matcher", "global"),
     "lazrs": _Library("lazrs", "las"),
     "matplotlib": _Library("matplotlib", "plot"),

@@ -9,6 +9,8 @@ from pcbench.deformation import Amplitude, Bin, Deformation, Growth, Trend
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
 from pcbench.report import to_json
+from pcbench.report.article import markdown
+from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
     TRUTH,
@@ -22,7 +24,6 @@ from pcbench.studies.gao.results import (
     document,
 )
 from pcbench.studies.gao.sentences import sentences
-from pcbench.studies.gao.table import markdown
 
 
 def deformation(verdict, rms=0.01, slope=0.0):
@@ -80,5 +81,5 @@ def write_study(folder, results):
     """Write the files of a study and return their folder."""
     folder.mkdir(exist_ok=True)
     (folder / "experiment.json").write_text(to_json(document(results)))
-    (folder / "gao.md").write_text(markdown(results, None))
+    (folder / "gao.md").write_text(markdown(article(results, None)))
     return folder

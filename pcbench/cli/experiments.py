@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from pcbench.cli.messages import steps, warn
+from pcbench.cli.messages import name_files, steps, warn
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -72,14 +72,15 @@ def bend(
         raise click.UsageError("--images and --size apply only to a synthetic scene, without SCENE")
     settings = SurveySettings(images, *image_size(size), seed)
     with steps(quiet) as step:
-        study, without_figures = run_bend(out, scene, settings, figures=not no_figures, step=step)
+        outcome = run_bend(out, scene, settings, figures=not no_figures, step=step)
+    study = outcome.study
     if not quiet:
         print_columns(table(study))
         for sentence in study.sentences:
             click.echo(sentence)
-        click.echo(f"report: {out}")
-    if without_figures:
-        warn(without_figures)
+        click.echo(name_files("report", out, "experiment.csv", "experiment.json"))
+    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
+        warn(problem)
     if not study.has_measured_bends:
         raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be evaluated: see the table there")
 
@@ -161,6 +162,6 @@ def gao(
             click.echo()
         for sentence in outcome.study.sentences:
             click.echo(sentence)
-        click.echo(f"report: {out}")
-    if outcome.without_figures:
-        warn(outcome.without_figures)
+        click.echo(name_files("report", out, "gao.md", "experiment.csv", "experiment.json"))
+    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
+        warn(problem)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from threading import Event, Lock, Thread
 from time import monotonic
 from typing import NoReturn
@@ -27,6 +28,15 @@ def warn(text: object) -> None:
 def warn_unless(quiet: bool) -> Callable[[str], None]:
     """Return the function that file readers call with their warnings: `warn`, or only the log if `quiet`."""
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
+
+
+def name_files(kind: str, out: Path, *files: str) -> str:
+    """Return a line that names the files of a study's folder, its page first if there is one."""
+    from pcbench.report.html import PAGE
+    from pcbench.report.words import join_words
+
+    page = [f"{PAGE} (a page to read or mail)"] if (out / PAGE).is_file() else []
+    return f"{kind}: {out}/ has {join_words([*page, *files])}"
 
 
 def report_error(message: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.messages import name_files, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     is_given,
@@ -141,6 +141,6 @@ def stress(
         click.echo()
         click.echo(outcome.table)
         click.echo()
-        click.echo(f"report: {out}/ has stress.md (all sentences, tables and charts), stress.csv and stress.json")
-    if outcome.without_figures:
-        warn(outcome.without_figures)
+        click.echo(name_files("report", out, "stress.md", "stress.csv", "stress.json"))
+    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
+        warn(problem)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.messages import name_files, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -205,8 +205,7 @@ def bench(
 
 
 def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: bool, quiet: bool) -> None:
-    from pcbench.report.plot import draw_if_possible
-    from pcbench.studies.bench.charts import CHARTS
+    from pcbench.studies.bench.page import write_bench_report
     from pcbench.studies.bench.runs import FinishedRun
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
@@ -217,15 +216,14 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
 
     with steps(quiet) as step:
         doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
-        if figures:
-            step("drawing the charts")
-            problem = draw_if_possible(out, CHARTS)
+        step("drawing the charts")
+        problems = write_bench_report(out, doc, figures=figures)
     output.write(doc)
     if not quiet and not output.on_stdout:
         click.echo()
         print_bench(doc)
-        click.echo(f"bench: {out}")
-    if figures and problem:
+        click.echo(name_files("bench", out, "bench.md", "bench.csv", "bench.json"))
+    for problem in problems:
         warn(problem)
     if not any(row["status"] == "ok" for row in doc["rows"]):
         raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
@@ -278,8 +276,7 @@ def views(
     Example: pcbench views city_a/ city_b/ cloud.work/ --out views/
     """
     from pcbench.report import print_columns
-    from pcbench.report.plot import draw_if_possible
-    from pcbench.studies.views.pictures import PICTURES
+    from pcbench.studies.views.page import write_views_report
     from pcbench.studies.views.runs import ViewsJob, run_views
     from pcbench.studies.views.table import sentences, table
 
@@ -287,14 +284,12 @@ def views(
     job = ViewsJob(scenes, method, values, cameras, image_scale, time_limit)
     with steps(quiet) as step:
         study = run_views(job, out, step)
-        problem = None
-        if not no_figures:
-            step("drawing the pictures")
-            problem = draw_if_possible(out, PICTURES)
+        step("drawing the pictures")
+        problems = write_views_report(out, study, figures=not no_figures)
     if not quiet:
         print_columns(table(study))
         for sentence in sentences(study):
             click.echo(sentence)
-        click.echo(f"views: {out}")
-    if problem:
+        click.echo(name_files("views", out, "views.md", "scores.csv", "scores.json"))
+    for problem in problems:
         warn(problem)

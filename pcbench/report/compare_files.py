@@ -104,7 +104,7 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
             outcome = replace(outcome, without_page=write_report(folder, outcome.comparison, job.figures))
             if outputs.figures:
                 plan("drawing the pictures")
-                outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures))
+                outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures).problem)
     return outcome
 
 

@@ -57,7 +57,7 @@ class Comparison(SourcedComparison):
         with report_folder(Path(folder), keep=[] if self.inputs is None else self.inputs.paths()) as scratch:
             style = figures if isinstance(figures, Figures) else Figures()
             problems = [write_report(scratch, self, style)]
-            problems += [plot.draw_if_possible(scratch, figures=style)] if figures else []
+            problems += [plot.draw_if_possible(scratch, figures=style).problem] if figures else []
         for problem in filter(None, problems):
             warnings.warn(problem, stacklevel=2)
 

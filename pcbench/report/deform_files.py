@@ -88,7 +88,7 @@ def deform_files(
             if figures is not None:
                 record_figures(folder / "settings.json", figures)
                 plan("drawing the pictures")
-                without_figures = draw_if_possible(folder, figures=figures)
+                without_figures = draw_if_possible(folder, figures=figures).problem
     return DeformationOutcome(
         registration,
         deformation,

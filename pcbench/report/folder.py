@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, reason_of, record_error
+from pcbench.errors import InputError, reason_of
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
@@ -23,7 +23,7 @@ from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import document, to_json
 from pcbench.report.figures import Figures
-from pcbench.report.html import page
+from pcbench.report.html import PAGE, page, write_page
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
@@ -103,19 +103,8 @@ def write_report(folder: Path, comparison: SourcedComparison, figures: Figures |
     for candidate in comparison.candidates:
         transform = candidate.registration.T_reference_candidate
         (folder / f"{candidate.name}_T.txt").write_text(format_matrix(transform), encoding="utf-8")
-    return _write_page(folder, comparison, values["provenance"], figures or Figures())
-
-
-def _write_page(
-    folder: Path, comparison: SourcedComparison, provenance: Mapping[str, Any], figures: Figures
-) -> str | None:
-    """Write report.html, and return the reason if that fails: hours of measurement do not depend on a page."""
-    try:
-        text = page(comparison, provenance, figures.range)
-    except Exception as error:
-        return f"report.html was not written: {type(error).__name__}: {record_error(error)}"
-    (folder / "report.html").write_text(text, encoding="utf-8", errors="backslashreplace")
-    return None
+    color_range = None if figures is None else figures.range
+    return write_page(folder / PAGE, lambda: page(comparison, values["provenance"], color_range))
 
 
 def read_settings(path: Path) -> tuple[Settings, Inputs]:

@@ -7,13 +7,14 @@ A study of many runs takes hours. All studies therefore work in the same way:
 2. Slow results are saved for later runs: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
    `write_record`, which `read_record` returns for the same inputs only. A failure that may be temporary (a full disk, a
    missing library) is raised and never saved.
-3. `save_charts` and `write_pages` write the results. The document that other programs read is written last.
+3. `save_charts` and `write_results` write the results. The document that other programs read is written last.
+4. `write_report` writes the page, which shows the same article as the Markdown file (`pcbench.report.article`).
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 from pcbench.errors import InputError, MissingExtra, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
+from pcbench.report.article import Article
+from pcbench.report.html import PAGE, Origin, article_page, write_page
 from pcbench.scratch import lock_output
 
 if TYPE_CHECKING:
@@ -137,6 +140,34 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
     for name, text in texts.items():
         with atomic_write(out / name) as file:
             file.write(text.encode(errors="backslashreplace"))
+
+
+def write_results(out: Path, texts: Mapping[str, str]) -> None:
+    """Write the results of a study as files by name. The page of earlier results is deleted first.
+
+    Raises:
+        OSError: a file cannot be written or deleted.
+    """
+    (out / PAGE).unlink(missing_ok=True)
+    write_pages(out, texts)
+
+
+def write_report(
+    out: Path, article: Article, provenance: Mapping[str, Any] | None, inputs: Sequence[tuple[str, str, str]] = ()
+) -> str | None:
+    """Write `report.html` of a study, and return the reason if that fails; all other files do not depend on it.
+
+    Args:
+        out: folder of the study, with the pictures of the article.
+        article: results of the study.
+        provenance: how they were made, see `pcbench.report.document.provenance`.
+        inputs: role, path and SHA-256 of each input file.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    origin = Origin(provenance, inputs=inputs)
+    return write_page(out / PAGE, lambda: article_page(article, origin, out))
 
 
 def draw_if_installed(draw: Callable[[], list[str]]) -> tuple[list[str], str | None]:

@@ -20,6 +20,7 @@ from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
+from pcbench.report.plot import Drawn
 
 NO_REGISTRATION = Settings(register="none")
 
@@ -380,7 +381,7 @@ def test_a_comparison_of_arrays_is_saved(pair, tmp_path, monkeypatch):
     names = {path.name for path in (tmp_path / "report").iterdir()}
     assert {"metrics.csv", "table.md", "a_deviation.ply", "a_T.txt"} <= names
     assert "settings.json" not in names  # there are no files to read again
-    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder, figures: "no-library")
+    monkeypatch.setattr("pcbench.report.plot.draw_if_possible", lambda folder, figures: Drawn([], "no-library"))
     with pytest.warns(UserWarning, match="no-library"):
         comparison.save(tmp_path / "without")
     assert (tmp_path / "without/comparison.json").is_file()

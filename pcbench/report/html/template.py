@@ -1,7 +1,8 @@
 """Fill a template of a page that opens from disk: what all pages share.
 
 Names of files and candidates come from users and may contain markup: the templates escape every text, and JSON inside
-a page has no character that could end its element. A page loads nothing, and runs only the script that it contains.
+a page has no character that could end its element. A question mark replaces each unprintable character, such as those
+that reverse the direction of text. A page loads nothing, and runs only the script that it contains.
 """
 
 from __future__ import annotations
@@ -9,16 +10,21 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pcbench.errors import PcbenchError, record_error
+from pcbench.extras import require
+from pcbench.io.files import atomic_write
 from pcbench.report.words import printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+PAGE = "report.html"  # file name of a page in its folder
 # `<`, `>` and `&` could end a script element or start another; JSON allows their escapes in strings.
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
@@ -30,7 +36,7 @@ class Opening:
     Attributes:
         kind: what the page is about, such as "Point cloud comparison".
         title: heading of the page.
-        subtitle: one line below the heading.
+        subtitle: one line below the heading; empty for none.
         answer: sentences, the main result first.
         warnings: sentences on what not to trust.
         remarks: sentences that explain the answer.
@@ -49,12 +55,12 @@ class Origin:
     """The bottom of a page: how the results were made.
 
     Attributes:
-        provenance: version, commit, command and time, see `pcbench.report.document.provenance`.
+        provenance: version, commit, command and time, see `pcbench.report.document.provenance`; None if unknown.
         repeat: command that repeats the run in the folder of the page, if there is one.
         inputs: role, path and SHA-256 of each input file.
     """
 
-    provenance: Mapping[str, Any]
+    provenance: Mapping[str, Any] | None
     repeat: str | None = None
     inputs: Sequence[tuple[str, str, str]] = ()
 
@@ -71,8 +77,8 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
     """
     return _environment().get_template(template).render(
         kind=opening.kind,
-        title=printable(opening.title),
-        subtitle=printable(opening.subtitle),
+        title=opening.title,
+        subtitle=opening.subtitle,
         answer=one_line_each(opening.answer),
         warnings=one_line_each(opening.warnings),
         remarks=one_line_each(opening.remarks),
@@ -102,13 +108,36 @@ def script_json(values: Any) -> str:
 
 
 def _environment() -> Environment:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-
-    return Environment(
-        loader=FunctionLoader(source),
+    jinja2 = require("jinja2")
+    made: Environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(source),
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,  # not sources, which are marked safe
     )
+    return made
+
+
+def write_page(path: Path, make: Callable[[], str]) -> str | None:
+    """Write a page, and return the reason if that fails: hours of measurement do not depend on a page.
+
+    Args:
+        path: file of the page; an earlier one is replaced, or deleted if this fails.
+        make: returns the page.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path.unlink(missing_ok=True)
+    try:
+        text = make()
+    except PcbenchError as error:
+        return f"{path.name} was not written: {record_error(error)}"
+    except Exception as error:
+        return f"{path.name} was not written: {type(error).__name__}: {record_error(error)}"
+    with atomic_write(path) as file:
+        file.write(text.encode(errors="backslashreplace"))
+    return None

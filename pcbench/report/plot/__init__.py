@@ -51,6 +51,13 @@ class Drawer(NamedTuple):
         return any((folder / name).is_file() for name in self.documents)
 
 
+class Drawn(NamedTuple):
+    """The files of drawn pictures, or the reason why they could not be drawn."""
+
+    files: list[Path]
+    problem: str | None = None
+
+
 REPORT = Drawer("pcbench.report.plot.pictures:pictures", ("comparison.json", "deformation.json"))
 
 
@@ -103,10 +110,9 @@ def drawing_seconds(candidates: int) -> float:
     return 2.0 + 2.0 * candidates
 
 
-def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | None = None) -> str | None:
-    """Draw the pictures of a report, and return the reason if that fails; the numbers do not depend on them."""
+def draw_if_possible(report: Path, drawer: Drawer = REPORT, figures: Figures | None = None) -> Drawn:
+    """Draw the pictures of a report; the numbers do not depend on them."""
     try:
-        draw(report, drawer=drawer, figures=figures)
+        return Drawn(draw(report, drawer=drawer, figures=figures))
     except PcbenchError as error:
-        return record_error(error)
-    return None
+        return Drawn([], record_error(error))

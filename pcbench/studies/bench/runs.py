@@ -23,21 +23,23 @@ from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
+from pcbench.report.article import markdown
 from pcbench.report.document import provenance, to_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes import Scene, read_scene
+from pcbench.studies.bench.page import article
 from pcbench.studies.bench.pareto import choice_text, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
-from pcbench.studies.bench.table import bench_markdown, row_title
+from pcbench.studies.bench.table import row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
     read_record,
     study_folder,
-    write_pages,
     write_record,
+    write_results,
 )
 from pcbench.systems import cpu_count
 
@@ -411,9 +413,9 @@ def _description_values(description: Description) -> dict[str, Any]:
 
 def _write(out: Path, doc: dict[str, Any]) -> None:
     rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
-    pages = {
+    texts = {
         "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
-        "bench.md": bench_markdown(doc),
+        "bench.md": markdown(article(doc)),
         "bench.json": to_json(doc),
     }
-    write_pages(out, pages)
+    write_results(out, texts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pcbench.report.markup import markdown_row
+from pcbench.report.article import Cell, Mark
 from pcbench.report.terminal import print_table
 from pcbench.studies.bench.pareto import Configuration, choice_text, configurations
 
@@ -47,6 +47,7 @@ class _TableRow(NamedTuple):
 
 
 _HEAD = ("method", "settings", "runs", "registration")
+LABELS = len(_HEAD)
 
 
 def _table_rows(doc: dict[str, Any], columns: Sequence[_Column]) -> Iterator[_TableRow]:
@@ -97,59 +98,62 @@ def print_bench(doc: dict[str, Any]) -> None:
         cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
         rows.append([*map(Text, line.head), *cells, Text("*" if line.on_front else "")])
     print_table(header, rows, left={*range(len(_HEAD)), len(header) - 1})
-    print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *_note_lines(doc), sep="\n")
+    lines = (*legend(doc), *(f"note: {note}" for note in doc["notes"]), *run_lines(doc))
+    print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *lines, sep="\n")
 
 
-def bench_markdown(doc: dict[str, Any]) -> str:
-    """Return the text of `bench.md`: the table with all columns, and the notes."""
-    header = [*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]
-    lines = [f"# {doc['scene']['path']} against {doc['reference']['path']}", "", markdown_row(header)]
-    lines.append(markdown_row(["---"] * len(_HEAD) + ["---:"] * len(_COLUMNS) + [":---:"]))
+def bench_table(doc: dict[str, Any]) -> list[list[str | Cell]]:
+    """Return the table with all columns, the header first; the first `LABELS` columns are text."""
+    rows: list[list[str | Cell]] = [[*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]]
+    marks: dict[int, Mark] = {0: "", 1: "best", 2: "second"}
     for line in _table_rows(doc, _COLUMNS):
-        cells = [{0: text, 1: f"**{text}**", 2: f"_{text}_"}[place] for text, place in line.cells]
-        lines.append(markdown_row([*line.head, *cells, "*" if line.on_front else ""]))
-    lines += ["", "Best in bold, second in italics.", "", *_threshold_table(doc)]
-    lines += [f"- {sentence}" for sentence in _note_lines(doc)]
-    return "\n".join(lines) + "\n"
+        rows.append([*line.head, *(Cell(text, marks[place]) for text, place in line.cells), "*" * line.on_front])
+    return rows
 
 
-def _threshold_table(doc: dict[str, Any]) -> Iterator[str]:
-    """Yield a table of precision, recall and F-score at each threshold, also over what the cameras saw if known."""
+def threshold_table(doc: dict[str, Any]) -> list[list[str]]:
+    """Return precision, recall and F-score at each threshold, also over what the cameras saw; empty if unknown."""
     found = [c for c in configurations(doc["rows"]) if any(row.get("thresholds") for row in c.measured_rows)]
     if not found:  # written by a version with a single threshold
-        return
-    unit = doc["reference"].get("unit") or "the files' unit"
-    yield markdown_row(
-        ["method", "settings", f"threshold [{unit}]", "pixels", "precision", "recall", "of seen", "F of seen"]
-    )
-    yield markdown_row(["---"] * 2 + ["---:"] * 6)
+        return []
+    rows = [
+        ["method", "settings", f"threshold [{_unit(doc)}]", "pixels", "precision", "recall", "of seen", "F of seen"]
+    ]
     keys = ("threshold", "pixels", "precision", "recall", "recall_visible", "fscore_visible")
     for c in found:
         for number in range(len(c.measured_rows[0]["thresholds"])):
             at = Configuration(c.method, c.choices, [{**row, **row["thresholds"][number]} for row in c.measured_rows])
             texts = ("–" if (value := at.median(key)) is None else f"{value:.4g}" for key in keys)
-            yield markdown_row([c.method, choice_text(c.choices), *texts])
-    yield ""
+            rows.append([c.method, choice_text(c.choices), *texts])
+    return rows
 
 
-def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
+def threshold_text(doc: dict[str, Any]) -> str | None:
+    """Return the threshold of the F-score with its unit, and in pixels if known; None if nothing was measured."""
     threshold = next((row["threshold"] for row in doc["rows"] if row.get("threshold") is not None), None)
-    unit = doc["reference"].get("unit") or "the files' unit"
-    if threshold is not None:
-        pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
-        yield "medians over the measured seeds; only configurations with all seeds measured are marked"
-        yield "*: on the Pareto front of wall time and F-score"
-        yield f"precision, recall and F-score at {threshold:.4g} {unit}{pixels}; lengths in {unit}, D1 in {unit}²"
-        yield "in brackets: score of an error-free cloud of the same density"
-        if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
-            to = "the true surface" if measured[0] == "surface" else "the reference's points"
-            yield f"accuracy (c→r, precision) is measured against {to}"
-        if doc["reference"]["visible_share"] is not None:
-            share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
-            yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
-    for note in doc["notes"]:
-        yield f"note: {note}"
-    seeds_by_note: dict[tuple[str, str], list[str]] = {}  # one line for all seeds with the same text
+    pixels = next((f", {row['pixels']:g} pixels" for row in doc["rows"] if row.get("pixels") is not None), "")
+    return None if threshold is None else f"{threshold:.4g} {_unit(doc)}{pixels}"
+
+
+def legend(doc: dict[str, Any]) -> Iterator[str]:
+    """Yield what the columns mean."""
+    if (threshold := threshold_text(doc)) is None:
+        return
+    yield "medians over the measured seeds; only configurations with all seeds measured are marked"
+    yield "*: on the Pareto front of wall time and F-score"
+    yield f"precision, recall and F-score at {threshold}; lengths in {_unit(doc)}, D1 in {_unit(doc)}²"
+    yield "in brackets: score of an error-free cloud of the same density"
+    if measured := [row["accuracy_to"] for row in doc["rows"] if row.get("accuracy_to") is not None]:
+        to = "the true surface" if measured[0] == "surface" else "the reference's points"
+        yield f"accuracy (c→r, precision) is measured against {to}"
+    if doc["reference"]["visible_share"] is not None:
+        share, how = doc["reference"]["visible_share"], doc["reference"]["visibility"]
+        yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
+
+
+def run_lines(doc: dict[str, Any]) -> Iterator[str]:
+    """Yield why runs failed, and doubts about their registrations; one line for all seeds with the same text."""
+    seeds_by_note: dict[tuple[str, str], list[str]] = {}
     for row in doc["rows"]:
         run = " ".join(filter(None, (row["method"], choice_text(row["choices"]))))
         texts = [] if row["status"] == "ok" else [f"{row['status']}: {row['message']}"]
@@ -157,6 +161,11 @@ def _note_lines(doc: dict[str, Any]) -> Iterator[str]:
             seeds_by_note.setdefault((run, text), []).append(str(row["seed"]))
     for (run, text), seeds in seeds_by_note.items():
         yield f"{run}: {text}" if seeds == ["None"] else f"{run}, seed {', '.join(seeds)}: {text}"
+
+
+def _unit(doc: dict[str, Any]) -> str:
+    unit: str = doc["reference"].get("unit") or "the files' unit"
+    return unit
 
 
 def row_title(row: Mapping[str, Any]) -> str:

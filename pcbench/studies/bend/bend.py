@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcbench.errors import InputError, MissingExtra, ReconstructionError, record_error
+from pcbench.errors import InputError, ReconstructionError, record_error
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
@@ -30,13 +30,23 @@ from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.scenes import Scene, read_scene
+from pcbench.studies.bend.figure import draw_bend
 from pcbench.studies.bend.findings import MEASURE_S, Solution, Variant, csv_text, explain, measure_solutions
+from pcbench.studies.bend.page import article
 from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, SurveyedScene, document
-from pcbench.studies.folder import StudyKind, check_folder, study_folder, write_pages
+from pcbench.studies.folder import (
+    StudyKind,
+    check_folder,
+    draw_if_installed,
+    study_folder,
+    write_pages,
+    write_report,
+    write_results,
+)
 
 PLUGIN = "sfm"
 KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, (".experiment", "lenses"))
-_INTRINSICS_FOLDER = "lenses"
+_INTRINSICS_FOLDER, _PICTURE = "lenses", "bend.png"
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # lens distortion of synthetic scenes
 _FOV_DEG = 60.0  # vertical field of view, typical of a drone
 _TRUTH_POINTS = 400_000  # number of points of the synthetic truth
@@ -60,6 +70,15 @@ class SurveySettings:
     seed: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class BendOutcome:
+    """Results, and why the requested picture or the page are missing, or None."""
+
+    study: BendStudy
+    without_figures: str | None = None
+    without_page: str | None = None
+
+
 def run_bend(
     out: Path,
     scene: Path | None,
@@ -67,8 +86,8 @@ def run_bend(
     *,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> tuple[BendStudy, str | None]:
-    """Run the experiment and write experiment.json, experiment.csv, bend.png and the clouds to a folder.
+) -> BendOutcome:
+    """Run the experiment and write report.html, experiment.json, experiment.csv, bend.png and the clouds to a folder.
 
     Intermediate results (scene/, runs/, work/) stay there; a later run with the same settings reuses them.
 
@@ -78,9 +97,6 @@ def run_bend(
         settings: settings of the created scene, and the seed.
         figures: whether to draw the picture.
         step: progress callback.
-
-    Returns:
-        The results, and the reason why a requested picture is missing, or None.
 
     Raises:
         InputError: the scene has no truth, or too few images or cameras; `out` holds something else, or another run is
@@ -122,9 +138,7 @@ class _Survey:
         return cls(folder, scene, plan, truth, MeshIndex(read_mesh(_truth_file(folder, "mesh.ply"))))
 
 
-def _run(
-    out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[str], None]
-) -> tuple[BendStudy, str | None]:
+def _run(out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[str], None]) -> BendOutcome:
     data, plan, truth = survey.scene, survey.plan, survey.truth
     inputs = _SolveInputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
     inputs.write(survey.surface, truth)
@@ -148,17 +162,19 @@ def _run(
             write_cloud(file, solution.cloud)
         else:
             file.unlink(missing_ok=True)
-    write_pages(out, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
+    write_results(out, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
+    drawn: list[str] = []
     without_figures = None
     if figures:
-        from pcbench.studies.bend.figure import draw_bend
-
         step("drawing the picture")
-        try:
-            draw_bend(study, out / "bend.png")
-        except MissingExtra as error:
-            without_figures = record_error(error)
-    return study, without_figures
+        drawn, without_figures = draw_if_installed(lambda: _draw(study, out))
+    return BendOutcome(study, without_figures, write_report(out, article(study, drawn), study.provenance))
+
+
+def _draw(study: BendStudy, out: Path) -> list[str]:
+    """Draw the picture into the folder of the experiment, and return its file name."""
+    draw_bend(study, out / _PICTURE)
+    return [_PICTURE]
 
 
 def variants(scene: Scene) -> Iterator[Variant]:

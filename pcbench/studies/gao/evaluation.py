@@ -114,7 +114,7 @@ def _read(folder: Path) -> CloudEvaluation:
 
 def draw_maps(folder: Path) -> str | None:
     """Draw the pictures of a report unless they exist; return the reason if that is impossible."""
-    return None if (folder / "figures").is_dir() else draw_if_possible(folder)
+    return None if (folder / "figures").is_dir() else draw_if_possible(folder).problem
 
 
 def visible_truth(truth: Path, out: Path) -> Path:

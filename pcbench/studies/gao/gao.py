@@ -18,16 +18,27 @@ from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
 from pcbench.report import to_json
+from pcbench.report.article import markdown
 from pcbench.report.document import provenance
-from pcbench.report.plot import draw_if_possible
+from pcbench.report.html import PAGE
+from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import MARK, StudyKind, check_folder, folders_by_name, study_folder, write_pages
+from pcbench.studies.folder import (
+    MARK,
+    StudyKind,
+    check_folder,
+    folders_by_name,
+    study_folder,
+    write_report,
+    write_results,
+)
 from pcbench.studies.gao.cameras import camera_errors, cameras_in_cloud_frame
 from pcbench.studies.gao.clouds import WORK_FOLDER, CloudRun, check_crop, make_clouds
 from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_against, visible_truth
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.injection import inject_deformations
+from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
     DOCUMENT,
@@ -41,13 +52,13 @@ from pcbench.studies.gao.results import (
     document,
 )
 from pcbench.studies.gao.sentences import sentences
-from pcbench.studies.gao.table import csv_text, failures, markdown
+from pcbench.studies.gao.table import csv_text, failures
 from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
 
 KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, (".experiment-gao",))
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
-_RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK)  # names that a scene's folder cannot have
+_RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK, PAGE)  # names that a scene's folder cannot have
 _TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
 _FOV_DEG = 40.0  # vertical field of view
 _MAKING_S, _MEASURING_S, _INJECTING_S, _DRAWING_S = (
@@ -66,19 +77,20 @@ _CITY_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A study, the scores of its novel views, and the reason why requested pictures are missing, or None."""
+    """A study, the scores of its novel views, and why requested pictures or the page are missing, or None."""
 
     study: GaoStudy
     views: ViewStudy | None
     without_figures: str | None = None
+    without_page: str | None = None
 
 
 def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None) -> Outcome:
     """Run the experiment and write its results to a folder.
 
-    They are experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and the reports
-    against both references, and views/ with the scores of novel views. Intermediate results stay in the folder; a later
-    run with the same settings reuses them.
+    They are report.html, experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and
+    the reports against both references, and views/ with the scores of novel views. Intermediate results stay in the
+    folder; a later run with the same settings reuses them.
 
     Args:
         job: the experiment.
@@ -138,10 +150,12 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
     study = GaoStudy(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
     _write(out, study, views)
-    without = _draw(out, reports, views, step) if figures else None
+    pictures = _draw(out, reports, views, step) if figures else _Pictures()
+    shown = article(study, views, pictures.files, pictures.view_files, [_relative(folder, out) for folder in reports])
+    without_page = write_report(out, shown, study.provenance)
     if not reports:
         raise ReconstructionError(f"{out}: no cloud could be measured: {next(failures(study), '')}")
-    return Outcome(study, views, without)
+    return Outcome(study, views, pictures.problem, without_page)
 
 
 @dataclass(frozen=True)
@@ -238,18 +252,32 @@ def _write(out: Path, study: GaoStudy, views: ViewStudy | None) -> None:
     texts = {
         DOCUMENT: to_json(document(study)),
         "experiment.csv": csv_text(study),
-        "gao.md": markdown(study, views),
+        "gao.md": markdown(article(study, views)),
     }
-    write_pages(out, texts)
+    write_results(out, texts)
 
 
-def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> str | None:
-    """Draw all pictures; return the first problem, or None."""
+@dataclass(frozen=True)
+class _Pictures:
+    """Files of pictures, relative to the folder of the experiment, and the first problem, or None."""
+
+    files: Sequence[str] = ()
+    view_files: Sequence[str] = ()
+    problem: str | None = None
+
+
+def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> _Pictures:
+    """Draw all pictures."""
     step(Step("drawing the pictures", _DRAWING_S))
-    problems = [draw_if_possible(out, PICTURES), *map(draw_maps, reports)]
-    if views is not None:
-        problems.append(draw_if_possible(out / _VIEWS_FOLDER, VIEW_PICTURES))
-    return next(filter(None, problems), None)
+    own = draw_if_possible(out, PICTURES)
+    problems = [own.problem, *map(draw_maps, reports)]
+    of_views = Drawn([]) if views is None else draw_if_possible(out / _VIEWS_FOLDER, VIEW_PICTURES)
+    files, view_files = ([_relative(path, out) for path in drawn.files] for drawn in (own, of_views))
+    return _Pictures(files, view_files, next(filter(None, (*problems, of_views.problem)), None))
+
+
+def _relative(path: Path, out: Path) -> str:
+    return path.relative_to(out).as_posix()
 
 
 def _read_checked_scene(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:

@@ -25,6 +25,12 @@ def sentences(study: GaoStudy) -> Iterator[str]:
     and their causes, and the limits of the results.
     """
     yield from failures(study)
+    yield from answer(study)
+    yield from caveats(study)
+
+
+def answer(study: GaoStudy) -> Iterator[str]:
+    """Yield the conclusions, without failures and limits of the results."""
     yield from _completeness_sentences(study)
     yield from _accuracy_sentences(study)
     yield from _surface_sentences(study)
@@ -34,7 +40,6 @@ def sentences(study: GaoStudy) -> Iterator[str]:
     for scene in study.scenes:
         yield from _deformation_sentences(scene, study)
     yield from _injection_sentences(study)
-    yield from _caveats(study)
 
 
 def _r2c_rms(of: ReferenceEvaluation) -> float | None:
@@ -318,7 +323,7 @@ def _injection_sentences(study: GaoStudy) -> Iterator[str]:
     )
 
 
-def _caveats(study: GaoStudy) -> Iterator[str]:
+def caveats(study: GaoStudy) -> Iterator[str]:
     """Yield sentences on the limits of the results."""
     if any(scene.views is not None for scene in study.scenes):
         yield "Images that were held out of the training of splats were still used by sparse and mvs."

@@ -8,7 +8,6 @@ from pathlib import Path
 from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
 from pcbench.report.markup import csv_text as csv_of
-from pcbench.report.markup import markdown_table
 from pcbench.studies.gao.results import (
     CloudResult,
     GaoStudy,
@@ -18,7 +17,6 @@ from pcbench.studies.gao.results import (
     references,
 )
 from pcbench.studies.views.scores import ViewStudy
-from pcbench.studies.views.table import markdown as views_markdown
 from pcbench.studies.views.table import table as views_table
 
 _DASH = "–"
@@ -110,25 +108,6 @@ def failures(study: GaoStudy) -> Iterator[str]:
                     yield f"{_title(scene, cloud, study)} could not be measured against {of.reference}: {of.failure}"
 
 
-def markdown(study: GaoStudy, views: ViewStudy | None) -> str:
-    """Return all tables, sentences, verdicts and notes as Markdown."""
-    unit = study.unit or "unit"
-    parts = ["# The paper, reproduced", "\n".join(f"- {text}" for text in study.sentences)]
-    parts += ["## Clouds against both references", LEGEND.format(unit=unit), markdown_table(measures_table(study), 2)]
-    parts += ["## Time and memory", markdown_table(cost_table(study), 1)]
-    if any(scene.injected for scene in study.scenes):
-        parts += [
-            "## Deformations of known size",
-            INJECTED.format(unit=unit),
-            markdown_table(injection_table(study), 1),
-        ]
-    if views is not None:
-        parts += ["## New views", views_markdown(views).rstrip()]
-    parts += ["## Verdicts", "\n".join(f"- {text}" for text in verdicts(study)) or _DASH]
-    parts += ["## Notes", "\n".join(f"- {text}" for text in _notes(study)) or _DASH]
-    return "\n\n".join(parts) + "\n"
-
-
 def verdicts(study: GaoStudy) -> Iterator[str]:
     """Yield one sentence per verdict."""
     for scene in study.scenes:
@@ -203,7 +182,8 @@ def _memory(cloud: CloudResult) -> str:
     return _DASH if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
 
 
-def _notes(study: GaoStudy) -> Iterator[str]:
+def notes(study: GaoStudy) -> Iterator[str]:
+    """Yield what was measured of each scene, notes of the reconstructors and doubts about registrations."""
     results = [of.deformation for scene in study.scenes for cloud in scene.clouds for of in cloud.against]
     if any(result is not None and result.conditional_verdict is not None for result in results):
         yield "(?): verdict that holds if the pose is right; the registration is doubtful"

@@ -1,11 +1,12 @@
-"""The page of the stress study: the answer first, then sentences, tables and pictures by subject."""
+"""The article of the stress study: the answer first, then sentences, tables and pictures by subject."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.markup import markdown_table
+from pcbench.report.article import Article, Block, Bullets, Heading, Paragraph, Picture, Section, Table
+from pcbench.studies.folder import FIGURES
 from pcbench.studies.stress.results import (
     ALL_SUBJECTS,
     METRICS,
@@ -64,60 +65,55 @@ _PICTURES = {
 }
 
 
-def page(study: StressStudy, figures: Sequence[str] = ()) -> str:
-    """Return the text of stress.md.
+def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
+    """Return the study as an article.
 
     Args:
         study: the study.
         figures: names of the pictures in `figures/`, as `draw_charts` returns them.
     """
     title = "Where reconstructors break" if study.photographs else "Where registration, metrics and verdicts break"
-    parts = [f"# {title}", _bullets(answer(study)), _setup(study)]
-    for subject in ALL_SUBJECTS:
-        if study.cells(subject):
-            parts += _section(study, subject, figures)
-    parts += _worst_section(study, figures)
-    if notes := list(caveats(study)):
-        parts += ["## Limits of these results", _bullets(notes)]
-    return "\n\n".join(filter(None, parts)) + "\n"
+    sections = [
+        Section(_TITLES[subject], list(_blocks(study, subject, figures)))
+        for subject in ALL_SUBJECTS
+        if study.cells(subject)
+    ]
+    if study.worst:
+        sections.append(Section("The worst silent failures", list(_worst_blocks(study, figures))))
+    return Article("Stress test", title, list(answer(study)), list(caveats(study)), [_setup(study)], sections)
 
 
-def _section(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[str]:
-    yield f"## {_TITLES[subject]}"
-    yield from _images(figures, _PICTURES[subject][:1])
-    yield markdown_table(outcome_table(study, subject), 1)
-    yield f"Shares of all runs in %; {OUTCOMES_LEGENDS[subject]}."
-    yield _bullets(_SENTENCES[subject](study))
-    yield "### Safe levels"
-    yield markdown_table(limits_table(study, subject), 1)
-    yield f"Each cell: {LIMITS_LEGEND}."
+def _blocks(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[Block]:
+    yield from _pictures(figures, _PICTURES[subject][:1])
+    yield Table(f"Outcomes, {_TITLES[subject]}", outcome_table(study, subject))
+    yield Paragraph(f"Shares of all runs in %; {OUTCOMES_LEGENDS[subject]}.")
+    yield Bullets(list(_SENTENCES[subject](study)))
+    yield Heading("Safe levels")
+    yield Table(f"Safe levels, {_TITLES[subject]}", limits_table(study, subject))
+    yield Paragraph(f"Each cell: {LIMITS_LEGEND}.")
     if subject == REGISTRATION and (presets := preset_table(study)):
-        yield "### Recall by the criteria of benchmarks"
-        yield markdown_table(presets, 1)
-    yield from _images(figures, (*_PICTURES[subject][1:], f"severity_{subject}_"))
+        yield Heading("Recall by the criteria of benchmarks")
+        yield Table("Recall by the criteria of benchmarks", presets)
+    yield from _pictures(figures, (*_PICTURES[subject][1:], f"severity_{subject}_"))
 
 
-def _worst_section(study: StressStudy, figures: Sequence[str]) -> Iterator[str]:
-    if not study.worst:
-        return
-    yield "## The worst silent failures"
-    yield "Wrong poses without a warning that the pose may be wrong, those with the largest relative errors."
+def _worst_blocks(study: StressStudy, figures: Sequence[str]) -> Iterator[Block]:
+    yield Paragraph("Wrong poses without a warning that the pose may be wrong, those with the largest relative errors.")
     for number, failure in enumerate(study.worst, 1):
-        title = failure_title(study, failure)
+        title = f"{number}. {failure_title(study, failure)}"
         name = f"worst_{number}.png"
-        yield f"{number}. {title}."
-        if name in figures:
-            yield f"![{title}](figures/{name})"
+        yield Picture(f"{FIGURES}/{name}", title) if name in figures else Paragraph(f"{title}.")
 
 
-def _images(figures: Sequence[str], stems: Sequence[str]) -> Iterator[str]:
+def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Picture]:
     """Yield the pictures whose names begin with given stems, with their captions."""
     for stem in stems:
         for name in figures:
             if name.startswith(stem):
                 caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
                 kind = name.removesuffix(".png").rpartition("_")[2]
-                yield f"![{caption}{f' ({kind})' if stem.startswith(('severity_', 'scores_')) else ''}](figures/{name})"
+                shown = f"{caption} ({kind})" if stem.startswith(("severity_", "scores_")) else caption
+                yield Picture(f"{FIGURES}/{name}", shown)
 
 
 def _setup(study: StressStudy) -> str:
@@ -149,7 +145,3 @@ def _photograph_setup(study: StressStudy, info: PhotographInfo) -> str:
         f" {width} x {height} pixels; a pixel is {info.pixel:.3g} m on the surface. The F-score is measured at"
         f" {info.threshold:.3g} m, over the surface that three cameras of the unperturbed scene saw."
     )
-
-
-def _bullets(sentences: Iterator[str] | Sequence[str]) -> str:
-    return "\n".join(f"- {sentence}" for sentence in sentences)

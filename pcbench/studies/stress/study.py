@@ -21,8 +21,16 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, digest
 from pcbench.report import to_json
+from pcbench.report.article import markdown
 from pcbench.report.document import provenance
-from pcbench.studies.folder import StudyKind, check_folder, draw_if_installed, study_folder, write_pages
+from pcbench.studies.folder import (
+    StudyKind,
+    check_folder,
+    draw_if_installed,
+    study_folder,
+    write_report,
+    write_results,
+)
 from pcbench.studies.stress.cells import (
     RunPlan,
     RunResult,
@@ -36,7 +44,7 @@ from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.methods import METHODS, check_names
 from pcbench.studies.stress.metrics import METRIC_METHODS
-from pcbench.studies.stress.page import page
+from pcbench.studies.stress.page import article
 from pcbench.studies.stress.results import (
     DOCUMENT,
     METRICS,
@@ -92,11 +100,12 @@ class GivenClouds:
 
 @dataclass(frozen=True)
 class StressOutcome:
-    """A study, its table as text, and why requested charts are missing, or None."""
+    """A study, its table as text, and why requested charts or the page are missing, or None."""
 
     study: StressStudy
     table: str
     without_figures: str | None
+    without_page: str | None
 
 
 @dataclass(frozen=True)
@@ -156,7 +165,7 @@ def run_stress(
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
 ) -> StressOutcome:
-    """Run the study and write stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
+    """Run the study and write report.html, stress.json, stress.csv, stress.txt, stress.md and charts to a folder.
 
     The records of all runs stay in its folder `runs`; a later run with the same settings resumes from
     them.
@@ -250,14 +259,15 @@ def write_study(
         step("drawing charts")
         drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
     table = stress_table(study)
-    pages = {
+    shown = article(study, drawn)
+    texts = {
         CSV: csv_text(study),
         TABLE: f"{table}\n",
-        PAGE: page(study, drawn),
+        PAGE: markdown(shown),
         DOCUMENT: to_json(document(study)),
     }
-    write_pages(out, pages)
-    return StressOutcome(study, table, without_figures)
+    write_results(out, texts)
+    return StressOutcome(study, table, without_figures, write_report(out, shown, study.provenance))
 
 
 def csv_text(study: StressStudy) -> str:

@@ -1,10 +1,11 @@
-"""The page of the trade-off study: the answer first, then charts and tables."""
+"""The article of the trade-off study: the answer first, then charts and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from pcbench.report.markup import markdown_table
+from pcbench.report.article import Article, Bullets, Paragraph, Picture, Section, Table
+from pcbench.studies.folder import FIGURES
 from pcbench.studies.tradeoff.results import Tradeoff
 from pcbench.studies.tradeoff.table import LEGEND, error_rows, table_rows
 from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, percent, verdict_sentences
@@ -15,8 +16,8 @@ CAPTIONS = {
 }
 
 
-def page(study: Tradeoff, figures: Sequence[str] = ()) -> str:
-    """Return the text of tradeoff.md; `figures` are the names of the charts in `figures/`."""
+def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
+    """Return the study as an article; `figures` are the names of the charts in `figures/`."""
     exact = study.exact
     unit = f" {exact.unit}" if exact.unit else ""
     threshold = "" if exact.threshold is None else f" F-score at {exact.threshold:.4g}{unit}."
@@ -25,29 +26,28 @@ def page(study: Tradeoff, figures: Sequence[str] = ()) -> str:
         f" {exact.cpu_s:.3g} CPU s. {study.settings.seeds} rounds with different seeds; intervals are 95 % prediction"
         f" intervals of one run.{threshold}"
     )
-    parts = [
-        f"# What cheaper comparisons cost, at a tolerance of {percent(study.settings.tolerance)}",
-        _bullets(answer(study)),
-        setup,
-        _image("errors.png", figures),
-        markdown_table(table_rows(study), 1),
-        f"{LEGEND[0].upper()}{LEGEND[1:]}.",
-        "## Bias of mean distances",
-        _bullets(bias_sentences(study)),
-        _image("bias.png", figures),
-        "## The verdict on deformation",
-        _bullets(verdict_sentences(study)),
-        "## Errors of all metrics in %",
-        markdown_table(error_rows(study), 1),
+    found = [
+        Section(
+            "Error and cost",
+            [
+                *_picture("errors.png", figures),
+                Table("Errors and costs of approximations", table_rows(study)),
+                Paragraph(f"{LEGEND[0].upper()}{LEGEND[1:]}."),
+            ],
+        ),
+        Section("Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias.png", figures)]),
+        Section("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
+        Section("Errors of all metrics in %", [Table("Errors of all metrics", error_rows(study))]),
     ]
-    if notes := _bullets(caveats(study)):
-        parts += ["## Left out", notes]
-    return "\n\n".join(filter(None, parts)) + "\n"
+    return Article(
+        kind="Trade-off between cost and accuracy",
+        title=f"What cheaper comparisons cost, at a tolerance of {percent(study.settings.tolerance)}",
+        answer=list(answer(study)),
+        warnings=list(caveats(study)),
+        setup=[setup],
+        sections=found,
+    )
 
 
-def _image(name: str, figures: Sequence[str]) -> str:
-    return f"![{CAPTIONS[name]}](figures/{name})" if name in figures else ""
-
-
-def _bullets(sentences: Iterable[str]) -> str:
-    return "\n".join(f"- {sentence}" for sentence in sentences)
+def _picture(name: str, figures: Sequence[str]) -> list[Picture]:
+    return [Picture(f"{FIGURES}/{name}", CAPTIONS[name])] if name in figures else []

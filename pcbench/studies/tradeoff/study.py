@@ -17,12 +17,20 @@ from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.settings import Settings
 from pcbench.report import to_json
+from pcbench.report.article import markdown
 from pcbench.report.document import provenance
-from pcbench.studies.folder import StudyKind, check_folder, draw_if_installed, study_folder, write_pages
+from pcbench.studies.folder import (
+    StudyKind,
+    check_folder,
+    draw_if_installed,
+    study_folder,
+    write_report,
+    write_results,
+)
 from pcbench.studies.tradeoff.approximations import Pair, plan
 from pcbench.studies.tradeoff.charts import draw_charts
 from pcbench.studies.tradeoff.errors import exact_answer, rows
-from pcbench.studies.tradeoff.page import page
+from pcbench.studies.tradeoff.page import article
 from pcbench.studies.tradeoff.results import DOCUMENT, SCHEMA, Tradeoff, TradeoffSettings, document
 from pcbench.studies.tradeoff.runs import check_pair, run_all
 from pcbench.studies.tradeoff.table import tradeoff_csv, tradeoff_table
@@ -35,11 +43,12 @@ _THRESHOLD_SPACINGS = 2.0  # threshold of the F-score over the spacing of the re
 
 @dataclass(frozen=True)
 class TradeoffOutcome:
-    """A study, its table as text, and why requested charts are missing, or None."""
+    """A study, its table as text, and why requested charts or the page are missing, or None."""
 
     study: Tradeoff
     table: str
     without_figures: str | None = None
+    without_page: str | None = None
 
 
 def run_tradeoff(
@@ -51,7 +60,7 @@ def run_tradeoff(
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
 ) -> TradeoffOutcome:
-    """Run the study of a pair; with `out`, write tradeoff.json, .csv, .txt, .md and charts to a folder.
+    """Run the study of a pair; with `out`, write report.html, tradeoff.json, .csv, .txt, .md and charts to a folder.
 
     The records of all runs stay in its folder `runs`; a later run of the same pair does not repeat finished rounds.
 
@@ -122,13 +131,14 @@ def write_study(
         step("drawing charts")
         drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
     table = tradeoff_table(study)
-    write_pages(
+    shown = article(study, drawn)
+    write_results(
         out,
         {
             CSV: tradeoff_csv(study),
             TABLE: f"{table}\n",
-            PAGE: page(study, drawn),
+            PAGE: markdown(shown),
             DOCUMENT: to_json(document(study)),
         },
     )
-    return TradeoffOutcome(study, table, without_figures)
+    return TradeoffOutcome(study, table, without_figures, write_report(out, shown, study.provenance))

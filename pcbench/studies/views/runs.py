@@ -9,10 +9,11 @@ from pathlib import Path
 from pcbench.errors import InputError, Notice, ReconstructionError, record_error
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
+from pcbench.report.article import markdown
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_pages
+from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_results
+from pcbench.studies.views.page import article
 from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
-from pcbench.studies.views.table import markdown
 
 KIND = StudyKind("views", DOCUMENT, SCHEMA)
 _RUNS_FOLDER = "runs"
@@ -74,7 +75,7 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
         study = ViewStudy(study.scenes, (*failed, *study.notes))
-        write_pages(out, {"views.md": markdown(study)})
+        write_results(out, {"views.md": markdown(article(study))})
         write_scores(out, study)
     return study
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pcbench.measure.images import ViewScores
-from pcbench.report.markup import markdown_table
+from pcbench.measure.wording import pluralize
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, mean_scores
 
 _DASH = "–"
@@ -53,24 +53,54 @@ def table(study: ViewStudy) -> list[list[str]]:
     return rows
 
 
+def answer(study: ViewStudy) -> Iterator[str]:
+    """Yield the PSNR of held-out and training views in words: of each scene, or the mean over several and the worst."""
+    rows = {scene.views.scene: _psnr_text(scene) for scene in study.scenes}
+    if len(study.scenes) > 1:
+        means = [_mean_over_scenes([scene.mean(test=test) for scene in study.scenes]) for test in (True, False)]
+        texts = [
+            f"{_format(mean.psnr, _METRICS[0])} dB for {kind} views"
+            for mean, kind in zip(means, ("held-out", "training"), strict=True)
+            if mean is not None
+        ]
+        if texts:
+            yield f"Mean PSNR over {len(study.scenes)} scenes: {', '.join(texts)}."
+    yield from (f"{name}: {text}." for name, text in rows.items())
+
+
+def _psnr_text(scene: ScoredScene) -> str:
+    parts = []
+    for test, kind in ((True, "held-out"), (False, "training")):
+        if (mean := scene.mean(test=test)) is not None:
+            error = scene.standard_error() if test else None
+            around = "" if error is None else f" ± {error:.2f}"
+            count = len(scene.select(test=test))
+            parts.append(f"{_format(mean.psnr, _METRICS[0])}{around} dB for {pluralize(count, f'{kind} view')}")
+    return f"PSNR of {', '.join(parts)}"
+
+
 def sentences(study: ViewStudy) -> list[str]:
     """Return the notes on the table."""
+    return [*legend(study), *(f"note: {text}" for text in doubts(study))]
+
+
+def legend(study: ViewStudy) -> list[str]:
+    """Return what the columns of the table mean."""
     perceptual = any(s.lpips is not None or s.flip is not None for scene in study.scenes for s in scene.scores)
     lines = [
         "means over views; PSNR in dB and SSIM: higher is better" + ("; LPIPS and FLIP: lower is better" * perceptual),
     ]
     if any(scene.standard_error() is not None for scene in study.scenes):
         lines.append("±: one standard error, from the means of blocks of held-out views")
+    return lines
+
+
+def doubts(study: ViewStudy) -> list[str]:
+    """Return what was not held out, and what could not be measured."""
+    lines = []
     if bare := [scene.views.scene for scene in study.scenes if not scene.select(test=True)]:
         lines.append(f"no view of {', '.join(bare)} was held out: scores of training views say little about new views")
-    return [*lines, *(f"note: {note.text}" for note in study.notes)]
-
-
-def markdown(study: ViewStudy) -> str:
-    """Return the table and its notes as Markdown."""
-    rows = table(study)
-    lines = [markdown_table(rows, rows[0].index("views")), "", *(f"- {sentence}" for sentence in sentences(study))]
-    return "\n".join(lines) + "\n"
+    return [*lines, *(note.text for note in study.notes)]
 
 
 def _cells(

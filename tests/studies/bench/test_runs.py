@@ -270,7 +270,7 @@ def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process)
         code, out, err = run(*command, f"methods.py:{method}")
         assert code == 2
         check_text(err)
-        assert out.splitlines()[-1] == "bench: out"
+        assert out.splitlines()[-1].startswith("bench: out/ has report.html")
     assert run(*command, "methods.py:Cannot", "--method", "methods.py:Good")[0] == 0
 
 

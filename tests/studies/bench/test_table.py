@@ -4,8 +4,14 @@ import pytest
 from benches import row
 from wording import check_text
 
+from pcbench.report.article import markdown
+from pcbench.studies.bench.page import article
 from pcbench.studies.bench.pareto import mark_front
-from pcbench.studies.bench.table import bench_markdown, print_bench
+from pcbench.studies.bench.table import print_bench
+
+
+def _markdown(doc):
+    return markdown(article(doc))
 
 
 def test_best_and_second_best_are_marked():
@@ -19,15 +25,15 @@ def test_best_and_second_best_are_marked():
         "rows": rows,
         "notes": ["a note"],
     }
-    lines = {line.split("|")[1].strip(): line for line in bench_markdown(doc).splitlines() if line.startswith("|")}
+    lines = {line.split("|")[1].strip(): line for line in _markdown(doc).splitlines() if line.startswith("|")}
     assert "**1**" in lines["a"]
     assert "_2_" in lines["b"]
     assert "**0.9**" in lines["b"]
     assert "_0.7_" in lines["c"]
     assert "*" not in lines["c"].replace("_0.7_", "")
     assert "0 of 1 ok, failed" in lines["d"]
-    check_text(bench_markdown(doc))
-    assert "of seen |" not in bench_markdown(doc).split("Best in bold")[1]  # as a single threshold has no table
+    check_text(_markdown(doc))
+    assert "of seen |" not in _markdown(doc).split("Best in bold")[1]  # as a single threshold has no table
 
 
 def test_floors_are_in_brackets_and_each_threshold_has_a_row():
@@ -43,7 +49,7 @@ def test_floors_are_in_brackets_and_each_threshold_has_a_row():
         ]
     mark_front(rows)
     reference = {"path": "r", "unit": "m", "visible_share": None, "visibility": ""}
-    text = bench_markdown({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
+    text = _markdown({"scene": {"path": "s"}, "reference": reference, "rows": rows, "notes": []})
     first_row = next(line for line in text.splitlines() if line.startswith("| a"))
     cells = [cell.strip() for cell in first_row.split("|")]
     assert {"0.9 (0.93)", "0.4", "0.51 (0.51)", "0.7"} <= set(cells)

@@ -22,7 +22,7 @@ from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
 from pcbench.scenes.synthetic.warp import make_warp, similarity_from_angles
-from pcbench.studies.bend.bend import register_by_rays
+from pcbench.studies.bend.bend import BendOutcome, register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
@@ -151,13 +151,13 @@ def test_cause_follows_from_results(study):
 
 def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
     failed_study = replace(study, rows=study.rows[3:], sentences=tuple(explain(study.rows[3:], "m")))
-    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (failed_study, None))
+    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: BendOutcome(failed_study))
     code, out, err = run("experiment", "bend", "--out", tmp_path)
     assert code == 2
     check_text(out)
     assert is_one_line(err)
     assert "none of 1 " in check_text(err)
-    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: (study, None))
+    monkeypatch.setattr("pcbench.studies.bend.bend.run_bend", lambda *_, **__: BendOutcome(study))
     assert run("experiment", "bend", "--out", tmp_path)[0] == 0
 
 

@@ -12,11 +12,13 @@ from wording import check_error, check_text
 
 from pcbench.errors import Notice
 from pcbench.report import Figures
+from pcbench.report.article import markdown
 from pcbench.studies.gao.figures import pictures
+from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import SCHEMA, TRUTH, CloudResult, ReferenceEvaluation, read_study
 from pcbench.studies.gao.sentences import sentences
-from pcbench.studies.gao.table import cost_table, csv_text, failures, markdown, measures_table
+from pcbench.studies.gao.table import cost_table, csv_text, failures, measures_table
 
 
 def check_changed_sentences(*scenes, **settings):
@@ -175,7 +177,7 @@ def test_tables_and_csv_of_a_study():
     csv_rows = list(csv.DictReader(csv_text(result).splitlines()))
     assert len(csv_rows) == 7
     assert float(csv_rows[0]["d1_back_mse"]) == pytest.approx(4.0)
-    text = markdown(result, None)
+    text = markdown(article(result, None))
     assert text.count("\n| ") == 2 + 8 + 5
     assert "sparse, against mvs" in text
 

@@ -6,11 +6,12 @@ from gao_studies import scene, study
 from wording import check_text
 
 from pcbench import Cloud, write_cloud
+from pcbench.report.article import markdown
 from pcbench.scenes.synthetic import city
 from pcbench.studies.gao.injection import attribute, inject_deformations
+from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import InjectedDeformation
-from pcbench.studies.gao.table import markdown
 
 
 @pytest.mark.parametrize(
@@ -57,5 +58,5 @@ def test_the_study_counts_what_is_found_and_attributed(found):
     check_text("; ".join(part for part in sentence.split("; ") if "0.5 m" in part))
     assert f"of {found[0].rms:.2g} m RMS, 3 of 3 are found, 3 attributed right, 0 wrong" in sentence
     assert "1 wrong" in sentence
-    assert "| dense | " in markdown(results, None)
+    assert "| dense | " in markdown(article(results, None))
     assert "added to one cloud" not in "".join(study(scene()).sentences)

@@ -1,12 +1,17 @@
-"""The page of the stress study."""
+"""The article of the stress study, as Markdown."""
 
 import re
 
 from stress_studies import study
 
-from pcbench.studies.stress.page import page
+from pcbench.report.article import markdown
+from pcbench.studies.stress.page import article
 from pcbench.studies.stress.results import SILENT, SilentFailure
 from pcbench.studies.stress.words import answer, sentences
+
+
+def page(*arguments):
+    return markdown(article(*arguments))
 
 
 def test_the_answer_comes_first_and_all_sentences_follow():
@@ -48,4 +53,4 @@ def test_subjects_without_cells_have_no_section():
     assert "## Registration" in text
     assert "## Metrics" not in text
     assert "## Verdicts" not in text
-    assert "## Limits of these results" not in text
+    assert "## What not to trust" not in text

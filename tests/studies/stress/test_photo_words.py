@@ -9,8 +9,9 @@ from optional import import_or_skip
 from photo_studies import SCORES, WARNING, photo_study
 
 from pcbench.report import to_json
+from pcbench.report.article import markdown
 from pcbench.studies.stress.charts import draw_charts
-from pcbench.studies.stress.page import page
+from pcbench.studies.stress.page import article
 from pcbench.studies.stress.reconstructors.charts import score_charts
 from pcbench.studies.stress.reconstructors.ladders import UNPERTURBED
 from pcbench.studies.stress.results import RECONSTRUCTION, REFUSED, document, read_study
@@ -109,7 +110,7 @@ def test_documents_without_reconstructions_are_read(tmp_path):
 
 def test_page_names_scene_threshold_and_figures():
     study = photo_study()
-    text = page(study, ["outcomes_reconstruction.png", "scores_images.png", "scores_surface.png"])
+    text = markdown(article(study, ["outcomes_reconstruction.png", "scores_images.png", "scores_surface.png"]))
     assert text.startswith("# Where reconstructors break\n")
     assert all(sentence in text for sentence in sentences(study))
     assert (

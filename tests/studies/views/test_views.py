@@ -17,13 +17,15 @@ from pcbench.errors import ReconstructionError
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.measure.images import ssim
 from pcbench.measure.perceptual import Perceptual
+from pcbench.report.article import markdown
 from pcbench.report.figures import Figures
 from pcbench.scenes.splits import split_every
 from pcbench.scenes.views import ViewImages, write_views
+from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import draw_views, select_views
 from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_views, write_scores
-from pcbench.studies.views.table import markdown, sentences, table
+from pcbench.studies.views.table import sentences, table
 
 Image = import_or_skip("PIL.Image")
 
@@ -131,7 +133,7 @@ def test_table_has_one_row_per_scene_and_a_mean(tmp_path):
     test_psnrs = [scene.mean(test=True).psnr for scene in study.scenes]
     assert mean_row[0] == "mean of 2"
     assert mean_row[5] == f"{np.mean(test_psnrs):.2f}"
-    assert markdown(study).count("\n| ") == 4
+    assert markdown(article(study)).count("\n| ") == 5
     check_text("\n".join(sentences(study)))
     study_of_two_methods = score_views(
         [tmp_path / "a", write_view_folder(tmp_path / "c", "near", 9, method="mine")], perceptual=NO_PERCEPTUAL_METRICS
@@ -200,7 +202,7 @@ def test_missing_views_are_rendered(tmp_path):
     assert "empty" in study.notes[0].text
     first_view = study.scenes[0].select(test=True)[0]
     assert (first_view.view.read().rendering == 64).all()
-    assert (out / "views.md").read_text().count("\n| ") == 5
+    assert (out / "views.md").read_text().count("\n| ") == 6
     with check_error():
         run_views(job, tmp_path / "one")
 
@@ -214,12 +216,13 @@ def test_views_command(tmp_path, run, monkeypatch):
     assert code == 0
     assert lines[0].split()[:2] == ["scene", "held"]
     assert [line.split()[0] for line in lines[1:4]] == ["near", "far", "mean"]
-    assert lines[-1] == "views: out"
+    assert lines[-1].startswith("views: out/ has report.html")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "study.json",
         "scores.json",
         "scores.csv",
         "views.md",
+        "report.html",
         "runs",
     }
     import_or_skip("matplotlib")

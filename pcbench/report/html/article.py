@@ -1,0 +1,99 @@
+"""The page of a study: its article with the pictures inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from pcbench.report.article import Article, Block, Bullets, Cell, Heading, Link, Links, Paragraph, Picture, Table
+from pcbench.report.html.embedding import EmbeddedPicture, embed
+from pcbench.report.html.template import Opening, Origin, one_line_each, render, source
+
+_LONG_TEXT = 24  # letters from which the text of a cell is wrapped
+
+
+def article_page(article: Article, origin: Origin, folder: Path) -> str:
+    """Return the page of a study.
+
+    Args:
+        article: results of the study.
+        origin: how they were made.
+        folder: folder of the study, with the pictures of the article and the pages that it links to.
+
+    Raises:
+        OSError: a picture cannot be read.
+    """
+    files = [block.file for section in article.sections for block in section.blocks if isinstance(block, Picture)]
+    pictures = embed(folder, files)
+    opening = Opening(article.kind, article.title, "", article.answer, article.warnings)
+    sections = [
+        {
+            "title": section.title,
+            "blocks": [values for block in section.blocks for values in _block(block, folder, pictures)],
+        }
+        for section in article.sections
+    ]
+    return render(
+        "article.html",
+        opening,
+        origin,
+        article_style=source("article.css"),
+        setup=one_line_each(article.setup),
+        sections=sections,
+    )
+
+
+def _block(block: Block, folder: Path, pictures: dict[str, EmbeddedPicture]) -> Iterator[dict[str, Any]]:
+    """Yield the values of a block for the template; none for one without content."""
+    match block:
+        case Paragraph(text):
+            yield {"kind": "paragraph", "text": text}
+        case Heading(text):
+            yield {"kind": "heading", "text": text}
+        case Bullets(sentences):
+            if sentences:
+                yield {"kind": "bullets", "sentences": one_line_each(sentences)}
+        case Picture(file, caption):
+            yield {"kind": "picture", "caption": caption, **pictures[file]._asdict()}
+        case Links(links):
+            if there := [link for link in links if (folder / link.file).is_file()]:
+                yield {"kind": "links", "links": [{"text": link.text, "address": _address(link)} for link in there]}
+        case Table():
+            yield {"kind": "table", "name": block.name, **_table(block)}
+
+
+def _address(link: Link) -> str:
+    """Return a relative address; without `./`, a name with a colon would be read as that of a protocol."""
+    return "./" + quote(Path(link.file).as_posix(), errors="surrogateescape")
+
+
+class _StyledCell(NamedTuple):
+    text: str
+    style: str
+
+
+def _table(table: Table) -> dict[str, Any]:
+    """Return the header of a table, and its rows in groups that have a title if a row is a title alone."""
+    head, *rows = [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in table.rows]
+    groups: list[dict[str, Any]] = []
+    for is_title, found in groupby(rows, key=lambda row: len(row) > 1 and not any(cell.text for cell in row[1:])):
+        if is_title:
+            groups += [{"title": row[0].text, "rows": []} for row in found]
+        elif groups and not groups[-1]["rows"]:
+            groups[-1]["rows"] = _styled(found, table.labels)
+        else:
+            groups.append({"title": "", "rows": _styled(found, table.labels)})
+    heads = [_StyledCell(cell.text, "text" if k < table.labels else "") for k, cell in enumerate(head)]
+    return {"head": heads, "groups": groups}
+
+
+def _styled(rows: Iterator[Sequence[Cell]], labels: int) -> list[list[_StyledCell]]:
+    return [[_StyledCell(cell.text, _style(cell, k < labels)) for k, cell in enumerate(row)] for row in rows]
+
+
+def _style(cell: Cell, is_label: bool) -> str:
+    classes = ("text" if is_label else "", "long" if len(cell.text) > _LONG_TEXT else "", cell.mark)
+    return " ".join(filter(None, classes))

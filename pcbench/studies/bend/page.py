@@ -1,0 +1,57 @@
+"""The article of the experiment: what deforms the scene, failed solutions, the table and the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pcbench.measure.wording import pluralize
+from pcbench.report.article import Article, Block, Bullets, Paragraph, Picture, Section, Table
+from pcbench.studies.bend.findings import table
+from pcbench.studies.bend.results import BendStudy
+
+_LEGEND = (
+    "error px: mean reprojection error; lens px: RMS error of the lens; bend RMS: deformation beyond affine against the"
+    " truth{unit}; detectable: RMS of the smallest dome that would have been stated{unit}; to the first: deformation"
+    " against the first solution{unit}."
+)
+_CAPTION = (
+    "Vertical displacement by distance from the centre; deformation by error of the lens; maps of vertical displacement"
+    " of each solution"
+)
+
+
+def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
+    """Return the experiment as an article.
+
+    Args:
+        study: the experiment.
+        figures: files of its pictures, relative to the folder of the experiment.
+    """
+    unit = f" [{study.unit}]" if study.unit else ""
+    blocks: list[Block] = [
+        *(Picture(file, _CAPTION) for file in figures),
+        Table("Deformation of each solution", list(table(study))),
+        Paragraph(_LEGEND.format(unit=unit)),
+    ]
+    sections = [Section("Solutions", blocks)]
+    if notes := [f"{row.name}: {note}" for row in study.rows for note in row.notes]:
+        sections.append(Section("Notes of the reconstructor", [Bullets(notes)]))
+    return Article(
+        kind="Causes of deformation",
+        title=f"What deforms the clouds of {Path(study.scene.path).name}",
+        answer=study.sentences,
+        warnings=list(_warnings(study)),
+        setup=[
+            f"{pluralize(len(study.rows), 'solution')} of {pluralize(study.scene.images, 'image')} by {study.plugin},"
+            " with different settings; each cloud is compared with the truth and with the first solution."
+        ],
+        sections=sections,
+    )
+
+
+def _warnings(study: BendStudy) -> list[str]:
+    """Return failures, and warnings of the tests for deformation."""
+    failed = [f"{row.name} failed: {row.failure}" for row in study.rows if row.failure]
+    doubts = [f"{row.name}: {text}" for row in study.rows if row.truth is not None for text in row.truth.warnings]
+    return [*failed, *doubts]

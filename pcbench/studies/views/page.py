@@ -1,0 +1,65 @@
+"""The article of rendered views: scores in words, the table, and pictures of the worst, median and best views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pcbench.measure.wording import pluralize
+from pcbench.report.article import Article, Block, Bullets, Picture, Section, Table
+from pcbench.report.document import provenance
+from pcbench.report.plot import draw_if_possible
+from pcbench.studies.folder import write_report
+from pcbench.studies.views.pictures import PICTURES
+from pcbench.studies.views.scores import ViewStudy
+from pcbench.studies.views.table import answer, doubts, legend, table
+
+
+def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
+    """Return scores of rendered views as an article.
+
+    Args:
+        study: the scores.
+        figures: files of the pictures, relative to the folder of the study.
+    """
+    scenes = [scene.views.scene for scene in study.scenes]
+    sections = [Section("Scores", score_blocks(study))]
+    if figures:
+        sections.append(Section("Worst, median and best views", view_pictures(figures)))
+    return Article(
+        kind="Rendered views",
+        title=f"Rendered views of {scenes[0] if len(scenes) == 1 else pluralize(len(scenes), 'scene')}",
+        answer=list(answer(study)),
+        warnings=doubts(study),
+        setup=[],
+        sections=sections,
+    )
+
+
+def score_blocks(study: ViewStudy) -> list[Block]:
+    """Return the table of scores and its legend."""
+    rows = table(study)
+    return [Table("Scores of training and held-out views", rows, rows[0].index("views")), Bullets(legend(study))]
+
+
+def view_pictures(figures: Sequence[str]) -> list[Block]:
+    """Return pictures of views with captions; `figures` are their files, relative to the folder of the article."""
+    what = "photograph, rendering, and absolute error in grey levels"
+    return [Picture(file, f"{Path(file).stem}: {what}") for file in figures]
+
+
+def write_views_report(out: Path, study: ViewStudy, *, figures: bool) -> list[str]:
+    """Draw pictures of views into a folder of scores, and write its page; return what failed, one line each.
+
+    Args:
+        out: folder of the study.
+        study: the scores.
+        figures: whether to draw pictures.
+
+    Raises:
+        OSError: the page cannot be written.
+    """
+    drawn = draw_if_possible(out, PICTURES) if figures else None
+    files = [] if drawn is None else [path.relative_to(out).as_posix() for path in drawn.files]
+    without_page = write_report(out, article(study, files), provenance(None))
+    return [*filter(None, (without_page, None if drawn is None else drawn.problem))]

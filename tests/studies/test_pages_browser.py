@@ -1,0 +1,84 @@
+"""Pages of studies in a real browser: their pictures load, and nothing else; narrow, dark and printed."""
+
+import pytest
+from benches import row
+from browser import CHROMIUM, Browser
+from html_pages import PROVENANCE
+from optional import import_or_skip
+from stress_studies import study as stress_study
+
+from pcbench.report import to_json
+from pcbench.studies.bench.page import write_bench_report
+from pcbench.studies.bench.pareto import mark_front
+from pcbench.studies.folder import write_report
+from pcbench.studies.stress.charts import draw_charts
+from pcbench.studies.stress.page import article
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+
+NAME = "</td><img src=x onerror=document.title='broken'><script>document.title='broken'</script>"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    import_or_skip("matplotlib")
+    with Browser() as opened:
+        yield opened
+
+
+def write_stress(folder):
+    names = draw_charts(stress_study(), folder)
+    assert write_report(folder, article(stress_study(), names), PROVENANCE) is None
+    return len(names)
+
+
+def write_bench(folder):
+    rows = [row(NAME, 1.0, 0.5), row("b", 2.0, 0.9), row("c", 0.1, None, "failed", message=NAME)]
+    for values in rows:
+        values |= {"registration": "none", "points": 10, "threshold": 0.1}
+    mark_front(rows)
+    reference = {"path": "r.ply", "sha256": "b" * 64, "unit": "m", "visible_share": None, "mesh": None}
+    doc = {"schema": "pcbench.bench/1", "scene": {"path": "s", "sha256": "a" * 64}, "reference": reference}
+    doc |= {"rows": rows, "notes": [], "provenance": PROVENANCE}
+    (folder / "bench.json").write_text(to_json(doc))
+    assert write_bench_report(folder, doc, figures=True) == []
+    return 1  # no accuracy in these rows
+
+
+@pytest.fixture(scope="module", params=[write_stress, write_bench])
+def page(request, tmp_path_factory):
+    """Path of a page and the number of its pictures."""
+    import_or_skip("matplotlib")
+    folder = tmp_path_factory.mktemp("study")
+    return folder / "report.html", request.param(folder)
+
+
+def test_pictures_load_and_nothing_else(browser, page):
+    path, count = page
+    browser.open(path)
+    assert browser.problems == []
+    assert browser.requests[0] == path.as_uri()
+    assert all(address.startswith("data:image/png") for address in browser.requests[1:])
+    widths = browser.run("[...document.images].map((image) => image.complete && image.naturalWidth)")
+    assert len(widths) == count and all(width > 300 for width in widths)
+    assert "broken" not in browser.run("document.title").replace("'broken'", "")
+    assert browser.run("document.scripts.length") == 0
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_narrow_screens_scroll_tables_and_pictures_alone(browser, page, dark):
+    browser.open(page[0], width=390, height=800, dark=dark)
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+    regions = browser.run(
+        "[...document.querySelectorAll('.scroll')].map((e) => [e.tabIndex, e.getAttribute('aria-label').length])"
+    )
+    assert regions and all(tab == 0 and label > 5 for tab, label in regions)
+    ground = browser.run("getComputedStyle(document.body).backgroundColor")
+    assert ground == ("rgb(22, 24, 28)" if dark else "rgb(255, 255, 255)")
+
+
+def test_it_is_printed(browser, page, tmp_path):
+    browser.open(page[0])
+    browser.print_to_pdf(tmp_path / "page.pdf")
+    assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "page.pdf").stat().st_size > 20_000
