@@ -18,7 +18,7 @@ from pcbench.report.plot.views import round_length
 from pcbench.report.words import length, printable
 
 TILE = 30  # edge of a tile on a map, in SVG units
-_MIN_TILES_ALONG = 5  # the longer side has 5 to 13 tiles of a round size
+_MIN_TILES_ALONG = 5  # the longer side has 5 to 15 tiles of a round size
 _RADIUS_SHARE = 0.75  # of a tile's size: the surroundings to show with it
 _MARGIN_SHARE = 0.03  # of the box around the inner 98 % of the points, which then includes nearly all
 _QUANTITIES = {  # the preferred scalars, best first
