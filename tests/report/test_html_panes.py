@@ -154,10 +154,10 @@ def test_narrow_windows_stack_the_panes(browser, path):
 def test_a_click_shows_a_tile(beside, comparison):
     beside.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     shown = beside.run("pcbenchReport.scene.data.tiles")
-    place, size = shown["places"][0], shown["size"]
-    assert place["candidate"] == "b" and shown["axes"] == [0, 1]  # its bump
+    at, size = np.array(shown["at"][:3]), shown["size"]
+    assert shown["names"][shown["of"][0]] == "b" and shown["axes"] == [0, 1]  # its bump
     map_ = comparison["b"].deviation
-    inside = (np.abs(map_.points[:, :2] - place["at"][:2]) <= size / 2).all(axis=1)
+    inside = (np.abs(map_.points[:, :2] - at[:2]) <= size / 2).all(axis=1)
     median = np.median(map_.scalars["plane_distance"][inside])
     for name in ("tile-0", "tile-map-0"):
         beside.run("pcbenchReport.page.resetView()")
@@ -166,10 +166,10 @@ def test_a_click_shows_a_tile(beside, comparison):
         beside.run(f"byId('{name}').dispatchEvent(new MouseEvent('click'))")
         beside.run("new Promise((done) => setTimeout(done, 200))")
         target = np.array(beside.run("pcbenchReport.camera.target")) + beside.run("pcbenchReport.scene.center")
-        assert np.allclose(target, place["at"])
+        assert np.allclose(target, at)
         assert beside.run(LABELS) == ["reference", "b"]
         said = beside.run("byId('picked').textContent")
-        assert said.startswith(f"b, tile: {inside.sum():,} points, median {median:.3g} m, NMAD ")
+        assert said.startswith(f"b, tile 1: {inside.sum():,} points, median {median:.3g} m, NMAD ")
         assert ORANGE in shown_colors(beside, 0) & shown_colors(beside, 1)
     assert beside.problems == []
 

@@ -34,11 +34,13 @@ def words_of(text):
 
 
 def test_tiles_summarise_all_points_although_few_are_shown(comparison, monkeypatch):
-    full = tile_maps(comparison).data()
+    full = tile_maps(comparison)
     monkeypatch.setattr(html_layers, "MAX_BYTES", 10_000)
-    parsed = Page(page(comparison, PROVENANCE))
+    text = page(comparison, PROVENANCE)
+    parsed = Page(text)
     assert sum(head["shown"] for head in parsed.view["layers"]) < 2000
-    assert [place["size"] for place in parsed.view["tiles"]["places"]] == [p["size"] for p in full["places"]]
+    assert all(f"<title>{tile.text}</title>" in text for tile in full.tiles)
+    assert np.allclose(np.reshape(parsed.view["tiles"]["at"], (-1, 3)), [tile.found.at for tile in full.tiles])
 
 
 def test_the_worst_tile_is_where_the_cloud_is_off(comparison):

@@ -19,7 +19,6 @@ from pcbench.report.words import length, printable
 
 TILE = 30  # edge of a tile on a map, in SVG units
 _MIN_TILES_ALONG = 5  # the longer side has 5 to 15 tiles of a round size
-_RADIUS_SHARE = 0.75  # of a tile's size: the surroundings to show with it
 _MARGIN_SHARE = 0.03  # of the box around the inner 98 % of the points, which then includes nearly all
 _QUANTITIES = {  # the preferred scalars, best first
     "plane_distance": "signed distances to the surface",
@@ -129,20 +128,14 @@ class TileMaps:
         return ", ".join(_css(self.scale, np.linspace(self.scale.low, self.scale.high, _KEY_COLORS)))
 
     def data(self) -> dict[str, Any]:
-        """Return what the 3D view reads: places to fly to, in the order of the tiles."""
-        places = [
-            {
-                "candidate": tile.name,
-                "what": "tile",
-                "size": tile.text,
-                "at": tile.found.at,
-                "layer": tile.candidate,
-                "of": "",
-                "radius": _RADIUS_SHARE * self.grid.size,
-            }
-            for tile in self.tiles
-        ]
-        return {"axes": self.grid.axes, "size": self.grid.size, "places": places}
+        """Return what the 3D view reads: the centres of the tiles as [x, y, z, ...], and the candidate of each."""
+        return {
+            "axes": self.grid.axes,
+            "size": self.grid.size,
+            "names": self.candidates,
+            "of": [self.candidates.index(tile.candidate) for tile in self.tiles],
+            "at": [float(f"{x:.9g}") for tile in self.tiles for x in tile.found.at],
+        }
 
 
 def tile_maps(comparison: SourcedComparison, given: float | None = None) -> TileMaps | None:

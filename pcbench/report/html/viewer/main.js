@@ -240,8 +240,18 @@ class ViewPage {
   connectPlaces() {
     const { places, tiles } = this.scene.data;
     places.forEach((place, k) => byId(`place-${k}`).addEventListener("click", () => this.flyTo(place)));
-    tiles?.places.forEach((tile, k) => {
-      for (const id of [`tile-${k}`, `tile-map-${k}`]) byId(id).addEventListener("click", () => this.flyTo(tile, tile));
+    tiles?.of.forEach((candidate, k) => {
+      const [button, square] = [byId(`tile-${k}`), byId(`tile-map-${k}`)];
+      const place = {
+        candidate: tiles.names[candidate],
+        what: `tile ${k + 1}`,
+        size: square.querySelector("title").textContent,
+        at: tiles.at.slice(3 * k, 3 * k + 3),
+        layer: tiles.names[candidate],
+        of: "",
+        radius: 0.75 * tiles.size,
+      };
+      for (const element of [button, square]) element.addEventListener("click", () => this.flyTo(place, place));
     });
   }
 
