@@ -43,9 +43,9 @@ def pixel_of(browser, at, pane=0):
     return browser.run(
         f"""(() => {{
           const {{ scene, camera, page }} = pcbenchReport;
-          const {{ x, y, width, height }} = inCssPixels(page.panes[{pane}], scene.pixelRatio);
+          const {{ x, y, width, height }} = page.panes[{pane}];
           const spot = camera.project(scene.local({list(map(float, at))}), width, height);
-          return [x + spot[0], y + spot[1]];
+          return [(x + spot[0]) / scene.pixelRatio, (y + spot[1]) / scene.pixelRatio];
         }})()"""
     )
 

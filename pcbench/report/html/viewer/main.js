@@ -366,7 +366,8 @@ class ViewPage {
   }
 
   showMarked() {
-    this.overlay.show(this.scene, this.camera, this.panes, this.marked && this.scene.local(this.marked));
+    const { scene, camera, panes, marked, canvas } = this;
+    this.overlay.show(scene, camera, panes, marked && scene.local(marked), canvas);
   }
 }
 

@@ -28,24 +28,25 @@ function gridOf(count, width, height) {
 }
 
 // The elements over the canvas: each pane has its name, if there are several, and a ring around the marked place.
+// Their places are shares of the canvas, which may have another size on paper.
 class Overlay {
   constructor(element) {
     this.element = element;
   }
 
-  // Bring the overlay up to date; `marked` is a position relative to the scene's centre, or null.
-  show(scene, camera, panes, marked) {
+  // Bring the overlay up to date with a canvas; `marked` is a position relative to the scene's centre, or null.
+  show(scene, camera, panes, marked, canvas) {
     while (this.element.children.length > panes.length) this.element.lastChild.remove();
     while (this.element.children.length < panes.length) this.element.append(paneElement());
     panes.forEach((pane, k) => {
+      const { x, y, width, height } = pane;
       const box = this.element.children[k];
       const [label, marker] = box.children;
-      const { x, y, width, height } = inCssPixels(pane, scene.pixelRatio);
-      Object.assign(box.style, { left: `${x}px`, top: `${y}px`, width: `${width}px`, height: `${height}px` });
+      setShares(box, { left: x / canvas.width, top: y / canvas.height, width: width / canvas.width, height: height / canvas.height });
       label.textContent = panes.length > 1 ? labelOf(pane.views[0], scene.scalarOf(pane.views[0]) >= 0) : "";
       const spot = marked && camera.project(marked, width, height);
-      marker.hidden = !(spot && spot[0] >= 0 && spot[1] >= 0 && spot[0] <= width && spot[1] <= height);
-      if (spot) marker.style.transform = `translate(${spot[0]}px, ${spot[1]}px)`;
+      marker.hidden = !spot;
+      if (spot) setShares(marker, { left: spot[0] / width, top: spot[1] / height });
     });
   }
 }
@@ -60,6 +61,6 @@ function paneElement() {
   return pane;
 }
 
-function inCssPixels({ x, y, width, height }, ratio) {
-  return { x: x / ratio, y: y / ratio, width: width / ratio, height: height / ratio };
+function setShares(element, shares) {
+  for (const [side, share] of Object.entries(shares)) element.style[side] = `${100 * share}%`;
 }
