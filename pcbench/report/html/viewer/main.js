@@ -28,9 +28,9 @@ async function open(report) {
   report.firstPictureMs = performance.now(); // since the page began to load
   report.page = new ViewPage(report, rendererFor(report, canvas));
   await report.page.refresh();
+  preview.remove(); // the browser shows both changes at once
   await report.renderer.finished();
   report.allPointsMs = performance.now();
-  preview.remove();
 }
 
 // Paint some points over the canvas, at half its resolution, and return the element.
