@@ -15,7 +15,7 @@ from pcbench.report.markup import markdown_table
 Mark = Literal["", "best", "second"]
 
 
-class Cell(NamedTuple):
+class TableCell(NamedTuple):
     """A cell of a table: its text, and whether it is the best or the second-best value of its column."""
 
     text: str
@@ -51,7 +51,7 @@ class Bullets:
 
 
 @dataclass(frozen=True)
-class Table:
+class DataTable:
     """A table.
 
     Attributes:
@@ -62,12 +62,12 @@ class Table:
     """
 
     name: str
-    rows: Sequence[Sequence[str | Cell]]
+    rows: Sequence[Sequence[str | TableCell]]
     labels: int = 1
 
 
 @dataclass(frozen=True)
-class Picture:
+class Figure:
     """A picture.
 
     Attributes:
@@ -86,15 +86,22 @@ class Links:
     links: Sequence[Link]
 
 
-Block = Paragraph | Heading | Bullets | Table | Picture | Links
+Block = Paragraph | Heading | Bullets | DataTable | Figure | Links
 
 
 @dataclass(frozen=True)
-class Section:
-    """A section with a title."""
+class ArticleSection:
+    """A section.
+
+    Attributes:
+        title: its title.
+        blocks: its content.
+        summary: text under which a page hides the content until a click; empty to show it.
+    """
 
     title: str
     blocks: Sequence[Block]
+    summary: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,7 +122,7 @@ class Article:
     answer: Sequence[str]
     warnings: Sequence[str]
     setup: Sequence[str]
-    sections: Sequence[Section]
+    sections: Sequence[ArticleSection]
 
 
 def markdown(article: Article) -> str:
@@ -138,9 +145,9 @@ def _blocks(blocks: Iterable[Block]) -> Iterator[str]:
                 yield f"### {text}"
             case Bullets(sentences):
                 yield _bullets(sentences)
-            case Table(_, rows, labels):
+            case DataTable(_, rows, labels):
                 yield markdown_table(([_cell(cell) for cell in row] for row in rows), labels)
-            case Picture(file, caption):
+            case Figure(file, caption):
                 yield f"![{caption}]({file})"
             case Links(links):
                 yield _bullets([f"[{link.text}]({link.file})" for link in links])
@@ -150,7 +157,7 @@ def _bullets(sentences: Iterable[str]) -> str:
     return "\n".join(f"- {sentence}" for sentence in sentences)
 
 
-def _cell(cell: str | Cell) -> str:
+def _cell(cell: str | TableCell) -> str:
     if isinstance(cell, str):
         return cell
     around = {"": "", "best": "**", "second": "_"}[cell.mark]

@@ -11,26 +11,30 @@ from optional import import_or_skip
 
 from pcbench.report.article import (
     Article,
+    ArticleSection,
     Bullets,
-    Cell,
+    DataTable,
+    Figure,
     Heading,
     Link,
     Links,
     Paragraph,
-    Picture,
-    Section,
-    Table,
+    TableCell,
     markdown,
 )
 from pcbench.report.html import Origin, article_page, write_page
 from pcbench.report.html.embedding import embed
 
-ROWS = [["", "time", Cell("score")], ["one", "1", Cell("0.5", "best")], ["two", "22", Cell("0.25", "second")]]
+ROWS = [
+    ["", "time", TableCell("score")],
+    ["one", "1", TableCell("0.5", "best")],
+    ["two", "22", TableCell("0.25", "second")],
+]
 
 
 def article(*blocks, **changes):
     values = {"kind": "A study", "title": "A title", "answer": ["It is so.", "And so."], "warnings": ["Not this."]}
-    return Article(**{**values, "setup": ["Two runs."], "sections": [Section("Results", blocks)], **changes})
+    return Article(**{**values, "setup": ["Two runs."], "sections": [ArticleSection("Results", blocks)], **changes})
 
 
 def page(made, folder="."):
@@ -48,7 +52,9 @@ def picture(path, size=(640, 400), seed=None):
 
 
 def test_markdown_has_the_answer_first_then_warnings_and_sections():
-    made = article(Paragraph("Words."), Heading("Part"), Bullets(["a", "b"]), Table("t", ROWS), Picture("f.png", "A."))
+    made = article(
+        Paragraph("Words."), Heading("Part"), Bullets(["a", "b"]), DataTable("t", ROWS), Figure("f.png", "A.")
+    )
     assert markdown(made) == (
         "# A title\n\n- It is so.\n- And so.\n\n## What not to trust\n\n- Not this.\n\nTwo runs.\n\n## Results\n\n"
         "Words.\n\n### Part\n\n- a\n- b\n\n|  | time | score |\n| --- | ---: | ---: |\n| one | 1 | **0.5** |\n"
@@ -59,19 +65,27 @@ def test_markdown_has_the_answer_first_then_warnings_and_sections():
 
 def test_the_page_has_the_same_content(tmp_path):
     content = picture(tmp_path / "figures" / "f.png")
-    blocks = Paragraph("Words."), Heading("Part"), Bullets(["a", "b"]), Table("t", ROWS), Picture("figures/f.png", "A.")
+    blocks = (
+        Paragraph("Words."),
+        Heading("Part"),
+        Bullets(["a", "b"]),
+        DataTable("t", ROWS),
+        Figure("figures/f.png", "A."),
+    )
     parsed = check_page_of_study(page(article(*blocks), tmp_path))
     words = "".join(parsed.words)
     for text in ("A study", "A title", "It is so.", "And so.", "Not this.", "Two runs.", "Results", "Words.", "Part"):
         assert text in words
-    assert parsed.tables == [[[str(cell.text if isinstance(cell, Cell) else cell) for cell in row] for row in ROWS]]
+    assert parsed.tables == [
+        [[str(cell.text if isinstance(cell, TableCell) else cell) for cell in row] for row in ROWS]
+    ]
     assert base64.b64decode(parsed.values("src")[0].partition(",")[2]) == content
     assert (parsed.values("width"), parsed.values("height"), parsed.values("alt")) == ((["640"]), ["400"], ["A."])
 
 
 def test_a_row_with_a_title_alone_starts_a_group():
     rows = [["", "n"], ["city", ""], ["a", "1"], ["b", "2"], ["town", ""], ["a", "3"], ["desert", ""]]
-    text = page(article(Table("t", rows)))
+    text = page(article(DataTable("t", rows)))
     parsed = check_page_of_study(text)
     assert text.count('<th scope="rowgroup" colspan="2" class="group">') == text.count("<tbody>") == 3
     assert parsed.tables[0] == [["", "n"], ["city"], ["a", "1"], ["b", "2"], ["town"], ["a", "3"], ["desert"]]
@@ -94,14 +108,24 @@ def test_hostile_texts_stay_text(tmp_path):
     picture(tmp_path / "figures" / "f.png")
 
     def made(text):
-        rows = [[text, text], [text, Cell(text, "best")], [text, ""]]
-        blocks = Paragraph(text), Heading(text), Bullets([text]), Table(text, rows), Picture("figures/f.png", text)
-        return Article(text, text, [text, text], [text], [text], [Section(text, blocks)])
+        rows = [[text, text], [text, TableCell(text, "best")], [text, ""]]
+        blocks = Paragraph(text), Heading(text), Bullets([text]), DataTable(text, rows), Figure("figures/f.png", text)
+        return Article(text, text, [text, text], [text], [text], [ArticleSection(text, blocks)])
 
     text = page(made(bad), tmp_path)
     parsed, plain = check_page_of_study(text), check_page_of_study(page(made("x"), tmp_path))
     assert parsed.tags == plain.tags
     assert "\u202e" not in text and "49" not in "".join(parsed.words)
+
+
+def test_a_section_with_a_summary_is_folded(tmp_path):
+    sections = [ArticleSection("Shown", [Paragraph("a")]), ArticleSection("Folded", [Paragraph("b")], "12 lines")]
+    made = article(sections=sections)
+    parsed = check_page_of_study(page(made))
+    assert parsed.tags.count("details") == parsed.tags.count("summary") == 1
+    words = [word for word in parsed.words if word.strip()]
+    assert words.index("Folded") + 1 == words.index("12 lines") == words.index("b") - 1
+    assert "## Folded\n\nb\n" in markdown(made)
 
 
 def test_empty_parts_leave_nothing_behind():

@@ -21,7 +21,7 @@ from pcbench.errors import Notice
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.perceptual import Perceptual
 from pcbench.report import to_json
-from pcbench.report.article import Bullets, Picture, markdown
+from pcbench.report.article import Bullets, Figure, markdown
 from pcbench.report.html import PAGE, Origin, article_page
 from pcbench.studies.bench import page as bench_page
 from pcbench.studies.bench.pareto import mark_front
@@ -188,7 +188,7 @@ def test_answers_are_those_of_the_results(tmp_path):
 def test_failures_and_limits_are_what_not_to_trust(tmp_path):
     warnings = {study: "\n".join(make("photos", tmp_path / study).warnings) for study, make in ARTICLES.items()}
     assert "d image_scale=0.5, seed 0: failed: photos" in warnings["bench"]
-    assert "none failed: photos" in warnings["bend"] and "photos: photos" in warnings["bend"]
+    assert "none failed: photos" in warnings["bend"] and "'photos': photos" in warnings["bend"]
     assert "city_2 sparse failed: photos: no features" in warnings["gao"] and "2,000 steps" in warnings["gao"]
     assert "Left out: photos (photos is not installed)." in warnings["stress"]
     assert "skipped: photos" in warnings["tradeoff"] and "failed: photos: photos" in warnings["tradeoff"]
@@ -215,15 +215,12 @@ def test_gao_links_to_the_reports_that_exist_and_shows_its_pictures(tmp_path):
 def test_bench_and_stress_show_speed_and_stability():
     charts = ["figures/speed.png", "figures/accuracy_completeness.png"]
     shown = [
-        b.file
-        for s in bench_page.article(bench_document(), charts).sections
-        for b in s.blocks
-        if isinstance(b, Picture)
+        b.file for s in bench_page.article(bench_document(), charts).sections for b in s.blocks if isinstance(b, Figure)
     ]
     assert shown == charts
     names = ["outcomes_registration.png", "speed.png", "profiles.png", "severity_registration_start.png", "worst_1.png"]
     article = stress_page.article(stress_study(), names)
-    shown = [b.file for s in article.sections for b in s.blocks if isinstance(b, Picture)]
+    shown = [b.file for s in article.sections for b in s.blocks if isinstance(b, Figure)]
     assert sorted(shown) == sorted(f"figures/{name}" for name in names)
 
 

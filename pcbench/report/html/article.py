@@ -8,7 +8,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from pcbench.report.article import Article, Block, Bullets, Cell, Heading, Link, Links, Paragraph, Picture, Table
+from pcbench.report.article import (
+    Article,
+    Block,
+    Bullets,
+    DataTable,
+    Figure,
+    Heading,
+    Link,
+    Links,
+    Paragraph,
+    TableCell,
+)
 from pcbench.report.html.embedding import EmbeddedPicture, embed
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, source
 
@@ -26,12 +37,13 @@ def article_page(article: Article, origin: Origin, folder: Path) -> str:
     Raises:
         OSError: a picture cannot be read.
     """
-    files = [block.file for section in article.sections for block in section.blocks if isinstance(block, Picture)]
+    files = [block.file for section in article.sections for block in section.blocks if isinstance(block, Figure)]
     pictures = embed(folder, files)
     opening = Opening(article.kind, article.title, "", article.answer, article.warnings)
     sections = [
         {
             "title": section.title,
+            "summary": section.summary,
             "blocks": [values for block in section.blocks for values in _block(block, folder, pictures)],
         }
         for section in article.sections
@@ -56,12 +68,12 @@ def _block(block: Block, folder: Path, pictures: dict[str, EmbeddedPicture]) -> 
         case Bullets(sentences):
             if sentences:
                 yield {"kind": "bullets", "sentences": one_line_each(sentences)}
-        case Picture(file, caption):
+        case Figure(file, caption):
             yield {"kind": "picture", "caption": caption, **pictures[file]._asdict()}
         case Links(links):
             if there := [link for link in links if (folder / link.file).is_file()]:
                 yield {"kind": "links", "links": [{"text": link.text, "address": _address(link)} for link in there]}
-        case Table():
+        case DataTable():
             yield {"kind": "table", "name": block.name, **_table(block)}
 
 
@@ -75,9 +87,9 @@ class _StyledCell(NamedTuple):
     style: str
 
 
-def _table(table: Table) -> dict[str, Any]:
+def _table(table: DataTable) -> dict[str, Any]:
     """Return the header of a table, and its rows in groups that have a title if a row is a title alone."""
-    head, *rows = [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in table.rows]
+    head, *rows = [[cell if isinstance(cell, TableCell) else TableCell(cell) for cell in row] for row in table.rows]
     groups: list[dict[str, Any]] = []
     for is_title, found in groupby(rows, key=lambda row: len(row) > 1 and not any(cell.text for cell in row[1:])):
         if is_title:
@@ -90,10 +102,10 @@ def _table(table: Table) -> dict[str, Any]:
     return {"head": heads, "groups": groups}
 
 
-def _styled(rows: Iterator[Sequence[Cell]], labels: int) -> list[list[_StyledCell]]:
+def _styled(rows: Iterator[Sequence[TableCell]], labels: int) -> list[list[_StyledCell]]:
     return [[_StyledCell(cell.text, _style(cell, k < labels)) for k, cell in enumerate(row)] for row in rows]
 
 
-def _style(cell: Cell, is_label: bool) -> str:
+def _style(cell: TableCell, is_label: bool) -> str:
     classes = ("text" if is_label else "", "long" if len(cell.text) > _LONG_TEXT else "", cell.mark)
     return " ".join(filter(None, classes))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pcbench.report.article import Article, Bullets, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
 from pcbench.report.plot import draw_if_possible
 from pcbench.report.words import join_words
 from pcbench.studies.bench.charts import CHARTS
@@ -29,12 +29,12 @@ def article(doc: dict[str, Any], figures: Sequence[str] = ()) -> Article:
     """
     scene, reference = (Path(doc[key]["path"]) for key in ("scene", "reference"))
     methods = list(dict.fromkeys(row["method"] for row in doc["rows"]))
-    charts = [Picture(file, _CAPTIONS[Path(file).stem]) for file in figures]
-    table = Table("Time, memory and scores of each configuration", bench_table(doc), LABELS)
-    sections = [Section("Time against accuracy", [*charts, table, Paragraph("Best in bold, second in italics."),
+    charts = [Figure(file, _CAPTIONS[Path(file).stem]) for file in figures]
+    table = DataTable("Time, memory and scores of each configuration", bench_table(doc), LABELS)
+    sections = [ArticleSection("Time against accuracy", [*charts, table, Paragraph("Best in bold, second in italics."),
                                                   Bullets(list(legend(doc)))])]  # fmt: skip
     if thresholds := threshold_table(doc):
-        sections.append(Section("At each threshold", [Table("Scores at each threshold", thresholds, 2)]))
+        sections.append(ArticleSection("At each threshold", [DataTable("Scores at each threshold", thresholds, 2)]))
     return Article(
         kind="Reconstructors side by side",
         title=f"{join_words(methods, 4)} on {scene.name or scene}, against {reference.name}",

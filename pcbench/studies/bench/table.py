@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pcbench.report.article import Cell, Mark
+from pcbench.report.article import Mark, TableCell
 from pcbench.report.terminal import print_table
 from pcbench.studies.bench.pareto import Configuration, choice_text, configurations
 
@@ -102,12 +102,12 @@ def print_bench(doc: dict[str, Any]) -> None:
     print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *lines, sep="\n")
 
 
-def bench_table(doc: dict[str, Any]) -> list[list[str | Cell]]:
+def bench_table(doc: dict[str, Any]) -> list[list[str | TableCell]]:
     """Return the table with all columns, the header first; the first `LABELS` columns are text."""
-    rows: list[list[str | Cell]] = [[*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]]
+    rows: list[list[str | TableCell]] = [[*_HEAD, *(column.header for column in _COLUMNS), "Pareto"]]
     marks: dict[int, Mark] = {0: "", 1: "best", 2: "second"}
     for line in _table_rows(doc, _COLUMNS):
-        rows.append([*line.head, *(Cell(text, marks[place]) for text, place in line.cells), "*" * line.on_front])
+        rows.append([*line.head, *(TableCell(text, marks[place]) for text, place in line.cells), "*" * line.on_front])
     return rows
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.article import Article, Block, Bullets, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Paragraph
+from pcbench.report.words import join_words
 from pcbench.studies.bend.findings import table
 from pcbench.studies.bend.results import BendStudy
 
@@ -30,13 +31,13 @@ def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
     """
     unit = f" [{study.unit}]" if study.unit else ""
     blocks: list[Block] = [
-        *(Picture(file, _CAPTION) for file in figures),
-        Table("Deformation of each solution", list(table(study))),
+        *(Figure(file, _CAPTION) for file in figures),
+        DataTable("Deformation of each solution", list(table(study))),
         Paragraph(_LEGEND.format(unit=unit)),
     ]
-    sections = [Section("Solutions", blocks)]
-    if notes := [f"{row.name}: {note}" for row in study.rows for note in row.notes]:
-        sections.append(Section("Notes of the reconstructor", [Bullets(notes)]))
+    sections = [ArticleSection("Solutions", blocks)]
+    if notes := _by_text((row.name, note) for row in study.rows for note in row.notes):
+        sections.append(ArticleSection("Notes of the reconstructor", [Bullets(notes)], pluralize(len(notes), "note")))
     return Article(
         kind="Causes of deformation",
         title=f"What deforms the clouds of {Path(study.scene.path).name}",
@@ -53,5 +54,13 @@ def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
 def _warnings(study: BendStudy) -> list[str]:
     """Return failures, and warnings of the tests for deformation."""
     failed = [f"{row.name} failed: {row.failure}" for row in study.rows if row.failure]
-    doubts = [f"{row.name}: {text}" for row in study.rows if row.truth is not None for text in row.truth.warnings]
-    return [*failed, *doubts]
+    doubts = ((row.name, text) for row in study.rows if row.truth is not None for text in row.truth.warnings)
+    return [*failed, *_by_text(doubts)]
+
+
+def _by_text(named: Iterable[tuple[str, str]]) -> list[str]:
+    """Return one sentence for each text, with the names of all solutions that have it."""
+    names: dict[str, list[str]] = {}
+    for name, text in named:
+        names.setdefault(text, []).append(repr(name))
+    return [f"{join_words(of)}: {text}" for text, of in names.items()]

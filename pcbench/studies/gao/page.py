@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import PurePath
 
-from pcbench.report.article import Article, Block, Bullets, Link, Links, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Link, Links, Paragraph
 from pcbench.report.html import PAGE
 from pcbench.studies.gao.results import GaoStudy
 from pcbench.studies.gao.sentences import answer, caveats
@@ -49,27 +49,27 @@ def article(
     drawn = {PurePath(file).stem: file for file in figures}
 
     def pictures(name: str) -> list[Block]:
-        return [Picture(drawn[name], _CAPTIONS[name])] if name in drawn else []
+        return [Figure(drawn[name], _CAPTIONS[name])] if name in drawn else []
 
     measures: list[Block] = [
         *pictures("directions"),
-        Table("Measures of each cloud against both references", list(measures_table(study)), 2),
+        DataTable("Measures of each cloud against both references", list(measures_table(study)), 2),
         Paragraph(LEGEND.format(unit=unit)),
     ]
     if reports:
         measures.append(Links([Link(_report_title(PurePath(folder)), f"{folder}/{PAGE}") for folder in reports]))
     sections = [
-        Section("Clouds against both references", measures),
-        Section("Time and memory", [Table("Time and memory of each cloud", list(cost_table(study)))]),
+        ArticleSection("Clouds against both references", measures),
+        ArticleSection("Time and memory", [DataTable("Time and memory of each cloud", list(cost_table(study)))]),
     ]
     if any(scene.injected for scene in study.scenes):
-        injected = Table("Verdicts on deformations of known size", list(injection_table(study)))
-        sections.append(Section("Deformations of known size", [Paragraph(INJECTED.format(unit=unit)), injected]))
+        injected = DataTable("Verdicts on deformations of known size", list(injection_table(study)))
+        sections.append(ArticleSection("Deformations of known size", [Paragraph(INJECTED.format(unit=unit)), injected]))
     if views is not None:
-        sections.append(Section("New views", [*score_blocks(views), *view_pictures(view_figures)]))
+        sections.append(ArticleSection("New views", [*score_blocks(views), *view_pictures(view_figures)]))
     sections += [
-        Section("Verdicts", [Bullets(list(verdicts(study))), *pictures("growth")]),
-        Section("Cameras and notes", [*pictures("rings"), Bullets(list(notes(study)))]),
+        ArticleSection("Verdicts", [Bullets(list(verdicts(study))), *pictures("growth")]),
+        ArticleSection("Cameras and notes", [*pictures("rings"), Bullets(list(notes(study)))]),
     ]
     return Article(
         kind="Gao et al. 2025",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.article import Article, Block, Bullets, Heading, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Heading, Paragraph
 from pcbench.studies.folder import FIGURES
 from pcbench.studies.stress.results import (
     ALL_SUBJECTS,
@@ -74,26 +74,26 @@ def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
     """
     title = "Where reconstructors break" if study.photographs else "Where registration, metrics and verdicts break"
     sections = [
-        Section(_TITLES[subject], list(_blocks(study, subject, figures)))
+        ArticleSection(_TITLES[subject], list(_blocks(study, subject, figures)))
         for subject in ALL_SUBJECTS
         if study.cells(subject)
     ]
     if study.worst:
-        sections.append(Section("The worst silent failures", list(_worst_blocks(study, figures))))
+        sections.append(ArticleSection("The worst silent failures", list(_worst_blocks(study, figures))))
     return Article("Stress test", title, list(answer(study)), list(caveats(study)), [_setup(study)], sections)
 
 
 def _blocks(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[Block]:
     yield from _pictures(figures, _PICTURES[subject][:1])
-    yield Table(f"Outcomes, {_TITLES[subject]}", outcome_table(study, subject))
+    yield DataTable(f"Outcomes, {_TITLES[subject]}", outcome_table(study, subject))
     yield Paragraph(f"Shares of all runs in %; {OUTCOMES_LEGENDS[subject]}.")
     yield Bullets(list(_SENTENCES[subject](study)))
     yield Heading("Safe levels")
-    yield Table(f"Safe levels, {_TITLES[subject]}", limits_table(study, subject))
+    yield DataTable(f"Safe levels, {_TITLES[subject]}", limits_table(study, subject))
     yield Paragraph(f"Each cell: {LIMITS_LEGEND}.")
     if subject == REGISTRATION and (presets := preset_table(study)):
         yield Heading("Recall by the criteria of benchmarks")
-        yield Table("Recall by the criteria of benchmarks", presets)
+        yield DataTable("Recall by the criteria of benchmarks", presets)
     yield from _pictures(figures, (*_PICTURES[subject][1:], f"severity_{subject}_"))
 
 
@@ -102,10 +102,10 @@ def _worst_blocks(study: StressStudy, figures: Sequence[str]) -> Iterator[Block]
     for number, failure in enumerate(study.worst, 1):
         title = f"{number}. {failure_title(study, failure)}"
         name = f"worst_{number}.png"
-        yield Picture(f"{FIGURES}/{name}", title) if name in figures else Paragraph(f"{title}.")
+        yield Figure(f"{FIGURES}/{name}", title) if name in figures else Paragraph(f"{title}.")
 
 
-def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Picture]:
+def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Figure]:
     """Yield the pictures whose names begin with given stems, with their captions."""
     for stem in stems:
         for name in figures:
@@ -113,7 +113,7 @@ def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Picture]
                 caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
                 kind = name.removesuffix(".png").rpartition("_")[2]
                 shown = f"{caption} ({kind})" if stem.startswith(("severity_", "scores_")) else caption
-                yield Picture(f"{FIGURES}/{name}", shown)
+                yield Figure(f"{FIGURES}/{name}", shown)
 
 
 def _setup(study: StressStudy) -> str:

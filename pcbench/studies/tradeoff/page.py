@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pcbench.report.article import Article, Bullets, Paragraph, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
 from pcbench.studies.folder import FIGURES
 from pcbench.studies.tradeoff.results import Tradeoff
 from pcbench.studies.tradeoff.table import LEGEND, error_rows, table_rows
@@ -27,17 +27,21 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         f" intervals of one run.{threshold}"
     )
     found = [
-        Section(
+        ArticleSection(
             "Error and cost",
             [
                 *_picture("errors.png", figures),
-                Table("Errors and costs of approximations", table_rows(study)),
+                DataTable("Errors and costs of approximations", table_rows(study)),
                 Paragraph(f"{LEGEND[0].upper()}{LEGEND[1:]}."),
             ],
         ),
-        Section("Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias.png", figures)]),
-        Section("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
-        Section("Errors of all metrics in %", [Table("Errors of all metrics", error_rows(study))]),
+        ArticleSection(
+            "Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias.png", figures)]
+        ),
+        ArticleSection("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
+        ArticleSection(
+            "Errors of all metrics in %", [DataTable("Errors of all metrics", error_rows(study))], "all errors"
+        ),
     ]
     return Article(
         kind="Trade-off between cost and accuracy",
@@ -49,5 +53,5 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
     )
 
 
-def _picture(name: str, figures: Sequence[str]) -> list[Picture]:
-    return [Picture(f"{FIGURES}/{name}", CAPTIONS[name])] if name in figures else []
+def _picture(name: str, figures: Sequence[str]) -> list[Figure]:
+    return [Figure(f"{FIGURES}/{name}", CAPTIONS[name])] if name in figures else []

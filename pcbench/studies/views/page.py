@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.article import Article, Block, Bullets, Picture, Section, Table
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure
 from pcbench.report.document import provenance
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.folder import write_report
@@ -23,9 +23,9 @@ def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
         figures: files of the pictures, relative to the folder of the study.
     """
     scenes = [scene.views.scene for scene in study.scenes]
-    sections = [Section("Scores", score_blocks(study))]
+    sections = [ArticleSection("Scores", score_blocks(study))]
     if figures:
-        sections.append(Section("Worst, median and best views", view_pictures(figures)))
+        sections.append(ArticleSection("Worst, median and best views", view_pictures(figures)))
     return Article(
         kind="Rendered views",
         title=f"Rendered views of {scenes[0] if len(scenes) == 1 else pluralize(len(scenes), 'scene')}",
@@ -39,13 +39,13 @@ def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
 def score_blocks(study: ViewStudy) -> list[Block]:
     """Return the table of scores and its legend."""
     rows = table(study)
-    return [Table("Scores of training and held-out views", rows, rows[0].index("views")), Bullets(legend(study))]
+    return [DataTable("Scores of training and held-out views", rows, rows[0].index("views")), Bullets(legend(study))]
 
 
 def view_pictures(figures: Sequence[str]) -> list[Block]:
     """Return pictures of views with captions; `figures` are their files, relative to the folder of the article."""
     what = "photograph, rendering, and absolute error in grey levels"
-    return [Picture(file, f"{Path(file).stem}: {what}") for file in figures]
+    return [Figure(file, f"{Path(file).stem}: {what}") for file in figures]
 
 
 def write_views_report(out: Path, study: ViewStudy, *, figures: bool) -> list[str]:
