@@ -156,6 +156,30 @@ def test_narrow_windows_stack_the_panes(browser, path):
     assert browser.run("document.documentElement.scrollWidth") == 360
 
 
+def test_tables_scroll_on_a_phone_and_keep_their_names(browser, path):
+    """On 360 pixels each column can be scrolled into view, beside the first one."""
+    browser.open(path, width=360, height=780)
+    browser.run("document.querySelectorAll('details').forEach((part) => (part.open = true))")
+    tables = browser.run(
+        """[...document.querySelectorAll(".scroll")].map((scroll) => {
+          const shown = scroll.getBoundingClientRect();
+          const seen = [...scroll.querySelectorAll("tbody tr:first-child > *")].map((cell) => {
+            scroll.scrollLeft = 0;
+            scroll.scrollLeft = cell.offsetLeft + cell.offsetWidth - scroll.clientWidth;
+            const box = cell.getBoundingClientRect();
+            return box.width > 0 && box.left >= shown.left - 1 && box.right <= shown.right + 1;
+          });
+          scroll.scrollLeft = 1e5;
+          const name = scroll.querySelector("tbody th").getBoundingClientRect();
+          return { all: seen.every(Boolean), moved: scroll.scrollLeft, name: name.left - shown.left };
+        })"""
+    )
+    assert len(tables) >= 4 and all(table["all"] for table in tables)
+    assert any(table["moved"] > 100 for table in tables)
+    assert all(abs(table["name"]) <= 1 for table in tables)
+    assert browser.run("document.documentElement.scrollWidth") == 360
+
+
 def test_a_click_shows_a_tile(beside, comparison):
     beside.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     shown = beside.run("pcbenchReport.scene.data.tiles")

@@ -13,7 +13,7 @@ class Scene {
     this.views.forEach((view, k) => {
       if (view.name) view.color = rgb(data.series[k % data.series.length]);
     });
-    this.up = data.up || [0, 0, 1];
+    this.up = normalized(data.up || [0, 0, 1]);
     const keys = data.layers.flatMap((head) => head.scalars.map((scalar) => scalar.key));
     this.key = keys.includes("plane_distance") ? "plane_distance" : keys[0]; // it depends less on density
     this.limits = new Map(); // ends of legends that the reader has set, by scalar
