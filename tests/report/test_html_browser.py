@@ -1,20 +1,19 @@
 """`report.html` in a real browser: headless Chromium, WebGL2 in software, no network."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapes
 from browser import CHROMIUM, Browser
+from viewed_pages import GROUND, click_on, pixel_of, plainly, press_key, shown_colors, write_page
 
 from pcbench import Cloud, Settings, compare
 from pcbench.deformation import Field
 from pcbench.report.colors import SEQUENTIAL, Range
-from pcbench.report.html import page
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
-
-CANVAS = "document.getElementById('canvas')"
 
 
 @pytest.fixture(scope="module")
@@ -45,42 +44,6 @@ def opened(browser, path):
     return browser
 
 
-def shown_colors(browser):
-    """Return the colours of the picture that are not its ground."""
-    colors = browser.run(
-        f"""(() => {{
-          const copy = document.createElement("canvas");
-          [copy.width, copy.height] = [{CANVAS}.width, {CANVAS}.height];
-          const context = copy.getContext("2d");
-          context.drawImage({CANVAS}, 0, 0);
-          const data = new Uint32Array(context.getImageData(0, 0, copy.width, copy.height).data.buffer);
-          return [...new Set(data)];
-        }})()"""
-    )
-    triples = {(c & 255, c >> 8 & 255, c >> 16 & 255) for c in colors}
-    return triples - {(20, 22, 27)}
-
-
-def write_page(path, comparison, text="-"):
-    provenance = dict.fromkeys(("version", "commit", "machine", "created", "command"), text)
-    path.write_text(page(comparison, provenance), encoding="utf-8")
-
-
-def pixel_of(browser, at):
-    """Return the position of a point in CSS pixels of the canvas."""
-    return browser.run(
-        f"""(() => {{
-          const {{ scene, camera }} = pcbenchReport;
-          return camera.project(scene.local({list(map(float, at))}), {CANVAS}.clientWidth, {CANVAS}.clientHeight);
-        }})()"""
-    )[:2]
-
-
-def plainly(browser, key="distance"):
-    """Colour by a scalar, without shading, which would darken the colours."""
-    browser.run(f"(pcbenchReport.scene.lighting = false, pcbenchReport.scene.key = {key!r}, pcbenchReport.draw())")
-
-
 def test_it_opens_from_disk_without_errors_or_requests(opened, path):
     assert opened.problems == []
     assert opened.requests == [path.as_uri()]
@@ -89,19 +52,36 @@ def test_it_opens_from_disk_without_errors_or_requests(opened, path):
     assert len(shown_colors(opened)) > 20
 
 
-def test_points_have_the_colors_of_the_legend(opened, comparison):
-    plainly(opened)
-    map_ = comparison["a"].deviation
-    scalar = opened.run("pcbenchReport.scene.layers[0].head.scalars[0]")
-    levels = np.array(scalar["levels"])
-    legend = {tuple(c) for c in Range(0.0, scalar["high"]).colors(levels).tolist()}
+@pytest.mark.parametrize("query", ["", "?painter"])
+@pytest.mark.parametrize("key", ["distance", "plane_distance"])
+def test_points_have_the_colors_of_the_legend(browser, path, comparison, key, query):
+    browser.open(path, query=query)
+    browser.run(
+        f"(byId('scalar').value = {key!r}, byId('scalar').dispatchEvent(new Event('change')),"
+        " new Promise((done) => setTimeout(done, 100)))"
+    )
+    plainly(browser, key)
+    values = comparison["a"].deviation.scalars[key]
+    described = next(
+        scalar for scalar in browser.run("pcbenchReport.scene.layers[0].head.scalars") if scalar["key"] == key
+    )
+    scale = Range(described["low"], described["high"], signed=described["signed"])
+    assert scale.signed == (key == "plane_distance")
+    legend = {tuple(c) for c in scale.colors(np.array(described["levels"])).tolist()}
     # The two languages may round a half differently.
     near = {tuple(np.add(c, d)) for c in legend for d in np.indices((3, 3, 3)).reshape(3, -1).T - 1}
-    found = shown_colors(opened)
+    found = shown_colors(browser)
     assert found and found <= near
-    tower = map_.points[np.argmax(map_.scalars["distance"])]
-    x, y = map(round, pixel_of(opened, tower))
-    assert opened.run(f"pcbenchReport.renderer.pixel({x}, {y})") == SEQUENTIAL[-1].tolist()
+    for row in np.argsort(np.abs(values))[-4:]:  # the towers, which no other point hides
+        x, y = map(round, pixel_of(browser, comparison["a"].deviation.points[row]))
+        color = browser.run(f"pcbenchReport.renderer.pixel({x}, {y})")
+        assert color == scale.colors(values[row : row + 1])[0].tolist()
+    bar = browser.run("byId('legend-bar').style.background")
+    stops = [tuple(map(int, stop.split(","))) for stop in re.findall(r"rgb\(([^)]*)\)", bar)]
+    expected = scale.colors(np.linspace(scale.low, scale.high, len(stops)))
+    assert len(stops) > 8 and np.abs(np.array(stops) - expected).max() <= 1
+    ends = [float(browser.run(f"byId('legend-{end}').value")) for end in ("low", "high")]
+    assert ends == pytest.approx([scale.low, scale.high], rel=1e-3)
 
 
 def test_the_limits_of_the_legend_can_be_set(opened):
@@ -127,12 +107,8 @@ def test_a_click_returns_the_point(browser, path, comparison, query):
     map_ = comparison["a"].deviation
     row = int(np.argmax(map_.scalars["distance"]))
     x, y = pixel_of(browser, map_.points[row])
-    left, top = browser.run(
-        f"({CANVAS}.scrollIntoView(), (({{ left, top }}) => [left, top])({CANVAS}.getBoundingClientRect()))"
-    )
-    for kind in ("mousePressed", "mouseReleased"):
-        browser.press(kind, left + x, top + y)
-    found = browser.run(f"(({{ at, scalars }}) => ({{ at, scalars }}))(pcbenchReport.pick({x}, {y}))")
+    click_on(browser, x, y)
+    found = browser.run(f"(({{ at, scalars }}) => ({{ at, scalars }}))(pcbenchReport.page.pick({x}, {y}))")
     step = browser.run("pcbenchReport.scene.layers[0].head.step")
     assert (np.abs(found["at"] - map_.points[row]) <= 0.51 * np.array(step)).all()
     values = {scalar["key"]: scalar["value"] for scalar in found["scalars"]}
@@ -145,30 +121,69 @@ def test_a_click_returns_the_point(browser, path, comparison, query):
     assert browser.problems == []
 
 
-def test_clipping_hides_points(opened, comparison):
-    map_ = comparison["a"].deviation
-    tower = map_.points[np.argmax(map_.scalars["distance"])]
-    x, y = map(round, pixel_of(opened, tower))
-    assert opened.run(f"pcbenchReport.renderer.pixel({x}, {y})") != [20, 22, 27]
-    opened.run(
+@pytest.mark.parametrize("query", ["", "?painter"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_sections_cut_where_they_say(browser, path, comparison, axis, query):
+    """The text beside the sliders names the slab; points inside it are drawn, those outside are not."""
+    browser.open(path, query=query)
+    points = comparison["a"].deviation.points
+    browser.run(
+        f"""(() => {{
+          for (const [end, value] of [["low", "400"], ["high", "550"]]) {{
+            const input = byId(`clip-${{end}}-{axis}`);
+            input.value = value;
+            input.dispatchEvent(new Event("input"));
+          }}
+          Object.assign(pcbenchReport.scene, {{ lighting: false, pointSize: 0.25 }});
+          pcbenchReport.page.key("t");
+          pcbenchReport.page.draw();
+        }})()"""
+    )
+    low, high = map(float, browser.run(f"byId('clip-text-{axis}').textContent").split(" to "))
+    whole = np.ptp(points[:, axis])
+    assert 0.1 * whole < high - low < 0.2 * whole
+    rounding = 0.06  # of the text
+    inside = (points[:, axis] > low + rounding) & (points[:, axis] < high - rounding)
+    outside = (points[:, axis] < low - rounding) | (points[:, axis] > high + rounding)
+    assert inside.sum() > 100 and outside.sum() > 1000
+    drawn = browser.run(
         """(() => {
-          const input = document.getElementById("clip-high-2");
-          input.value = "600";
-          input.dispatchEvent(new Event("input"));
-          pcbenchReport.draw();
+          const { scene, camera, page } = pcbenchReport;
+          let count = 0;
+          scene.eachProjected(page.panes[0].views[0].layer, camera, page.panes[0], 1, () => (count += 1));
+          return count;
         })()"""
     )
-    assert opened.run(f"pcbenchReport.renderer.pixel({x}, {y})") == [20, 22, 27]
-    assert opened.run(f"pcbenchReport.pick({x}, {y})") is None
-    assert shown_colors(opened)
+    assert inside.sum() <= drawn <= len(points) - outside.sum()
+    ground = list(GROUND)
+    rows = np.random.default_rng(0).choice(np.flatnonzero(inside), 20, replace=False)
+    spots = [tuple(map(int, pixel_of(browser, points[row]))) for row in rows]
+    assert all(browser.run(f"pcbenchReport.renderer.pixel({x}, {y})") != ground for x, y in spots)
+    pixels = np.array([pixel_of(browser, point) for point in points[inside]])
+    hidden = [
+        spot
+        for spot in (pixel_of(browser, points[row]) for row in np.flatnonzero(outside)[::40])
+        if np.abs(pixels - spot).max(axis=1).min() > 3
+    ]
+    assert len(hidden) > 10
+    assert all(browser.run(f"pcbenchReport.renderer.pixel({int(x)}, {int(y)})") == ground for x, y in hidden)
+    assert browser.problems == []
+
+
+def test_a_clipped_point_cannot_be_picked(opened, comparison):
+    map_ = comparison["a"].deviation
+    x, y = pixel_of(opened, map_.points[np.argmax(map_.scalars["distance"])])
+    assert opened.run(f"pcbenchReport.page.pick({x}, {y})") is not None
+    opened.run("(byId('clip-high-2').value = '600', byId('clip-high-2').dispatchEvent(new Event('input')))")
+    assert opened.run(f"pcbenchReport.page.pick({x}, {y})") is None
+    opened.run("byId('clip-reset').click()")
+    assert opened.run(f"pcbenchReport.page.pick({x}, {y})") is not None
 
 
 def test_keys_choose_clouds_and_turn_the_view(opened):
     before = opened.run("pcbenchReport.camera.yaw")
-    opened.run(f"{CANVAS}.focus()")
     for key in ("ArrowRight", "2"):
-        opened.call("Input.dispatchKeyEvent", type="keyDown", key=key)
-    opened.run("new Promise((done) => setTimeout(done, 200))")
+        press_key(opened, key)
     assert opened.run("pcbenchReport.camera.yaw") > before
     assert opened.run("pcbenchReport.scene.visible().map((view) => view.of)") == ["a"]
     assert opened.run("document.getElementById('scalar').value") == "distance"
@@ -193,7 +208,7 @@ def test_displacements_are_drawn(browser, comparison, tmp_path):
     browser.open(tmp_path / "page.html")
     plainly(browser, key="")
     assert (255, 80, 240) not in shown_colors(browser)
-    browser.run("(document.getElementById('arrows').click(), pcbenchReport.draw())")
+    browser.run("(document.getElementById('arrows').click(), pcbenchReport.page.draw())")
     assert (255, 80, 240) in shown_colors(browser)
     assert browser.run("document.getElementById('exaggeration-text').textContent").startswith("× ")
     assert browser.problems == []

@@ -2,9 +2,10 @@
 
 `template` fills a template and adds what all pages share, `base.html`.
 
-A comparison's page is `page` and `page.html`: `metrics_table`, `places` and `charts` provide its tables and curves;
-`layers` selects the points of the 3D view, and `packing` encodes them. `viewer/` has the scripts that draw them, in the
-order of `page.SCRIPTS`. A study's page is `article` and `article.html`; `embedding` puts its pictures inside.
+A comparison's page is `page` and `page.html`: `metrics_table`, `places`, `tiles` and `charts` provide its tables, maps
+and curves; `layers` selects the points of the 3D view, and `packing` encodes them. `viewer/` has the scripts that draw
+them, in the order of `page.SCRIPTS`. A study's page is `article` and `article.html`; `embedding` puts its pictures
+inside.
 """
 
 from pcbench.report.html.article import article_page

@@ -15,7 +15,7 @@ from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, sc
 from pcbench.report.inputs import SourcedComparison
 
 MAX_POINTS = 500_000  # of a cloud
-MAX_BYTES = 2_850_000  # of all clouds before base64, which adds a third
+MAX_BYTES = 2_800_000  # of all clouds before base64, which adds a third
 _POINT_BYTES, _SCALAR_BYTES = 4.0, 0.95  # of a typical point after compression: noisy surfaces compress least
 _MAX_FAR_SHARE = 0.5  # of a cloud's budget for points beyond the legend's limit
 _CORE_RANKS = 0.1, 99.9  # percentiles of the coordinates; points far outside would make the grid coarse

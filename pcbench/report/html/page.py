@@ -18,12 +18,13 @@ from pcbench.report.html.layers import Layer, layers
 from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, main_rows
 from pcbench.report.html.places import Place, worst_places
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
+from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import bend_sentence, details, remarks, warnings
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import UNKNOWN, join_words, length, printable, title
 
-SCRIPTS = ("decode", "camera", "webgl", "painter", "scene", "controls", "main")
+SCRIPTS = ("decode", "camera", "lines", "panes", "webgl", "painter", "scene", "controls", "main")
 _SCALAR_LABELS = {
     "distance": "to the closest point",
     "plane_distance": "to the surface, signed",
@@ -45,7 +46,8 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         color_range: the end of the colour ranges, if the user sets it.
     """
     clouds, places = layers(comparison, color_range), worst_places(comparison)
-    view = _view(comparison, clouds, places)
+    tiles = tile_maps(comparison, color_range)
+    view = _view(comparison, clouds, places, tiles)
     main = main_rows(comparison)
     opening = Opening(
         "Point cloud comparison",
@@ -75,7 +77,9 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         deformations=_deformations(comparison),
         places=places,
         data=script_json(view),
+        tiles=tiles,
         has_arrows=bool(view["arrows"]),
+        has_cameras=bool(view.get("cameras")),
         scalar_labels=_scalar_labels(clouds),
     )
 
@@ -113,7 +117,9 @@ def _scalar_labels(clouds: list[Layer]) -> list[tuple[str, str]]:
     return [(key, _SCALAR_LABELS.get(key, key.replace("_", " "))) for key in keys]
 
 
-def _view(comparison: SourcedComparison, clouds: list[Layer], places: list[Place]) -> dict[str, Any]:
+def _view(
+    comparison: SourcedComparison, clouds: list[Layer], places: list[Place], tiles: TileMaps | None
+) -> dict[str, Any]:
     """Return what the 3D view reads besides the points."""
     return {
         "unit": comparison.reference.unit or "",
@@ -122,6 +128,7 @@ def _view(comparison: SourcedComparison, clouds: list[Layer], places: list[Place
         "diverging": DIVERGING.tolist(),
         "series": SERIES,
         "places": [vars(place) for place in places],
+        "tiles": None if tiles is None else tiles.data(),
         "arrows": [arrows for c in comparison if (arrows := _arrows(c)) is not None],
         **_cameras(comparison.cameras),
     }

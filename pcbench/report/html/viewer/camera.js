@@ -1,25 +1,45 @@
-// A camera that orbits a target, with z up. Coordinates are relative to the centre of the scene.
+// A camera that orbits a target. Coordinates are relative to the centre of the scene.
 
 const FIELD_OF_VIEW = Math.PI / 4;
 
+const HOME = { yaw: -0.6, pitch: 0.75 };
+const LEAST_HEADING = 0.2; // horizontal share of a viewing direction that tells from which side it looks
+
 class Camera {
-  constructor() {
+  // `up` is a unit vector; the camera turns about it.
+  constructor(up = [0, 0, 1]) {
+    this.basis = basisOf(up);
     this.target = [0, 0, 0];
     this.distance = 1;
-    this.yaw = -0.6; // about z; 0 looks north
-    this.pitch = 0.75; // above the horizon
+    this.home = HOME;
+    this.yaw = HOME.yaw; // about the up axis; 0 looks along the second axis of the basis: north if z is up
+    this.pitch = HOME.pitch; // above the horizon
     this.sceneRadius = 1;
+    this.reach = 3; // distance of the farthest thing to draw from the centre
+  }
+
+  // Begin on the side from which viewing directions (x, y, z, x, y, z, ...) look; all around tells only above or below.
+  startAlong(directions) {
+    const mean = [0, 1, 2].map((axis) => average(directions.filter((_, k) => k % 3 === axis)));
+    const [east, north, above] = this.basis.map((axis) => dot(axis, mean));
+    const level = Math.hypot(east, north);
+    const steepest = above > 0 ? -HOME.pitch : HOME.pitch;
+    this.home =
+      level < LEAST_HEADING
+        ? { yaw: HOME.yaw, pitch: steepest }
+        : { yaw: Math.atan2(east, north), pitch: clamp(Math.atan2(-above, level), -HOME.pitch, HOME.pitch) };
+    Object.assign(this, this.home);
   }
 
   // Move so that a box just fills the view.
-  fit(low, high, aspect) {
+  fit({ low, high }, aspect) {
     const corners = Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]));
     const slope = Math.tan(FIELD_OF_VIEW / 2);
     this.target = low.map((l, k) => (l + high[k]) / 2);
     const rounds = 8;
     for (let round = 0; round <= rounds; round++) {
       const { right, up, ahead } = this.axes();
-      const along = (axis) => corners.map((at) => at.reduce((sum, x, k) => sum + (x - this.target[k]) * axis[k], 0));
+      const along = (axis) => corners.map((at) => dot(at, axis) - dot(this.target, axis));
       const [across, above, depth] = [right, up, ahead].map(along);
       const needed = corners.map((_, k) => Math.max(Math.abs(across[k]) / aspect, Math.abs(above[k])) / slope - depth[k]);
       this.distance = 1.04 * Math.max(...needed);
@@ -35,7 +55,12 @@ class Camera {
   // Unit vectors to the right, up, and towards the scene.
   axes() {
     const [sy, cy, sp, cp] = [Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
-    return { right: [cy, -sy, 0], up: [sp * sy, sp * cy, cp], ahead: [cp * sy, cp * cy, -sp] };
+    const world = (at) => [0, 1, 2].map((k) => at.reduce((sum, x, axis) => sum + x * this.basis[axis][k], 0));
+    return {
+      right: world([cy, -sy, 0]),
+      up: world([sp * sy, sp * cy, cp]),
+      ahead: world([cp * sy, cp * cy, -sp]),
+    };
   }
 
   position() {
@@ -45,7 +70,7 @@ class Camera {
 
   orbit(dx, dy) {
     this.yaw += dx;
-    this.pitch = Math.min(Math.PI / 2, Math.max(-Math.PI / 2, this.pitch + dy));
+    this.pitch = clamp(this.pitch + dy, -Math.PI / 2, Math.PI / 2);
   }
 
   // Move the target by a share of the view's height.
@@ -56,14 +81,14 @@ class Camera {
   }
 
   zoom(factor) {
-    this.distance = Math.min(50 * this.sceneRadius, Math.max(1e-5 * this.sceneRadius, this.distance * factor));
+    this.distance = clamp(this.distance * factor, 1e-5 * this.sceneRadius, 50 * this.sceneRadius);
   }
 
   // Distances of the clipping planes, which enclose the scene.
   depths() {
     const away = Math.hypot(...this.position());
-    const far = away + 3 * this.sceneRadius;
-    return { near: Math.max(0.02 * this.distance, far * 1e-4, away - 3 * this.sceneRadius), far };
+    const far = away + this.reach;
+    return { near: Math.max(0.02 * this.distance, far * 1e-4, away - this.reach), far };
   }
 
   // Rows of the view-projection matrix: 12 numbers for x, y and w of a point in clip coordinates.
@@ -71,7 +96,7 @@ class Camera {
     const { right, up, ahead } = this.axes();
     const eye = this.position();
     const focal = 1 / Math.tan(FIELD_OF_VIEW / 2);
-    const row = (axis, scale) => [...axis.map((a) => a * scale), -scale * axis.reduce((s, a, k) => s + a * eye[k], 0)];
+    const row = (axis, scale) => [...axis.map((a) => a * scale), -scale * dot(axis, eye)];
     return { x: row(right, focal / aspect), y: row(up, focal), w: row(ahead, 1) };
   }
 
@@ -88,9 +113,38 @@ class Camera {
   // Return [x, y] in pixels and the depth of a position, or null behind the camera.
   project(at, width, height) {
     const { x, y, w } = this.rows(width / height);
-    const dot = (row) => row[0] * at[0] + row[1] * at[1] + row[2] * at[2] + row[3];
-    const depth = dot(w);
+    const along = (row) => dot(row, at) + row[3];
+    const depth = along(w);
     if (depth <= 0) return null;
-    return [(0.5 + (0.5 * dot(x)) / depth) * width, (0.5 - (0.5 * dot(y)) / depth) * height, depth];
+    return [(0.5 + (0.5 * along(x)) / depth) * width, (0.5 - (0.5 * along(y)) / depth) * height, depth];
   }
+}
+
+// Return three orthonormal axes of which the last is `up`: the coordinate axes, turned by the least angle.
+function basisOf(up) {
+  const [a, b, c] = up;
+  if (c < -1 + 1e-9) return [[1, 0, 0], [0, -1, 0], up];
+  const d = 1 / (1 + c);
+  return [[1 - a * a * d, -a * b * d, -a], [-a * b * d, 1 - b * b * d, -b], up];
+}
+
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+function cross(a, b) {
+  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+}
+
+function normalized(a) {
+  const length = Math.hypot(...a);
+  return length > 0 ? a.map((x) => x / length) : a;
+}
+
+function average(values) {
+  return values.reduce((sum, x) => sum + x, 0) / (values.length || 1);
+}
+
+function clamp(value, low, high) {
+  return Math.min(high, Math.max(low, value));
 }

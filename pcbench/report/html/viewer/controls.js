@@ -3,8 +3,12 @@
 const CLICK_PIXELS = 4;
 const KEY_STEP = 0.08;
 
-// Call onChange after the camera moved, and onPick(x, y) in CSS pixels of the canvas for a click.
-function control(canvas, camera, keys, onChange, onPick) {
+// Connect a canvas with a camera.
+//   paneHeight(): height in CSS pixels of what the camera sees
+//   onKey(key): act on a key and return whether it has a meaning
+//   onChange(): called after the camera moved
+//   onPick(x, y): called for a click, in CSS pixels of the canvas
+function control(canvas, camera, { paneHeight, onKey, onChange, onPick }) {
   const pointers = new Map();
   let travelled = 0;
 
@@ -19,7 +23,7 @@ function control(canvas, camera, keys, onChange, onPick) {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const now = [event.clientX, event.clientY];
-    const [dx, dy] = [(now[0] - before[0]) / canvas.clientHeight, (now[1] - before[1]) / canvas.clientHeight];
+    const [dx, dy] = [0, 1].map((k) => (now[k] - before[k]) / paneHeight());
     travelled += Math.hypot(now[0] - before[0], now[1] - before[1]);
     if (pointers.size === 2) {
       const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
@@ -70,7 +74,7 @@ function control(canvas, camera, keys, onChange, onPick) {
     else if (event.key === "+" || event.key === "=") camera.zoom(0.85);
     else if (event.key === "-") camera.zoom(1 / 0.85);
     else if (event.key === "Escape") canvas.blur();
-    else if (!keys(event.key)) return;
+    else if (!onKey(event.key)) return;
     event.preventDefault();
     onChange();
   });

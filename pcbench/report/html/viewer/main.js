@@ -2,48 +2,89 @@
 
 const byId = (id) => document.getElementById(id);
 
-function start() {
+const PREVIEW_POINTS = 60_000;
+
+async function start() {
   const data = JSON.parse(byId("view-data").textContent);
-  if (!data.layers.length) return;
-  const payloads = data.layers.map((_, k) => byId(`layer-${k}`).textContent.trim());
-  const scene = new Scene(data, payloads);
-  const camera = new Camera();
+  const scene = new Scene(data, data.layers.map((_, k) => byId(`layer-${k}`).textContent.trim()));
+  const camera = new Camera(scene.up);
   camera.sceneRadius = scene.radius;
-  let canvas = byId("canvas");
-  let renderer;
+  camera.reach = Math.max(3 * scene.radius, ...scene.cameraCenters().map((at) => 1.1 * Math.hypot(...at)));
+  if (data.cameras) camera.startAlong(data.cameras.directions);
+  const report = { scene, camera, renderer: null, page: null, firstPictureMs: null, allPointsMs: null };
+  window.pcbenchReport = report;
+  report.ready = open(report);
+}
+
+// Show the first picture: at once some of its points, because a browser may take a second to start WebGL, then all.
+async function open(report) {
+  const { scene, camera } = report;
+  scene.showOnly(scene.first());
+  await scene.load();
+  const canvas = byId("canvas");
+  camera.fit(scene.framed(), canvas.clientWidth / canvas.clientHeight);
+  const preview = paintPreview(scene, camera, canvas);
+  await nextFrame();
+  report.firstPictureMs = performance.now(); // since the page began to load
+  report.page = new ViewPage(report, rendererFor(report, canvas));
+  await report.page.refresh();
+  preview.remove(); // the browser shows both changes at once
+  await report.renderer.finished();
+  report.allPointsMs = performance.now();
+}
+
+// Paint some points over the canvas, at half its resolution, and return the element.
+function paintPreview(scene, camera, canvas) {
+  const preview = document.createElement("canvas");
+  preview.className = "preview";
+  [preview.width, preview.height] = [canvas.clientWidth, canvas.clientHeight].map((x) => Math.max(1, x >> 1));
+  const stride = Math.ceil(scene.visible()[0].layer.head.shown / PREVIEW_POINTS);
+  new Painter(preview).draw(scene, camera, panesOf(scene, preview.width, preview.height), stride);
+  canvas.after(preview);
+  return preview;
+}
+
+// Set the renderer of a report, and return its canvas.
+function rendererFor(report, canvas) {
   try {
     if (new URLSearchParams(location.search).has("painter")) throw new Error("asked for");
-    renderer = new WebglRenderer(canvas);
+    report.renderer = new WebglRenderer(canvas);
+    return canvas;
   } catch {
     const fresh = canvas.cloneNode(); // a canvas keeps its first kind of context
     canvas.replaceWith(fresh);
-    canvas = fresh;
-    renderer = new Painter(canvas);
+    report.renderer = new Painter(fresh);
     byId("renderer-note").hidden = false;
     byId("lighting").disabled = true;
+    return fresh;
   }
-  const report = { scene, camera, renderer, firstPictureMs: null };
-  window.pcbenchReport = report;
-  const page = new ViewPage(report, canvas);
-  report.draw = () => page.draw();
-  report.pick = (x, y) => page.pick(x, y);
-  report.ready = page.show(scene.first());
+}
+
+// Wait until the browser has painted; pages in the background are never painted.
+function nextFrame() {
+  return new Promise((done) => {
+    requestAnimationFrame(() => setTimeout(done));
+    setTimeout(done, 200);
+  });
 }
 
 class ViewPage {
   constructor(report, canvas) {
     Object.assign(this, { report, canvas, scene: report.scene, camera: report.camera, marked: null, waiting: false });
-    this.scene.views.forEach((view, k) => {
-      if (view.name) view.color = rgb(this.scene.data.series[k % this.scene.data.series.length]);
-    });
+    this.overlay = new Overlay(byId("panes"));
+    this.widening = 1; // of the camera's distance, because panes side by side are narrower than the canvas
     this.connectViews();
     this.connectLegend();
     this.connectClip();
     this.connectPlaces();
     this.connectOptions();
-    control(canvas, this.camera, (key) => this.key(key), () => this.later(), (x, y) => this.pick(x, y));
-    this.fit();
-    new ResizeObserver(() => this.later()).observe(canvas);
+    control(canvas, this.camera, {
+      paneHeight: () => this.panes[0].height / this.scene.pixelRatio,
+      onKey: (key) => this.key(key),
+      onChange: () => this.later(),
+      onPick: (x, y) => this.pick(x, y),
+    });
+    new ResizeObserver(() => this.fits() || this.later()).observe(canvas);
     window.addEventListener("beforeprint", () => this.draw());
     // A browser takes the GPU away from pages in the background, and gives it back without their data.
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
@@ -64,21 +105,47 @@ class ViewPage {
   }
 
   draw() {
-    const ratio = Math.min(2, window.devicePixelRatio || 1);
-    const { canvas, scene } = this;
-    const size = [Math.max(1, Math.round(canvas.clientWidth * ratio)), Math.max(1, Math.round(canvas.clientHeight * ratio))];
-    if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
-    scene.pixelRatio = ratio;
-    this.report.renderer.draw(scene, this.camera);
-    this.placeMarker();
-    if (this.report.firstPictureMs === null && scene.visible().length) {
-      this.report.renderer.pixel(0, 0); // waits for the picture
-      this.report.firstPictureMs = performance.now(); // since the page began to load
-    }
+    this.layOut();
+    this.report.renderer.draw(this.scene, this.camera, this.panes);
+    this.showMarked();
+  }
+
+  // Return the width and height of the canvas on the page, in device pixels.
+  sizeOnPage() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return [clientWidth, clientHeight].map((x) => Math.max(1, Math.round(x * this.scene.pixelRatio)));
+  }
+
+  fits() {
+    const [width, height] = this.sizeOnPage();
+    return this.canvas.width === width && this.canvas.height === height;
+  }
+
+  // Adapt the canvas to its size on the page, and divide it into panes.
+  layOut() {
+    const { canvas, scene, camera } = this;
+    scene.pixelRatio = Math.min(2, window.devicePixelRatio || 1);
+    if (!this.fits()) [canvas.width, canvas.height] = this.sizeOnPage();
+    this.panes = panesOf(scene, canvas.width, canvas.height);
+    // Narrower panes show the same width of the scene as one pane would.
+    const widening = Math.max(1, canvas.width / canvas.height / aspectOf(this.panes[0]));
+    camera.zoom(widening / this.widening);
+    this.widening = widening;
   }
 
   async show(view) {
     this.scene.showOnly(view);
+    if (this.scene.sideBySide) this.scene.beside(view).on = true;
+    await this.refresh();
+  }
+
+  // Show each checked cloud in its own pane; one cloud alone gets the reference beside it.
+  async setSideBySide(on) {
+    const { scene } = this;
+    scene.sideBySide = on;
+    byId("view").classList.toggle("split", on);
+    const [first, ...others] = scene.views.filter((view) => view.on);
+    if (on && first && !others.length) scene.beside(first).on = true;
     await this.refresh();
   }
 
@@ -87,6 +154,9 @@ class ViewPage {
     await this.scene.load();
     this.scene.views.forEach((view, k) => (byId(`view-${k}`).checked = view.on));
     byId("scalar").value = this.scene.key;
+    const count = this.scene.visible().length;
+    byId("side-by-side").checked = this.scene.sideBySide;
+    byId("pane-note").textContent = this.scene.sideBySide && count > MAX_PANES ? `${MAX_PANES} of ${count} clouds` : "";
     this.showLegend();
     this.draw();
   }
@@ -99,6 +169,7 @@ class ViewPage {
       });
       byId(`only-${k}`).addEventListener("click", () => this.show(view));
     });
+    byId("side-by-side").addEventListener("change", (event) => this.setSideBySide(event.target.checked));
   }
 
   connectLegend() {
@@ -167,8 +238,20 @@ class ViewPage {
   }
 
   connectPlaces() {
-    this.scene.data.places.forEach((place, k) => {
-      byId(`place-${k}`).addEventListener("click", () => this.flyTo(place));
+    const { places, tiles } = this.scene.data;
+    places.forEach((place, k) => byId(`place-${k}`).addEventListener("click", () => this.flyTo(place)));
+    tiles?.of.forEach((candidate, k) => {
+      const [button, square] = [byId(`tile-${k}`), byId(`tile-map-${k}`)];
+      const place = {
+        candidate: tiles.names[candidate],
+        what: `tile ${k + 1}`,
+        size: square.querySelector("title").textContent,
+        at: tiles.at.slice(3 * k, 3 * k + 3),
+        layer: tiles.names[candidate],
+        of: "",
+        radius: 0.75 * tiles.size,
+      };
+      for (const element of [button, square]) element.addEventListener("click", () => this.flyTo(place, place));
     });
   }
 
@@ -184,6 +267,11 @@ class ViewPage {
     });
     byId("reset-view").addEventListener("click", () => this.resetView());
     byId("top-view").addEventListener("click", () => this.key("t") && this.later());
+    byId("cameras")?.addEventListener("change", (event) => {
+      scene.showsCameras = event.target.checked;
+      this.fit();
+      this.later();
+    });
     const arrows = byId("arrows");
     if (!arrows) return;
     const useful = scene.usefulExaggeration();
@@ -200,13 +288,15 @@ class ViewPage {
   }
 
   resetView() {
-    Object.assign(this.camera, { yaw: -0.6, pitch: 0.75 });
+    Object.assign(this.camera, this.camera.home);
+    this.scene.tile = null;
     this.fit();
     this.later();
   }
 
   fit() {
-    this.camera.fit(this.scene.core.low, this.scene.core.high, this.canvas.clientWidth / this.canvas.clientHeight);
+    this.layOut();
+    this.camera.fit(this.scene.framed(), aspectOf(this.panes[0]));
   }
 
   // Act on a key of the view and return whether it has a meaning.
@@ -219,18 +309,21 @@ class ViewPage {
     }
     else if (key === "r") this.resetView();
     else if (key === "l") byId("lighting").click();
+    else if (key === "b") byId("side-by-side").click();
     else if (/^[1-9]$/.test(key) && scene.views[key - 1]) this.show(scene.views[key - 1]);
     else return false;
     return true;
   }
 
-  async flyTo(place) {
+  // Fly to a place and mark it; a tile is also outlined.
+  async flyTo(place, tile = null) {
+    this.scene.tile = tile;
     const view = this.scene.views.find((view) => view.name === place.layer && view.of === place.of);
     if (view && !view.on) await this.show(view);
     this.mark(place.at, `${place.candidate}, ${place.what}: ${place.size}`);
     byId("view").scrollIntoView({ block: "nearest" });
     const from = { target: this.camera.target, distance: this.camera.distance };
-    const to = { target: this.scene.local(place.at), distance: 4 * place.radius };
+    const to = { target: this.scene.local(place.at), distance: 4 * place.radius * this.widening };
     const duration = matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : 500;
     const begun = performance.now();
     const step = () => {
@@ -246,8 +339,9 @@ class ViewPage {
 
   // Mark the point under a pixel, and return it.
   pick(x, y) {
-    const ratio = this.scene.pixelRatio;
-    const found = this.scene.pick(x * ratio, y * ratio, this.camera, this.canvas.width, this.canvas.height);
+    const [px, py] = [x * this.scene.pixelRatio, y * this.scene.pixelRatio];
+    const pane = this.panes.find((pane) => px >= pane.x && py >= pane.y && px < pane.x + pane.width && py < pane.y + pane.height);
+    const found = pane && this.scene.pick(px - pane.x, py - pane.y, this.camera, pane);
     if (!found) {
       this.mark(null, "No point here.");
       return null;
@@ -260,8 +354,7 @@ class ViewPage {
       const text = value === undefined ? "unknown" : `${Number(value.toPrecision(3))}${unit ? ` ${unit}` : ""}`;
       return `${key.replaceAll("_", " ")} ${text}`;
     });
-    const whose = found.view.name || `reference, to ${found.view.of}`;
-    this.mark(found.at, `${whose} at (${position}): ${values.join(", ")}`);
+    this.mark(found.at, `${labelOf(found.view)} at (${position}): ${values.join(", ")}`);
     return found;
   }
 
@@ -269,17 +362,17 @@ class ViewPage {
     this.marked = at;
     byId("picked").textContent = text;
     byId("picked").classList.toggle("found", Boolean(at));
-    this.placeMarker();
+    this.showMarked();
   }
 
-  placeMarker() {
-    const marker = byId("marker");
-    const { canvas, marked } = this;
-    const spot = marked && this.camera.project(this.scene.local(marked), canvas.clientWidth, canvas.clientHeight);
-    const inside = spot && spot[0] >= 0 && spot[1] >= 0 && spot[0] <= canvas.clientWidth && spot[1] <= canvas.clientHeight;
-    marker.hidden = !inside;
-    if (inside) marker.style.transform = `translate(${spot[0]}px, ${spot[1]}px)`;
+  showMarked() {
+    const { scene, camera, panes, marked, canvas } = this;
+    this.overlay.show(scene, camera, panes, marked && scene.local(marked), canvas);
   }
+}
+
+function aspectOf({ width, height }) {
+  return width / height;
 }
 
 function short(value) {
@@ -288,10 +381,6 @@ function short(value) {
 
 function rounded(value) {
   return value.toFixed(Math.abs(value) < 10 ? 2 : 1);
-}
-
-function rgb(hex) {
-  return [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16));
 }
 
 start();

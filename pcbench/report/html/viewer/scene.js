@@ -1,6 +1,5 @@
-// What is shown: layers, their colours, the clipping box and arrows. Positions are relative to the scene's centre.
+// What is shown: layers, their colours and the clipping box. Positions are relative to the scene's centre.
 
-const ARROW_COLOR = [255, 80, 240]; // in no colour map
 const UNKNOWN_COLOR = [96, 100, 108];
 const PLAIN_COLOR = [150, 154, 160]; // of the reference
 const PICK_PIXELS = 8;
@@ -11,13 +10,20 @@ class Scene {
     this.payloads = payloads;
     this.layers = data.layers.map((head) => ({ head, codes: null, scalars: [] }));
     this.views = this.layers.flatMap((layer) => viewsOf(layer));
+    this.views.forEach((view, k) => {
+      if (view.name) view.color = rgb(data.series[k % data.series.length]);
+    });
+    this.up = normalized(data.up || [0, 0, 1]);
     const keys = data.layers.flatMap((head) => head.scalars.map((scalar) => scalar.key));
     this.key = keys.includes("plane_distance") ? "plane_distance" : keys[0]; // it depends less on density
     this.limits = new Map(); // ends of legends that the reader has set, by scalar
     this.lighting = true;
     this.pointSize = 1;
     this.pixelRatio = 1;
-    this.exaggeration = 0; // of arrows; 0 hides them
+    this.sideBySide = false;
+    this.exaggeration = 0; // of displacements; 0 hides them
+    this.showsCameras = false;
+    this.tile = null; // the outlined one
     this.frame();
     this.clip = { low: [...this.box.low], high: [...this.box.high] };
   }
@@ -48,6 +54,20 @@ class Scene {
     return candidates.find((view) => view.layer.head.total === most) || this.views[0];
   }
 
+  // Return the box {low, high} to fit into the view: the core of the points, with the cameras if they are shown.
+  framed() {
+    if (!this.showsCameras) return this.core;
+    const centers = this.cameraCenters();
+    const end = (pick, ends) => ends.map((x, axis) => pick(x, ...centers.map((at) => at[axis])));
+    return { low: end(Math.min, this.core.low), high: end(Math.max, this.core.high) };
+  }
+
+  // Return the positions of the cameras, relative to the scene's centre.
+  cameraCenters() {
+    const { centers } = this.data.cameras || { centers: [] };
+    return Array.from({ length: centers.length / 3 }, (_, k) => this.local(centers.slice(3 * k, 3 * k + 3)));
+  }
+
   visible() {
     return this.views.filter((view) => view.on && view.layer.codes);
   }
@@ -58,6 +78,12 @@ class Scene {
       if (layer.codes || !this.views.some((view) => view.on && view.layer === layer)) continue;
       Object.assign(layer, await decode(layer.head, this.payloads[k]));
     }
+  }
+
+  // Return the view to show beside another one: the reference, by its distance to that candidate, if there is a choice.
+  beside(view) {
+    const others = this.views.filter((other) => other !== view && !other.name === Boolean(view.name));
+    return others.find((other) => other.of === view.name || other.name === view.of) || others[0] || view;
   }
 
   // Show one view, with a scalar that it has.
@@ -115,13 +141,14 @@ class Scene {
     return colors;
   }
 
-  // Call visit(k, x, y, depth) for each point inside the clipping box and in front of the camera, in pixels.
-  eachProjected(layer, camera, width, height, visit) {
+  // Call visit(k, x, y, depth) for each `stride`-th point inside the clipping box and the pane, in its pixels.
+  eachProjected(layer, camera, { width, height }, stride, visit) {
     const { codes, offset, head } = layer;
     const { x: rx, y: ry, w: rw } = camera.rows(width / height);
     const { low, high } = this.clip;
     const { near } = camera.depths();
-    for (let k = 0, c = 0; k < head.shown; k++, c += 4) {
+    for (let k = 0; k < head.shown; k += stride) {
+      const c = 4 * k;
       const x = offset[0] + head.step[0] * codes[c];
       const y = offset[1] + head.step[1] * codes[c + 1];
       const z = offset[2] + head.step[2] * codes[c + 2];
@@ -134,12 +161,12 @@ class Scene {
     }
   }
 
-  // Return the foremost point near a pixel: {view, at, scalars}, with `at` in real coordinates, or null.
-  pick(px, py, camera, width, height) {
+  // Return the foremost point near a pixel of a pane: {view, at, scalars}, with `at` in real coordinates, or null.
+  pick(px, py, camera, pane) {
     let best = null;
     const reach = PICK_PIXELS * this.pixelRatio;
-    for (const view of this.visible()) {
-      this.eachProjected(view.layer, camera, width, height, (k, x, y, depth) => {
+    for (const view of pane.views) {
+      this.eachProjected(view.layer, camera, pane, 1, (k, x, y, depth) => {
         const off = Math.hypot(x - px, y - py);
         if (off > reach) return;
         const cost = depth * (1 + (0.02 * off) / reach) + 1e-3 * camera.distance * (off / reach); // near, then central
@@ -162,23 +189,6 @@ class Scene {
     return at.map((x, k) => x - this.center[k]);
   }
 
-  // Return line segments (6 numbers each): the displacements of visible candidates, exaggerated, with small heads.
-  arrowLines() {
-    const lines = [];
-    for (const { name, values } of this.exaggeration ? this.data.arrows : []) {
-      if (!this.views.some((view) => view.on && view.name === name)) continue;
-      for (let k = 0; k < values.length; k += 6) {
-        const from = this.local(values.slice(k, k + 3));
-        const by = values.slice(k + 3, k + 6).map((d) => d * this.exaggeration);
-        const to = from.map((x, axis) => x + by[axis]);
-        const side = Math.hypot(by[0], by[1]) > Math.abs(by[2]) ? [-by[1], by[0], 0] : [by[2], 0, -by[0]];
-        lines.push(...from, ...to);
-        for (const sign of [-0.12, 0.12]) lines.push(...to, ...to.map((x, a) => x - 0.25 * by[a] + sign * side[a]));
-      }
-    }
-    return new Float32Array(lines);
-  }
-
   // Return an exaggeration at which long arrows span a twentieth of the scene: 1, 2 or 5 times a power of ten.
   usefulExaggeration() {
     const lengths = this.data.arrows.flatMap(({ values }) => {
@@ -193,6 +203,15 @@ class Scene {
     const power = 10 ** Math.floor(Math.log10(wanted));
     return power * [5, 2, 1].find((factor) => factor * power <= wanted);
   }
+}
+
+function rgb(hex) {
+  return [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16));
+}
+
+// Return the name of a view in words.
+function labelOf({ name, of }, isColored = true) {
+  return name || (isColored ? `reference, distance to ${of}` : "reference");
 }
 
 // Return the views of a layer: a candidate has one, the reference one for each candidate.

@@ -88,19 +88,24 @@ class WebglRenderer {
     this.buffers = new Map(); // of each layer
   }
 
-  draw(scene, camera) {
+  // Draw panes {views, x, y, width, height}, in pixels from the upper left corner, all with the same camera.
+  draw(scene, camera, panes) {
     const gl = this.gl;
     const { width, height } = this.canvas;
     this.resize(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(...GROUND.map((c) => c / 255), 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
-    const matrix = camera.matrix(width / height);
-    for (const view of scene.visible()) this.drawPoints(scene, view, matrix, height);
+    for (const pane of panes) {
+      this.aim(pane);
+      for (const view of pane.views) this.drawPoints(scene, view, camera.matrix(pane.width / pane.height), pane.height);
+    }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.disable(gl.DEPTH_TEST);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.viewport(0, 0, width, height);
     const { near, far } = camera.depths();
     gl.useProgram(this.screen.program);
     gl.activeTexture(gl.TEXTURE0);
@@ -114,7 +119,18 @@ class WebglRenderer {
     gl.uniform1f(this.screen.reach, Math.max(1, 1.4 * scene.pixelRatio));
     gl.bindVertexArray(null);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    this.drawLines(scene, matrix);
+    for (const pane of panes) {
+      this.aim(pane);
+      for (const lines of linesOf(scene, pane.views)) this.drawLines(lines, camera, pane);
+    }
+  }
+
+  // Draw only inside a pane.
+  aim({ x, y, width, height }) {
+    const box = [x, this.canvas.height - y - height, width, height];
+    this.gl.viewport(...box);
+    this.gl.scissor(...box);
+    this.gl.enable(this.gl.SCISSOR_TEST);
   }
 
   drawPoints(scene, view, matrix, height) {
@@ -148,22 +164,20 @@ class WebglRenderer {
     gl.drawArrays(gl.POINTS, 0, layer.head.shown);
   }
 
-  drawLines(scene, matrix) {
+  drawLines({ color, width: lineWidth, ends }, camera, { width, height }) {
     const gl = this.gl;
-    const lines = scene.arrowLines();
-    if (!lines.length) return;
     gl.useProgram(this.lines.program);
     gl.bindVertexArray(null);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.lineBuffer);
-    gl.bufferData(gl.ARRAY_BUFFER, lines, gl.DYNAMIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, ends, gl.DYNAMIC_DRAW);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
-    gl.uniformMatrix4fv(this.lines.matrix, false, matrix);
-    gl.uniform3fv(this.lines.color, ARROW_COLOR.map((c) => c / 255));
-    // Lines are one pixel wide, so they are drawn next to each other.
-    for (const [across, down] of [[0, 0], [1, 0], [0, 1]]) {
-      gl.uniform2f(this.lines.shift, (2 * across) / this.canvas.width, (2 * down) / this.canvas.height);
-      gl.drawArrays(gl.LINES, 0, lines.length / 3);
+    gl.uniformMatrix4fv(this.lines.matrix, false, camera.matrix(width / height));
+    gl.uniform3fv(this.lines.color, color.map((c) => c / 255));
+    // Lines are one pixel wide; wider ones are drawn next to each other.
+    for (const [across, down] of lineWidth > 1 ? [[0, 0], [1, 0], [0, 1]] : [[0, 0]]) {
+      gl.uniform2f(this.lines.shift, (2 * across) / width, (2 * down) / height);
+      gl.drawArrays(gl.LINES, 0, ends.length / 3);
     }
     gl.disableVertexAttribArray(0);
   }
@@ -198,6 +212,17 @@ class WebglRenderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.colors, 0);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depths, 0);
+  }
+
+  // Wait until the picture is complete, without blocking the page.
+  async finished() {
+    const gl = this.gl;
+    const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    while (!gl.isContextLost() && gl.getSyncParameter(sync, gl.SYNC_STATUS) !== gl.SIGNALED) {
+      await new Promise((done) => setTimeout(done, 4));
+    }
+    gl.deleteSync(sync);
   }
 
   // Return the colour [r, g, b] of a pixel, counted from the upper left corner.
