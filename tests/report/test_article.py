@@ -22,6 +22,7 @@ from pcbench.report.article import (
     TableCell,
     markdown,
 )
+from pcbench.report.colors import SEQUENTIAL
 from pcbench.report.html import Origin, article_page, write_page
 from pcbench.report.html.embedding import embed
 
@@ -149,6 +150,18 @@ def test_large_pictures_are_reduced_and_the_caption_names_the_file(tmp_path):
     with image.open(io.BytesIO(reduced)) as opened:
         assert opened.format == "PNG" and opened.width <= 900
         assert opened.width / opened.height == pytest.approx(9 / 7, rel=0.01)
+
+
+def test_a_reduced_picture_keeps_the_colors_of_its_color_bar(tmp_path):
+    image = import_or_skip("PIL.Image")
+    pixels = np.random.default_rng(0).integers(0, 60, (400, 600, 3)).astype(np.uint8)
+    pixels[:200, :8] = SEQUENTIAL[np.arange(200) * len(SEQUENTIAL) // 200][:, None]
+    image.fromarray(pixels).save(tmp_path / "f.png")
+    found = embed(tmp_path, ["f.png"], (tmp_path / "f.png").stat().st_size // 2)["f.png"]
+    with image.open(io.BytesIO(base64.b64decode(found.data.partition(",")[2]))) as opened:
+        assert opened.size == (600, 400)
+        shown = np.asarray(opened.convert("RGB")).astype(int)
+    assert np.abs(shown[:200, :8] - pixels[:200, :8]).max() < 25
 
 
 @pytest.mark.parametrize("is_installed", [True, False])

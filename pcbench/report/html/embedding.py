@@ -72,7 +72,9 @@ def _reduced(content: bytes, limit: int) -> bytes | None:
     while width >= min(_MIN_WIDTH, whole.width):
         size = (round(width), max(1, round(whole.height * width / whole.width)))
         made = io.BytesIO()
-        whole.resize(size, Image.Resampling.LANCZOS).quantize(_COLORS).save(made, "PNG", optimize=True)
+        # An octree is fast, and keeps rare colours, such as those of a colour bar.
+        few = whole.resize(size, Image.Resampling.LANCZOS).quantize(_COLORS, Image.Quantize.FASTOCTREE)
+        few.save(made, "PNG", optimize=True)
         if made.tell() <= limit:
             return made.getvalue()
         width *= _SHRINKING

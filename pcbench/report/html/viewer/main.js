@@ -2,7 +2,7 @@
 
 const byId = (id) => document.getElementById(id);
 
-const PREVIEW_POINTS = 60_000;
+const PREVIEW_POINTS = 30_000;
 
 async function start() {
   const data = JSON.parse(byId("view-data").textContent);

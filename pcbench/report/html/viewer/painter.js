@@ -36,7 +36,9 @@ class Painter {
       for (let row = Math.max(0, top); row < Math.min(pane.height, top + side); row++) {
         for (let column = Math.max(0, left); column < Math.min(pane.width, left + side); column++) {
           const at = (pane.y + row) * across + pane.x + column;
-          if (depth < depths[at]) [depths[at], pixels[at]] = [depth, color];
+          if (depth >= depths[at]) continue;
+          depths[at] = depth;
+          pixels[at] = color;
         }
       }
     });
