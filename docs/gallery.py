@@ -19,6 +19,7 @@ BENCH_OPTIONS = (
     " --method sfm --sweep image_scale=0.25,0.5,1 --sweep upsample=false,true --sweep poses=given,solve --seeds 3"
     " --crop box:-60,-60,-100,60,60,200"
 )
+_NEXT_PICTURE = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 DEMO_PICTURES = (
     "reference",
     "sparse_plane_distance",
@@ -46,14 +47,26 @@ def demo(folder: Path) -> None:
 
 
 def report(folder: Path) -> None:
-    """Create a picture of the demo's report.html; needs Debian's chromium."""
+    """Create pictures of the demo's report.html: light, dark with clouds side by side, and on a phone."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from browser import Browser  # needs Debian's chromium
+
     command = "pcbench demo --points 200000 --out demo --no-bench --no-figures --quiet"
     run(command.split(), check=True, cwd=folder)  # the page shows the path as given
-    page, picture = (folder / "demo" / "report" / "report.html").as_uri(), folder / "page.png"
-    flags = "--headless --no-sandbox --hide-scrollbars --use-angle=swiftshader --enable-unsafe-swiftshader"
-    size = "--window-size=1180,1660 --virtual-time-budget=20000"
-    run(["chromium", *flags.split(), *size.split(), f"--screenshot={picture}", page], check=True)
-    save_compressed(picture, "report")
+    page, picture = folder / "demo" / "report" / "report.html", folder / "page.png"
+    with Browser() as browser:
+        browser.open(page, width=1180, height=1660)
+        browser.screenshot(picture, whole=False)
+        save_compressed(picture, "report")
+        browser.open(page, width=1180, height=900, dark=True)
+        browser.run("for (const id of ['view-0', 'side-by-side']) document.getElementById(id).click()")
+        browser.run("document.getElementById('view-title').scrollIntoView()")
+        browser.run(_NEXT_PICTURE)
+        browser.screenshot(picture, whole=False)
+        save_compressed(picture, "report_dark")
+        browser.open(page, width=390, height=844)
+        browser.screenshot(picture, whole=False)
+        save_compressed(picture, "report_phone")
 
 
 def view(folder: Path) -> None:
@@ -62,6 +75,34 @@ def view(folder: Path) -> None:
     clouds = {name: folder / "clouds" / f"{name}.ply" for name in ("reference", "densified")}
     compare(clouds["reference"], clouds["densified"]).plot("densified", off_screen=True).screenshot(folder / "view.png")
     save_compressed(folder / "view.png", "view")
+
+
+def scenes(folder: Path) -> None:
+    """Create pictures of three real scenes; takes three minutes.
+
+    `autzen_trim.las` of PDAL (airborne LiDAR), `source.ply` and `target.ply` of small_gicp (street scans), and 18 drone
+    photographs of OpenDroneMap (brighton) are in the folder PCBENCH_DATA.
+    """
+    data = Path(os.environ.get("PCBENCH_DATA", "../shared/data")).absolute()
+    cloud = read_cloud(data / "autzen" / "autzen_trim.las")
+    for half, rows in zip("ab", np.array_split(np.random.default_rng(0).permutation(len(cloud)), 2), strict=True):
+        write_cloud(folder / f"autzen_{half}.ply", cloud.select(np.sort(rows)))
+    pcbench("compare FOLDER/autzen_a.ply FOLDER/autzen_b.ply --register none --out FOLDER/autzen -q", folder)
+    save_compressed(folder / "autzen" / "figures" / "autzen_b_plane_distance.png", "scene_airborne")
+
+    street = data / "small_gicp"
+    pcbench(
+        f"compare {street}/target.ply {street}/source.ply --register global --crop reference --out FOLDER/street -q",
+        folder,
+    )
+    save_compressed(folder / "street" / "figures" / "source_plane_distance.png", "scene_street")
+
+    photographs = f"{data}/brighton --out FOLDER/"
+    pcbench(f"reconstruct mvs {photographs}fine.ply --image-scale 0.4 --write-cameras FOLDER/cameras.json -q", folder)
+    pcbench(f"reconstruct mvs {photographs}coarse.ply --image-scale 0.2 --cameras FOLDER/cameras.json -q", folder)
+    pcbench("compare FOLDER/fine.ply FOLDER/coarse.ply --out FOLDER/drone -q", folder)
+    for name, picture in (("reference", "scene_drone"), ("coarse_plane_distance", "scene_drone_distance")):
+        save_compressed(folder / "drone" / "figures" / f"{name}.png", picture)
 
 
 def city(folder: Path) -> None:
@@ -148,6 +189,7 @@ def main() -> None:
         "demo": demo,
         "report": report,
         "view": view,
+        "scenes": scenes,
         "city": city,
         "bench": bench,
         "dense": dense,
