@@ -143,6 +143,9 @@ def test_the_keyboard_switches_panes(browser, path):
     assert browser.run("byId('side-by-side').checked") and len(browser.run(LABELS)) == 2
     press_key(browser, "2")
     assert browser.run(LABELS) == ["reference", "b"]
+    assert browser.run("pcbenchReport.scene.visible().map((view) => view.name || view.of)") == ["b", "b"]
+    press_key(browser, "6")  # the reference, by its distance to c
+    assert browser.run(LABELS) == ["reference, distance to c", "c"]
     press_key(browser, "b")
     assert len(browser.run(LABELS)) == 1
 

@@ -80,10 +80,10 @@ class Scene {
     }
   }
 
-  // Return the view to show beside another one: the reference, by its distance to that candidate, if there is a choice.
+  // Return the view to show beside another one: of a candidate the reference by its distance to it, and the reverse.
   beside(view) {
-    const others = this.views.filter((other) => other !== view && !other.name === Boolean(view.name));
-    return others.find((other) => other.of === view.name || other.name === view.of) || others[0] || view;
+    const others = this.views.filter((other) => !other.name === Boolean(view.name));
+    return others.find((other) => (view.name ? other.of === view.name : other.name === view.of)) || others[0] || view;
   }
 
   // Show one view, with a scalar that it has.
