@@ -67,6 +67,13 @@ def test_the_reference_is_beside_the_candidate(beside):
     assert beside.problems == []
 
 
+def test_an_empty_view_says_that_no_cloud_is_selected(browser, path):
+    browser.open(path)
+    switch(browser, browser.run("document.querySelector('.cloud input:checked').id"))
+    assert browser.run(LABELS) == ["No cloud is selected."]
+    assert browser.problems == []
+
+
 def test_one_camera_moves_all_panes(beside, comparison):
     corners = [comparison["a"].deviation.points[row] for row in (0, 1000, 2000)]
 

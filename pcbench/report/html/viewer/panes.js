@@ -43,12 +43,17 @@ class Overlay {
       const box = this.element.children[k];
       const [label, marker] = box.children;
       setShares(box, { left: x / canvas.width, top: y / canvas.height, width: width / canvas.width, height: height / canvas.height });
-      label.textContent = panes.length > 1 ? labelOf(pane.views[0], scene.scalarOf(pane.views[0]) >= 0) : "";
+      label.textContent = labelOfPane(scene, pane, panes.length);
       const spot = marked && camera.project(marked, width, height);
       marker.hidden = !spot;
       if (spot) setShares(marker, { left: spot[0] / width, top: spot[1] / height });
     });
   }
+}
+
+function labelOfPane(scene, pane, count) {
+  if (!pane.views.length) return "No cloud is selected.";
+  return count > 1 ? labelOf(pane.views[0], scene.scalarOf(pane.views[0]) >= 0) : "";
 }
 
 function paneElement() {
