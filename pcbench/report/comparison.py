@@ -70,6 +70,7 @@ class Comparison(SourcedComparison):
         off_screen: bool | None = None,
         window_size: tuple[int, int] = WINDOW_SIZE,
         background: str = "dark",
+        lighting: bool = True,
     ) -> Any:
         """Return a plotter of one candidate, with the frame and the colour ranges of the report's pictures.
 
@@ -81,6 +82,7 @@ class Comparison(SourcedComparison):
             off_screen: as in `pcbench.plot.cloud`.
             window_size: as in `pcbench.plot.cloud`.
             background: as in `pcbench.plot.cloud`.
+            lighting: as in `pcbench.plot.cloud`.
 
         Returns:
             A `pyvista.Plotter` that is not yet shown: `.show()` opens a window, `.screenshot(file)` writes a picture.
@@ -100,7 +102,7 @@ class Comparison(SourcedComparison):
             if len(self) > 1:
                 raise InputError(f"expected the name of a candidate: {', '.join(c.name for c in self)}")
             name = self.candidates[0].name
-        candidate, window = self[name], Window(off_screen, window_size, background)
+        candidate, window = self[name], Window(off_screen, window_size, background, lighting)
         if scalar == "deformation":
             field = candidate.deformation.field
             if field is None or not field.displacements.any():

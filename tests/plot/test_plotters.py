@@ -28,7 +28,7 @@ def render(plotter):
 
 def scene_of(picture):
     """Return the middle of a picture, without title and colour bar."""
-    return picture[50 : int(0.78 * len(picture))]
+    return picture[50 : int(0.84 * len(picture))]
 
 
 def pixels_of(picture, color, tolerance=2):

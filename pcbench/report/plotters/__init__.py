@@ -44,6 +44,7 @@ def cloud(
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
     background: str = "dark",
+    lighting: bool = True,
 ) -> Any:
     """Return a plotter of a cloud in its own colours, or coloured by height; or of a mesh.
 
@@ -53,6 +54,8 @@ def cloud(
         off_screen: whether to render without a window; default: as pyvista is set up.
         window_size: width and height in pixels.
         background: `dark`, `white`, `black` or `#rrggbb`.
+        lighting: whether points behind their surroundings are darker (eye-dome lighting), which shows edges and depth.
+            It keeps hues.
 
     Returns:
         A `pyvista.Plotter`.
@@ -64,13 +67,13 @@ def cloud(
     """
     shown = cloud if isinstance(cloud, Mesh) else to_cloud(cloud)
     points = _points(shown)
-    stage = Stage(frame(None, {"": points}), unit or shown.unit, Window(off_screen, window_size, background))
+    stage = Stage(frame(None, {"": points}), unit or shown.unit, Window(off_screen, window_size, background, lighting))
     if isinstance(shown, Mesh):
         stage.add_surface(shown, "mesh", color="#c8ccd0")
         stage.write_title(pluralize(len(shown), "face"))
         return stage.plotter
     if has_colors(shown.colors):
-        stage.add_points(shown.points, "cloud", scalars=shown.colors, rgb=True, pickable=True)
+        stage.add_points(shown.points, "cloud", lit=True, scalars=shown.colors, rgb=True, pickable=True)
     else:
         heights = shown.points[:, 2]
         stage.add_bar(stage.add_values(shown.points, heights, height_range(heights)), "height")
@@ -89,6 +92,7 @@ def deviation(
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
     background: str = "dark",
+    lighting: bool = True,
 ) -> Any:
     """Return a plotter of a cloud coloured by distances, with the reference as a pale ghost.
 
@@ -105,6 +109,7 @@ def deviation(
         off_screen: as in `cloud`.
         window_size: as in `cloud`.
         background: as in `cloud`.
+        lighting: as in `cloud`.
 
     Returns:
         A `pyvista.Plotter`.
@@ -120,7 +125,7 @@ def deviation(
     ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit
-    stage = Stage(frame(measured, {"": known}), unit, Window(off_screen, window_size, background))
+    stage = Stage(frame(measured, {"": known}), unit, Window(off_screen, window_size, background, lighting))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
     label = label or (label_of(values) if isinstance(values, str) else "distance")
