@@ -17,23 +17,28 @@ from pcbench.errors import InputError
 @click.argument("path", type=FILE)
 @click.option("--screenshot", type=FILE, metavar="FILE", help="Write a PNG picture instead of opening a window.")
 def view(path: Path, screenshot: Path | None) -> None:
-    """Show PATH in a window: the folder of a report, or a file with a cloud or a mesh.
+    """Show PATH in a window: the folder of a report or of `pcbench deform`, or a file with a cloud or a mesh.
 
-    In a report, the key N shows the next candidate and M the next map, and a slider sets the end of the colour range. A
-    right click on a point prints its coordinates, its deviation and statistics of its closest points.
+    In a report, the key N shows the next candidate, M its next map, D its displacements, and L switches the lighting. A
+    slider sets the end of the colour range or the exaggeration of displacements. A right click on a point prints its
+    coordinates, its deviation and statistics of its closest points.
 
     \b
     Example: pcbench view report/
     """
     from pcbench.io.colmap import model_file
     from pcbench.opengl import NoFiguresError
+    from pcbench.report.plot import REPORT
     from pcbench.report.plotters.window import check_window
 
     if not path.exists():
         raise InputError(f"{path}: no such file or folder: check the name")
-    is_report = (path / "comparison.json").is_file()
-    if not is_report and model_file(path).is_dir():
-        raise InputError(f"{path}: expected the folder of a report (with comparison.json), or a file")
+    is_folder = REPORT.fits(path)
+    if not is_folder and model_file(path).is_dir():
+        raise InputError(
+            f"{path}: expected the folder of a report (with comparison.json) or of `pcbench deform` (with"
+            " deformation.json), or a file"
+        )
     if screenshot is not None:
         _check_screenshot(screenshot, path)
     with steps(quiet=False) as step:
@@ -41,20 +46,22 @@ def view(path: Path, screenshot: Path | None) -> None:
         try:
             check_window(off_screen=screenshot is not None)
         except NoFiguresError as error:
-            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_report=is_report)}") from error
+            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_folder=is_folder)}") from error
         step(f"reading {path}")
-        plotter = _plotter(path, off_screen=screenshot is not None, is_report=is_report)
+        plotter = _plotter(path, off_screen=screenshot is not None)
     if screenshot is None:
         plotter.show()
     else:
         _write(plotter, screenshot)
 
 
-def _plotter(path: Path, *, off_screen: bool, is_report: bool) -> Any:
-    from pcbench.report.plotters.viewer import ReportViewer, view_file
+def _plotter(path: Path, *, off_screen: bool) -> Any:
+    from pcbench.report.plotters.viewer import ReportViewer, view_deformation, view_file
 
-    if is_report:
+    if (path / "comparison.json").is_file():
         return ReportViewer(path, click.echo, off_screen=off_screen).plotter
+    if (path / "deformation.json").is_file():
+        return view_deformation(path, off_screen=off_screen)
     return view_file(path, click.echo, warn, off_screen=off_screen)
 
 
@@ -62,6 +69,8 @@ def _write(plotter: Any, screenshot: Path) -> None:
     from pcbench.io.files import atomic_write
 
     picture = BytesIO()
+    plotter.show(auto_close=False)
+    plotter.render()  # the second rendering centres the labels of the colour bar
     plotter.screenshot(picture)
     plotter.close()
     with atomic_write(screenshot) as file:
@@ -76,11 +85,11 @@ def _check_screenshot(screenshot: Path, path: Path) -> None:
     check_output(screenshot, [path])
 
 
-def _instead(path: Path, screenshot: Path | None, *, is_report: bool) -> str:
+def _instead(path: Path, screenshot: Path | None, *, is_folder: bool) -> str:
     """Return what to do where no window can be opened, or nothing rendered."""
-    if is_report and (path / "report.html").is_file():
+    if is_folder and (path / "report.html").is_file():
         return f"open {path / 'report.html'} in a browser"
     if screenshot is None:
         return f"write a picture with `pcbench view {path} --screenshot FILE.png`"
-    drawing = f"`pcbench plot {path}`" if is_report else "`pcbench compare REFERENCE CANDIDATE --out FOLDER`"
+    drawing = f"`pcbench plot {path}`" if is_folder else "`pcbench compare REFERENCE CANDIDATE --out FOLDER`"
     return f"{drawing} draws pictures without OpenGL"

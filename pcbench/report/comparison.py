@@ -94,9 +94,10 @@ class Comparison(SourcedComparison):
             MissingExtra: pyvista is not installed.
             NoFiguresError: there is neither a display nor EGL nor OSMesa.
         """
-        from pcbench.report import plotters
+        from pcbench.report.plot import maps
         from pcbench.report.plotters.candidates import CandidateMaps
-        from pcbench.report.plotters.stage import Window
+        from pcbench.report.plotters.displacements import Displacements
+        from pcbench.report.plotters.stage import Stage, Window
 
         if name is None:
             if len(self) > 1:
@@ -107,13 +108,13 @@ class Comparison(SourcedComparison):
             field = candidate.deformation.field
             if field is None or not field.displacements.any():
                 raise InputError(f"{name}: no deformation was found, so there are no displacements")
-            cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
-            return plotters.show_displacements(
-                name, cloud, field.places, field.displacements, None, None, window
-            ).plotter
-        maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
-        stage = maps.stage(name, scalar, window)
-        maps.show(stage, name, scalar)
+            points = candidate.deviation.points
+            stage = Stage(maps.frame(None, {name: Cloud(points)}), self.reference.unit, window)
+            Displacements.of(name, points, field.places, field.displacements).show(stage)
+            return stage.plotter
+        measured = CandidateMaps.of_comparison(self, Figures(range=range).range)
+        stage = measured.stage(name, scalar, window)
+        measured.show(stage, name, scalar)
         return stage.plotter
 
     def to_dataframe(self) -> Any:

@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray, as_rows
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, has_colors, height_range, ranges_of
+from pcbench.report.colors import has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
-from pcbench.report.plot.bends import round_exaggeration
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plot.views import AxisBox, Frame
+from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
 
 if TYPE_CHECKING:
@@ -166,8 +166,13 @@ def displacements(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    window = Window(off_screen, window_size, background)
-    return show_displacements("", to_cloud(cloud), places, vectors, exaggeration, unit, window).plotter
+    if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
+        raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
+    shown = to_cloud(cloud)
+    moved = Displacements.of("", shown.points, places, vectors)
+    stage = Stage(frame(None, {"": shown}), unit or shown.unit, Window(off_screen, window_size, background))
+    moved.show(stage, exaggeration)
+    return stage.plotter
 
 
 def cameras(
@@ -216,35 +221,6 @@ def cameras(
         stage.add_points(drawing.positions, "cameras", color=_CAMERA_COLOR)
     stage.write_title(drawing.title)
     return stage.plotter
-
-
-def show_displacements(
-    name: str,
-    cloud: Cloud,
-    places: ArrayLike,
-    vectors: ArrayLike,
-    exaggeration: float | None,
-    unit: str | None,
-    window: Window,
-) -> Stage:
-    """Return a stage with `displacements`, with a name in its title."""
-    if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
-        raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
-    tails, arrows = as_rows("places", places), as_rows("vectors", vectors)
-    if tails.shape != arrows.shape:
-        raise InputError(f"expected one vector for each of the {len(tails)} places, got {len(arrows)}")
-    lengths = np.linalg.norm(arrows, axis=1)
-    moved = np.isfinite(lengths) & (lengths > 0)
-    if not moved.any():
-        raise InputError("expected displacements, got none that is finite and not zero")
-    tails, arrows, typical = tails[moved], arrows[moved], float(np.percentile(lengths[moved], 95))
-    stage = Stage(frame(None, {"": cloud}), unit or cloud.unit, window)
-    factor = exaggeration or round_exaggeration(typical, stage.frame.box)
-    stage.add_ghost(cloud.points)
-    actor = stage.add_arrows(tails, factor * arrows, arrows[:, 2], Range(-typical, typical, signed=True))
-    stage.add_bar(actor, "vertical displacement")
-    stage.write_title(f"{name + ': ' if name else ''}displacements exaggerated {factor:g} times")
-    return stage
 
 
 def _points(shown: Cloud | Mesh) -> Cloud:

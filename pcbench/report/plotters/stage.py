@@ -25,6 +25,8 @@ _FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and a
 _RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
 _COLORS = 256  # entries of a lookup table
 _LINE_INK_SHARE = 0.6  # of ink in the colour of lines; the rest is background
+_TITLE_SIZE, _MIN_TITLE_SIZE = 11, 5  # in points
+_TITLE_CHARACTER_PX = 12.4  # mean width of a character of the title's full size
 _TITLE_PX = 36  # from the upper edge to the lower edge of the title
 _NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
 _DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
@@ -117,6 +119,7 @@ class Stage:
             interpolate_before_map=False,  # there is nothing between points; VTK 9.4 fails with it and the lighting
             show_scalar_bar=False,
             reset_camera=False,
+            render=False,
             **options,
         )
         if lit and self.lighting is not None:
@@ -146,9 +149,19 @@ class Stage:
         data = self._pyvista.PolyData((tails - self.origin).astype(np.float32))
         data["vectors"], data["values"] = vectors, values
         arrows = data.glyph(orient="vectors", scale="vectors", geom=self._pyvista.Arrow(shaft_resolution=8))
-        table = self.lookup_table(scale)
-        how = {"cmap": table, "clim": (scale.low, scale.high), "lighting": False, "show_scalar_bar": False}
-        return self.plotter.add_mesh(arrows, scalars="values", name="arrows", reset_camera=False, pickable=False, **how)
+        return self.plotter.add_mesh(
+            arrows,
+            scalars="values",
+            cmap=self.lookup_table(scale),
+            clim=(scale.low, scale.high),
+            name="arrows",
+            interpolate_before_map=False,  # an arrow has one value
+            lighting=False,
+            show_scalar_bar=False,
+            reset_camera=False,
+            render=False,
+            pickable=False,
+        )
 
     def add_lines(self, lines: Sequence[FloatArray], name: str, color: str) -> Any:
         """Add lines, each through points (K, 3), and return the actor."""
@@ -179,17 +192,25 @@ class Stage:
             title_font_size=16,
             label_font_size=14,
             unconstrained_font_size=True,
+            render=False,
         )
 
+    def with_unit(self, length: float) -> str:
+        """Return a length with three digits and the unit, if that is known."""
+        return f"{length:.3g} {self._known_unit}" if self._known_unit else f"{length:.3g}"
+
     def write_title(self, text: str) -> None:
-        """Write the title at the upper edge; it replaces an earlier one."""
+        """Write the title at the upper edge, smaller if it is long; it replaces an earlier one."""
+        shown = printable(text)
+        fitting = _TITLE_SIZE * 0.97 * self._size[0] / (_TITLE_CHARACTER_PX * max(len(shown), 1))
         self.plotter.add_text(
-            printable(text),
+            shown,
             position=(0.015, 1 - _TITLE_PX / self._size[1]),
             viewport=True,
-            font_size=11,
+            font_size=int(np.clip(fitting, _MIN_TITLE_SIZE, _TITLE_SIZE)),
             color=self.ink,
             name="title",
+            render=False,
         )
 
     def _add_axes(self, names: tuple[str, str, str]) -> Layout:
