@@ -21,8 +21,9 @@ from pcbench.report.plotters.lighting import Lighting
 from pcbench.report.read import UNKNOWN_UNIT
 from pcbench.report.words import printable
 
-_FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
-_RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
+_SIDE_PX, _TOP_PX, _BOTTOM_PX = 48, 60, 132  # around frame and axes, for title and colour bar
+_MAX_MARGIN_SHARES = (0.1, 0.15, 0.3)  # of a small window
+_BAR_PX = (24, 72)  # distance of the colour bar from the lower edge, and its height with labels and title
 _COLORS = 256  # entries of a lookup table
 _LINE_INK_SHARE = 0.6  # of ink in the colour of lines; the rest is background
 _TITLE_SIZE, _MIN_TITLE_SIZE = 11, 5  # in points
@@ -183,9 +184,9 @@ class Stage:
             mapper=actor.mapper,
             vertical=False,
             position_x=0.27,
-            position_y=0.03,
+            position_y=_BAR_PX[0] / self._size[1],
             width=0.46,
-            height=0.09,
+            height=_BAR_PX[1] / self._size[1],
             n_labels=5,
             fmt=f"%.{_digits(*actor.mapper.scalar_range)}g",
             color=self.ink,
@@ -218,7 +219,8 @@ class Stage:
         unit = f" [{self._known_unit}]" if self._known_unit else ""
         titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
         low, high = self.frame.box.low - self.origin, self.frame.box.high - self.origin
-        layout = lay_out(low, high, titles, np.array(self._size) * _FRAME_SHARE)
+        side, top, bottom = self._margins
+        layout = lay_out(low, high, titles, np.array(self._size) - [2 * side, top + bottom])
         lines = [axis.ends for axis in layout.axes] + [tick for axis in layout.axes for tick in axis.ticks]
         self._add_local_lines(lines, "axes", color=self._line_color)
         for number, axis in enumerate(layout.axes):
@@ -248,11 +250,21 @@ class Stage:
         shown = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
         return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
 
+    @property
+    def _margins(self) -> FloatArray:
+        """Pixels beside, above and below frame and axes."""
+        width, height = self._size
+        margins: FloatArray = np.minimum(
+            (_SIDE_PX, _TOP_PX, _BOTTOM_PX), np.multiply(_MAX_MARGIN_SHARES, (width, height, height))
+        )
+        return margins
+
     def _place_camera(self, layout: Layout) -> None:
         """Show the frame's box with its axes, with parallel projection as in the pictures."""
         right, up, toward = VIEW.axes
         visible = layout.pixel * self._size[1]  # height of the whole window
-        x, y = layout.middle - [0, _RAISED_SHARE * visible]
+        _, top, bottom = self._margins
+        x, y = layout.middle - [0, 0.5 * (bottom - top) * layout.pixel]
         focus = x * right + y * up + (self.frame.box.center - self.origin) @ toward * toward
         camera = self.plotter.camera
         camera.parallel_projection = True
