@@ -69,8 +69,6 @@ def _write(plotter: Any, screenshot: Path) -> None:
     from pcbench.io.files import atomic_write
 
     picture = BytesIO()
-    plotter.show(auto_close=False)
-    plotter.render()  # the second rendering centres the labels of the colour bar
     plotter.screenshot(picture)
     plotter.close()
     with atomic_write(screenshot) as file:

@@ -28,9 +28,6 @@ def comparison():
 
 
 def picture_of(plotter):
-    # The first rendering of a process may place the labels of a colour bar differently.
-    plotter.show(auto_close=False)
-    plotter.render()
     picture = plotter.screenshot(return_img=True)
     plotter.close()
     return picture

@@ -74,6 +74,16 @@ def test_the_range_ends_at_the_95th_percentile():
     plotter.close()
 
 
+def test_the_first_rendering_is_as_later_ones():
+    """VTK would move the labels of the colour bar with the second rendering, if there is a ghost."""
+    points = np.random.default_rng(0).random((300, 3))
+    plotter = pcbench.plot.deviation(points, points, points[:, 2] - 0.5, off_screen=True)
+    first = np.asarray(plotter.screenshot(return_img=True))
+    plotter.render()
+    assert (first != np.asarray(plotter.screenshot(return_img=True))).mean() < 1e-4
+    plotter.close()
+
+
 def test_large_coordinates_lose_no_precision():
     """The picture of a scene in UTM is that of the scene near 0, pixel by pixel, except for the labels of the axes."""
     points = np.round(1024 * np.random.default_rng(0).random((400, 3))) / 1024  # exact, also after the shift

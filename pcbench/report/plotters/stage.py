@@ -179,7 +179,7 @@ class Stage:
         """Add the colour bar of an actor, with its label and the unit; it replaces an earlier one."""
         for title in [*self.plotter.scalar_bars.keys()]:
             self.plotter.remove_scalar_bar(title, render=False)
-        self.plotter.add_scalar_bar(
+        bar = self.plotter.add_scalar_bar(
             title=f"{label} [{self.unit}]\n",
             mapper=actor.mapper,
             vertical=False,
@@ -195,6 +195,7 @@ class Stage:
             unconstrained_font_size=True,
             render=False,
         )
+        bar.GetLabelTextProperty().SetJustificationToCentered()  # else VTK centres them from the second rendering on
 
     def with_unit(self, length: float) -> str:
         """Return a length with three digits and the unit, if that is known."""
