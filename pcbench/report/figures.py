@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import asdict, dataclass, fields
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ class Figures:
 
     def plain(self) -> dict[str, Any]:
         """Return the values for JSON; `Figures(**plain)` restores them."""
-        return asdict(self)
+        return {**asdict(self), "range": None if self.range is None else float(self.range)}
 
 
 def recorded_figures(settings_file: Path) -> Figures:
@@ -105,4 +106,4 @@ def ink(ground: str) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, Real) and not isinstance(value, bool)

@@ -25,6 +25,12 @@ def test_invalid_options_of_figures_are_refused(options):
         Figures(**options)
 
 
+def test_the_range_may_be_a_number_of_numpy():
+    figures = Figures(range=np.float32(0.5))
+    assert json.loads(json.dumps(figures.plain()))["range"] == 0.5
+    assert Figures(range=np.int64(2)) == Figures(range=2)
+
+
 def test_text_is_readable_on_every_background():
     assert ink("#ffffff") == ink("#f0e442") != ink("#000000") == ink("#1a1c20")
     assert Figures().ground("dark") == "#1a1c20"

@@ -28,10 +28,10 @@ _SHADING = f"""//VTK::Light::Impl
   if (strength > 0.0) {{
     vec2 texel = 1.0 / vec2(textureSize(depths, 0));
     vec2 place = gl_FragCoord.xy * texel;
-    float depth = texture(depths, place).r;
-    float here = distanceAt(depth), behind = 0.0;
+    float here = distanceAt(texture(depths, place).r), behind = 0.0;
     float pixel = isParallel > 0 ? pixelSize : pixelSize * here;
-    for (int k = 0; k < 8; ++k) {{
+    bool isHidden = distanceAt(gl_FragDepth) > here + {_ROUGHNESS_PX} * pixel;
+    for (int k = 0; k < 8 && !isHidden; ++k) {{
       float angle = 0.7853981634 * float(k / 2), radius = k % 2 == 0 ? {_RADII_PX[0]} : {_RADII_PX[1]};
       vec2 step = radius * texel * vec2(cos(angle), sin(angle));
       float one = texture(depths, place + step).r, other = texture(depths, place - step).r;
@@ -85,6 +85,7 @@ class Lighting:
         self._shader = vtkOpenGLShaderProperty()
         self._shader.AddFragmentShaderReplacement("//VTK::Light::Dec", True, _FUNCTIONS, False)
         self._shader.AddFragmentShaderReplacement("//VTK::Light::Impl", True, _SHADING, False)
+        self._drawn = set[str]()  # addresses of the mappers that have drawn the depths of the current rendering
         plotter.renderer.SetPass(self._pass)
         plotter.renderer.AddObserver("StartEvent", self._set_uniforms)
         # Freed after each rendering, because a renderer that closes or gets another pass does not free them.
@@ -94,11 +95,23 @@ class Lighting:
 
     def add(self, actor: Any) -> None:
         """Light an opaque actor of points."""
+        from vtkmodules.util.vtkConstants import VTK_OBJECT
+
+        def skip_depths(mapper: Any, _: str, program: Any) -> None:
+            """Do not light the first image, of which only the depths are used; that would take half of the time."""
+            address = mapper.GetAddressAsString("")  # not the mapper, which would keep itself alive
+            if address not in self._drawn:
+                self._drawn.add(address)
+                program.SetUniformf("strength", 0.0)
+
+        skip_depths.CallDataType = VTK_OBJECT  # type: ignore[attr-defined]  # of the last argument
         actor.GetProperty().SetTexture("depths", self._depths)
         actor.SetShaderProperty(self._shader)
+        actor.GetMapper().AddObserver("UpdateShaderEvent", skip_depths)
 
     def _set_uniforms(self, renderer: Any, _: str) -> None:
         """Pass the camera to the shader, before each rendering."""
+        self._drawn.clear()
         camera, uniforms = renderer.GetActiveCamera(), self._shader.GetFragmentCustomUniforms()
         parallel, height = bool(camera.GetParallelProjection()), renderer.GetSize()[1]
         window = 2 * camera.GetParallelScale() if parallel else 2 * math.tan(math.radians(camera.GetViewAngle()) / 2)
