@@ -10,7 +10,7 @@ NATIVE := pyproject.toml constraints.txt CMakeLists.txt $(wildcard pcbench/nativ
   reconstructors/*/native/*.cpp reconstructors/*/native/*.h reconstructors/splat/*.h reconstructors/splat/cpu/*.cpp \
   reconstructors/splat/cpu/*.h)
 
-.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery notebooks wording clean
+.PHONY: demo test long variations lint types docs slow sanitize compilers processors wheel bench instructions stale gallery notebooks wording pictures clean
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("pcbench needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -81,6 +81,10 @@ compilers: $(VENV)/.all
 # tests/wording.txt holds the texts that users read. `make wording TESTS=tests/report` renews those of one folder.
 wording: $(VENV)/.all
 	$(BIN)/python -m pytest -n 2 --renew-wording $(TESTS)
+
+# tests/pictures/ holds small golden pictures.
+pictures: $(VENV)/.all
+	$(BIN)/python -m pytest --renew-pictures tests/report/test_golden_pictures.py tests/plot/test_golden_views.py
 
 lint: $(VENV)/.all
 	$(BIN)/ruff check .

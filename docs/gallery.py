@@ -70,11 +70,14 @@ def report(folder: Path) -> None:
 
 
 def view(folder: Path) -> None:
-    """Create the picture of a view in three dimensions."""
+    """Create the pictures of views in three dimensions."""
     pcbench("demo --points 200000 --no-bench --no-figures --quiet --out FOLDER", folder)
     clouds = {name: folder / "clouds" / f"{name}.ply" for name in ("reference", "densified")}
     compare(clouds["reference"], clouds["densified"]).plot("densified", off_screen=True).screenshot(folder / "view.png")
     save_compressed(folder / "view.png", "view")
+    pcbench("deform FOLDER/clouds/reference.ply FOLDER/clouds/densified.ply --out FOLDER/bend --quiet", folder)
+    pcbench("view FOLDER/bend --screenshot FOLDER/displacements.png", folder)
+    save_compressed(folder / "displacements.png", "view_displacements")
 
 
 def scenes(folder: Path) -> None:

@@ -1,6 +1,7 @@
 """Run notebooks and store them with their outputs: `make notebooks`, or some: `python docs/notebooks.py compare`.
 
-Pages that show a repository's files show notebooks as they are stored. Pictures get a palette, which keeps them small.
+Pages that show a repository's files show notebooks as they are stored. Pictures get a palette and are stored in one
+format, which keeps them small.
 """
 
 import base64
@@ -34,6 +35,7 @@ def main() -> None:
 def _compress(data: Any) -> None:
     if "image/png" not in data:
         return
+    data.pop("image/jpeg", None)
     picture = Image.open(io.BytesIO(base64.b64decode(data["image/png"]))).convert("RGB").quantize(_COLORS)
     file = io.BytesIO()
     picture.save(file, "PNG", optimize=True)

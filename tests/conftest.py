@@ -31,6 +31,7 @@ GOLDEN_TEXTS, RENEWED_TEXTS = pytest.StashKey[wording.Texts](), pytest.StashKey[
 
 def pytest_addoption(parser):
     parser.addoption("--renew-wording", action="store_true", help="write tests/wording.txt anew (see tests/wording.py)")
+    parser.addoption("--renew-pictures", action="store_true", help="write tests/pictures/ anew (see tests/pictures.py)")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run files and their tests in random order")
 
 
@@ -100,6 +101,12 @@ def pytest_sessionfinish(session):
 @cache
 def _shares_fixtures(file):
     return 'fixture(scope="module")' in file.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def renew_pictures(request):
+    """Whether golden pictures are written anew."""
+    return request.config.getoption("--renew-pictures")
 
 
 @pytest.fixture(scope="session")

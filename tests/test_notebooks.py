@@ -22,6 +22,8 @@ MARKS = {"gao": [pytest.mark.slow], "reconstructor": [pytest.mark.long], "bend":
 def test_notebook_runs(path, request):
     nbclient, nbformat = import_or_skip("nbclient"), import_or_skip("nbformat")
     import_or_skip("matplotlib")
+    import_or_skip("pyvista")
+    request.getfixturevalue("off_screen")
     if path.stem in ("reconstructor", "gao"):
         import_or_skip("pycolmap")
     if path.stem in ("compare", "reconstructor", "gao"):  # render scenes
@@ -32,7 +34,9 @@ def test_notebook_runs(path, request):
     nbclient.NotebookClient(notebook, timeout=900).execute(cwd=str(path.parent))
     figure_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plt.subplots" in cell.source]
     assert figure_cells
-    for cell in figure_cells:
+    view_cells = [cell for cell in notebook.cells if cell.cell_type == "code" and "plotter.show" in cell.source]
+    assert view_cells
+    for cell in figure_cells + view_cells:
         check_figure(cell)
 
 

@@ -22,26 +22,33 @@ if TYPE_CHECKING:
 @scene_options
 @click.pass_context
 def view(context: click.Context, path: Path, screenshot: Path | None, scene: Path | None, cameras: str) -> None:
-    """Show PATH in a window: the folder of a report, or a file with a cloud or a mesh.
+    """Show PATH in a window: the folder of a report or of `pcbench deform`, or a file with a cloud or a mesh.
 
-    In a report, the key N shows the next candidate and M the next map, and a slider sets the end of the colour range. A
-    right click on a point prints its coordinates, its deviation and statistics of its closest points.
+    In a report, the key N shows the next candidate, M its next map, D its displacements, and L switches the lighting. A
+    slider sets the end of the colour range or the exaggeration of displacements. A right click on a point prints its
+    coordinates, its deviation and statistics of its closest points.
 
     \b
     Example: pcbench view report/
     """
     from pcbench.io.colmap import model_file
     from pcbench.opengl import NoFiguresError
+    from pcbench.report.plot import REPORT
     from pcbench.report.plotters.window import check_window
 
     if not path.exists():
         raise InputError(f"{path}: no such file or folder: check the name")
     viewed = scene_folder(context, scene, cameras)
-    is_report = (path / "comparison.json").is_file()
-    if not is_report and model_file(path).is_dir():
-        raise InputError(f"{path}: expected the folder of a report (with comparison.json), or a file")
-    if is_report and viewed is not None:
-        raise click.UsageError("--scene is for a file with a cloud, got a report: give --scene to `pcbench compare`")
+    is_folder = REPORT.fits(path)
+    if not is_folder and model_file(path).is_dir():
+        raise InputError(
+            f"{path}: expected the folder of a report (with comparison.json) or of `pcbench deform` (with"
+            " deformation.json), or a file"
+        )
+    if viewed is not None and (path / "comparison.json").is_file():
+        raise click.UsageError(
+            "--scene is for files and folders of `pcbench deform`, got a report: give --scene to `pcbench compare`"
+        )
     if screenshot is not None:
         _check_screenshot(screenshot, [path, *(() if viewed is None else viewed.paths())])
     with steps(quiet=False) as step:
@@ -49,20 +56,22 @@ def view(context: click.Context, path: Path, screenshot: Path | None, scene: Pat
         try:
             check_window(off_screen=screenshot is not None)
         except NoFiguresError as error:
-            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_report=is_report)}") from error
+            raise NoFiguresError(f"{error}; {_instead(path, screenshot, is_folder=is_folder)}") from error
         step(f"reading {path}")
-        plotter = _plotter(path, viewed, off_screen=screenshot is not None, is_report=is_report)
+        plotter = _plotter(path, viewed, off_screen=screenshot is not None)
     if screenshot is None:
         plotter.show()
     else:
         _write(plotter, screenshot)
 
 
-def _plotter(path: Path, scene: SceneFolder | None, *, off_screen: bool, is_report: bool) -> Any:
-    from pcbench.report.plotters.viewer import ReportViewer, view_file
+def _plotter(path: Path, scene: SceneFolder | None, *, off_screen: bool) -> Any:
+    from pcbench.report.plotters.viewer import ReportViewer, view_deformation, view_file
 
-    if is_report:
+    if (path / "comparison.json").is_file():
         return ReportViewer(path, click.echo, off_screen=off_screen).plotter
+    if (path / "deformation.json").is_file():
+        return view_deformation(path, warn, scene=scene, off_screen=off_screen)
     return view_file(path, click.echo, warn, scene=scene, off_screen=off_screen)
 
 
@@ -84,11 +93,11 @@ def _check_screenshot(screenshot: Path, inputs: list[Path]) -> None:
     check_output(screenshot, inputs)
 
 
-def _instead(path: Path, screenshot: Path | None, *, is_report: bool) -> str:
+def _instead(path: Path, screenshot: Path | None, *, is_folder: bool) -> str:
     """Return what to do where no window can be opened, or nothing rendered."""
-    if is_report and (path / "report.html").is_file():
+    if is_folder and (path / "report.html").is_file():
         return f"open {path / 'report.html'} in a browser"
     if screenshot is None:
         return f"write a picture with `pcbench view {path} --screenshot FILE.png`"
-    drawing = f"`pcbench plot {path}`" if is_report else "`pcbench compare REFERENCE CANDIDATE --out FOLDER`"
+    drawing = f"`pcbench plot {path}`" if is_folder else "`pcbench compare REFERENCE CANDIDATE --out FOLDER`"
     return f"{drawing} draws pictures without OpenGL"

@@ -80,6 +80,7 @@ class Comparison(SourcedComparison):
         off_screen: bool | None = None,
         window_size: tuple[int, int] = WINDOW_SIZE,
         background: str = "dark",
+        lighting: bool = True,
     ) -> Any:
         """Return a plotter of one candidate, with the frame and the colour ranges of the report's pictures.
 
@@ -91,6 +92,7 @@ class Comparison(SourcedComparison):
             off_screen: as in `pcbench.plot.cloud`.
             window_size: as in `pcbench.plot.cloud`.
             background: as in `pcbench.plot.cloud`.
+            lighting: as in `pcbench.plot.cloud`.
 
         Returns:
             A `pyvista.Plotter` that is not yet shown: `.show()` opens a window, `.screenshot(file)` writes a picture.
@@ -102,26 +104,28 @@ class Comparison(SourcedComparison):
             MissingExtra: pyvista is not installed.
             NoFiguresError: there is neither a display nor EGL nor OSMesa.
         """
-        from pcbench.report import plotters
+        from pcbench.report.plot import maps
         from pcbench.report.plotters.candidates import CandidateMaps
-        from pcbench.report.plotters.stage import Window
+        from pcbench.report.plotters.displacements import Displacements
+        from pcbench.report.plotters.stage import Stage, Window
 
         if name is None:
             if len(self) > 1:
                 raise InputError(f"expected the name of a candidate: {', '.join(c.name for c in self)}")
             name = self.candidates[0].name
-        candidate, window = self[name], Window(off_screen, window_size, background)
+        candidate, window = self[name], Window(off_screen, window_size, background, lighting)
         if scalar == "deformation":
             field = candidate.deformation.field
             if field is None or not field.displacements.any():
                 raise InputError(f"{name}: no deformation was found, so there are no displacements")
-            cloud = Cloud(candidate.deviation.points, unit=self.reference.unit)
-            return plotters.show_displacements(
-                name, cloud, field.places, field.displacements, None, None, window, self.cameras
-            ).plotter
-        maps = CandidateMaps.of_comparison(self, Figures(range=range).range)
-        stage = maps.stage(name, scalar, window)
-        maps.show(stage, name, scalar)
+            points = candidate.deviation.points
+            shared = maps.frame(None, {name: Cloud(points)}, self.cameras)
+            stage = Stage(shared, self.reference.unit, window)
+            Displacements.of(name, points, field.places, field.displacements).show(stage)
+            return stage.plotter
+        measured = CandidateMaps.of_comparison(self, Figures(range=range).range)
+        stage = measured.stage(name, scalar, window)
+        measured.show(stage, name, scalar)
         return stage.plotter
 
     def to_dataframe(self) -> Any:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from pcbench.errors import InputError
-from pcbench.regular_files import read_text
+from pcbench.io.files import read_json
 
 FORMATS = ("png", "svg", "pdf")
 WINDOW_SIZE = (1200, 800)  # of views in three dimensions, in pixels
@@ -62,15 +63,34 @@ class Figures:
 
     def plain(self) -> dict[str, Any]:
         """Return the values for JSON; `Figures(**plain)` restores them."""
-        return asdict(self)
+        return {**asdict(self), "range": None if self.range is None else float(self.range)}
 
 
 def recorded_figures(settings_file: Path) -> Figures:
-    """Return the appearance recorded in a report's settings.json, or the default."""
+    """Return the appearance recorded in a report's settings.json; the default if there is no such file or record.
+
+    Raises:
+        InputError: the file or the record is damaged.
+    """
     try:
-        return Figures(**json.loads(read_text(settings_file)).get("figures", {}))
-    except (OSError, AttributeError, TypeError, ValueError, RecursionError):
+        settings = read_json(settings_file)
+    except FileNotFoundError:
         return Figures()
+    except InputError as error:
+        raise InputError(f"{settings_file}: {error}") from error
+    try:
+        return _figures(settings.get("figures", {}) if isinstance(settings, dict) else settings)
+    except InputError as error:
+        raise InputError(f'{settings_file}: {error}: correct "figures" in the file, or remove it') from error
+
+
+def _figures(recorded: Any) -> Figures:
+    if not isinstance(recorded, dict):
+        raise InputError(f"expected the appearance of pictures as an object, got {recorded!r}")
+    known = [item.name for item in fields(Figures)]
+    if unknown := [name for name in recorded if name not in known]:
+        raise InputError(f"expected {', '.join(known)} as appearance of pictures, got {unknown[0]!r}")
+    return Figures(**recorded)
 
 
 def record_figures(settings_file: Path, figures: Figures) -> None:
@@ -86,4 +106,4 @@ def ink(ground: str) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, Real) and not isinstance(value, bool)

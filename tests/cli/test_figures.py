@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import is_one_line
 from optional import import_or_skip
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench import read_cloud
 from pcbench.report import Figures
@@ -23,6 +23,12 @@ from pcbench.report.figures import ink, recorded_figures
 def test_invalid_options_of_figures_are_refused(options):
     with check_error():
         Figures(**options)
+
+
+def test_the_range_may_be_a_number_of_numpy():
+    figures = Figures(range=np.float32(0.5))
+    assert json.loads(json.dumps(figures.plain()))["range"] == 0.5
+    assert Figures(range=np.int64(2)) == Figures(range=2)
 
 
 def test_text_is_readable_on_every_background():
@@ -60,6 +66,33 @@ def test_plot_uses_the_recorded_options_unless_overridden(files, run):
     # A new report in the folder leaves no picture of the old one.
     assert run("compare", "ref.ply", "b.ply", "--out", "one", "-q")[0] == 0
     assert not list(Path("one").glob("figures/*"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"figures": {"background": "mauve"}}',
+        '{"figures": {"range": -1}}',
+        '{"figures": {"format": ["png"]}}',
+        '{"figures": {"colour\\u202e\\n": "red"}}',
+        '{"figures": "white"}',
+        "[]",
+        "{",
+        "[" * 100_000,
+        "\x00\ud800",
+    ],
+    ids=["background", "range", "format", "name", "text", "list", "cut", "deep", "binary"],
+)
+def test_damaged_records_of_options_are_one_line(files, run, text):
+    """The pictures are not drawn in another appearance than the user has recorded; without a record, in the default."""
+    assert run("deform", "ref.ply", "a.ply", "--no-figures", "--out", "bend", "-q")[0] == 0
+    assert recorded_figures(Path("bend/settings.json")) == Figures()
+    Path("bend/settings.json").write_text("{}")
+    assert recorded_figures(Path("bend/settings.json")) == Figures()
+    Path("bend/settings.json").write_bytes(text.encode("utf-8", "surrogatepass"))
+    code, out, err = run("plot", "bend", "--background", "white")
+    assert (code, out, is_one_line(err)) == (2, "", True)
+    check_text(err)
 
 
 @pytest.mark.parametrize(

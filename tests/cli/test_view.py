@@ -2,10 +2,13 @@
 
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapes
+from camera_rigs import sector
 from command_line import is_one_line
 from optional import import_or_skip
 from scene_folders import NAMES, orbit, ten_images_folder
@@ -77,6 +80,36 @@ def test_without_opengl_it_says_what_to_do(report, run, monkeypatch):
         code, _, err = run("view", path, "--screenshot", "view.png")
         assert (code, is_one_line(err)) == (2, True)
         check_text(err)
+
+
+@pytest.mark.usefixtures("off_screen")
+def test_a_folder_of_deform(run, tmp_path, monkeypatch):
+    """Arrows of a bent cloud; a cloud without deformation, and damaged files, are one line."""
+    monkeypatch.chdir(tmp_path)
+    points = shapes.city(4000, seed=2)[0]
+    bowl = np.stack([*(0 * points[:, :2]).T, 1e-3 * (points[:, :2] ** 2).sum(axis=1)], axis=1)
+    write_cloud("ref.ply", Cloud(shapes.city(8000, seed=1)[0], unit="m"))
+    write_cloud("bent.ply", Cloud(points + bowl))
+    write_cloud("a.ply", Cloud(points))
+    for name in ("bent", "a"):
+        assert run("deform", "ref.ply", f"{name}.ply", "--out", name, "--no-figures", "-q")[0] == 0
+    assert run("view", "bent", "--screenshot", "view.png") == (0, "", "")
+    assert size_and_colors("view.png")[1] > 100
+    cameras = [replace(camera, name=name) for camera, name in zip(sector(0, 80, 10), NAMES, strict=True)]
+    write_colmap_model(ten_images_folder(Path("photos")) / "sparse/0", cameras)
+    assert run("view", "bent", "--scene", "photos", "--screenshot", "beside.png") == (0, "", "")
+    assert Path("beside.png").read_bytes() != Path("view.png").read_bytes()
+    code, out, err = run("view", "a", "--screenshot", "none.png")
+    assert (code, out, is_one_line(err)) == (2, "", True)
+    check_text(err)
+    write_cloud("bent/deformation.ply", np.eye(3))
+    code, out, err = run("view", "bent", "--screenshot", "none.png")
+    assert (code, out, is_one_line(err)) == (2, "", True)
+    check_text(err)
+    Path("bent/aligned.ply").unlink()
+    code, out, err = run("view", "bent", "--screenshot", "none.png")
+    assert (code, out, is_one_line(err)) == (2, "", True)
+    assert not Path("none.png").exists()
 
 
 @pytest.mark.usefixtures("off_screen")

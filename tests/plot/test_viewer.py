@@ -1,5 +1,6 @@
 """The viewer of a report without its window: candidates, maps, colour range, and values of a point."""
 
+import re
 import shutil
 
 import numpy as np
@@ -37,6 +38,17 @@ def viewer(report):
     viewer.plotter.close()
 
 
+@pytest.fixture(scope="module")
+def bent_report(tmp_path_factory):
+    """A report with a candidate without a deformation, `a`, and one that is bent into a bowl."""
+    folder = tmp_path_factory.mktemp("bent") / "report"
+    points = shapes.city(4000, seed=2)[0]
+    bowl = np.stack([*(0 * points[:, :2]).T, 1e-3 * (points[:, :2] ** 2).sum(axis=1)], axis=1)
+    reference = Cloud(shapes.city(8000, seed=1)[0], unit="m")
+    pcbench.compare(reference, {"a": Cloud(points), "bent": Cloud(points + bowl)}).save(folder, figures=False)
+    return folder
+
+
 def dataset(viewer):
     return viewer.plotter.actors["values"].mapper.dataset
 
@@ -67,6 +79,54 @@ def test_the_range_changes_the_colours(viewer):
     before = shares()
     viewer.set_range(1e-6)
     assert all(new > 3 * old for new, old in zip(shares(), before, strict=True))
+
+
+def test_displacements_are_those_of_the_files(bent_report):
+    """The key D shows arrows instead of the map; their length is that of the file times the factor in the title."""
+    said = []
+    viewer = ReportViewer(bent_report, said.append, off_screen=True)
+    viewer.switch_displacements()
+    assert (viewer.shows_displacements, len(said)) == (False, 1)
+    check_text(said[0])
+    viewer.next_candidate()
+    viewer.switch_displacements()
+    assert "values" not in viewer.plotter.actors
+    field = pcbench.read_cloud(bent_report / "bent_deformation.ply")
+    vectors = np.stack([field.attributes[f"displacement_{k}"] for k in "xyz"], axis=1)
+    lengths = np.linalg.norm(vectors, axis=1)
+    title = viewer.plotter.actors["title"].input
+    check_text(re.sub(r"[0-9.]+", "#", title))
+    factor = float(re.search(r"exaggerated ([0-9.]+) times", title)[1])
+    assert f"95 % below {np.percentile(lengths[lengths > 0], 95):.3g} m, largest {lengths.max():.3g} m" in title
+    assert len(viewer.plotter.scalar_bars) == 1
+
+    def longest():
+        data = viewer.plotter.actors["arrows"].mapper.dataset
+        return np.ptp(data.points[:, 2].reshape(len(lengths), -1), axis=1).max()
+
+    first = longest()
+    assert np.isclose(first, factor * np.abs(vectors[:, 2]).max(), rtol=0.2)  # and the width of the arrow's head
+    viewer.set_exaggeration(2 * factor)
+    assert np.isclose(longest(), 2 * first)
+    assert f"exaggerated {2 * factor:g} times" in viewer.plotter.actors["title"].input
+    viewer.switch_displacements()
+    assert "arrows" not in viewer.plotter.actors and dataset(viewer).n_points == 4000
+    viewer.switch_displacements()
+    viewer.next_map()
+    assert "arrows" not in viewer.plotter.actors and not viewer.shows_displacements
+    viewer.switch_displacements()
+    viewer.next_candidate()  # which has no displacements
+    assert "arrows" not in viewer.plotter.actors and viewer.name == "a"
+    viewer.plotter.close()
+
+
+def test_the_lighting_can_be_switched(viewer):
+    pictures = []
+    for _ in range(3):
+        pictures.append(np.asarray(viewer.plotter.screenshot(return_img=True))[80:600, :, :3].astype(int))
+        viewer.switch_lighting()
+    assert pictures[0].sum() < pictures[1].sum()
+    assert (pictures[0] != pictures[2]).mean() < 0.001
 
 
 def test_values_of_a_point_are_those_of_the_files(report, viewer):

@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray, as_rows
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, has_colors, height_range, ranges_of
+from pcbench.report.colors import has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.inputs import SceneFolder
-from pcbench.report.plot.bends import round_exaggeration
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.clouds import attribute_values
 from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plot.views import AxisBox, Frame
+from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.reading import SceneLike, as_scene, viewing_cameras
 from pcbench.report.viewing import ViewingCameras, up_of
@@ -45,6 +45,7 @@ def cloud(
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
     background: str = "dark",
+    lighting: bool = True,
 ) -> Any:
     """Return a plotter of a cloud in its own colours, or coloured by height; or of a mesh.
 
@@ -56,6 +57,8 @@ def cloud(
         off_screen: whether to render without a window; default: as pyvista is set up.
         window_size: width and height in pixels.
         background: `dark`, `white`, `black` or `#rrggbb`.
+        lighting: whether points behind their surroundings are darker (eye-dome lighting), which shows edges and depth.
+            It keeps hues.
 
     Returns:
         A `pyvista.Plotter`.
@@ -67,14 +70,14 @@ def cloud(
     """
     shown = cloud if isinstance(cloud, Mesh) else to_cloud(cloud)
     cameras = _cameras_of(scene, shown)
-    window = Window(off_screen, window_size, background)
+    window = Window(off_screen, window_size, background, lighting)
     stage = Stage(frame(None, {"": _points(shown)}, cameras), unit or shown.unit, window)
     if isinstance(shown, Mesh):
         stage.add_surface(shown, "mesh", color="#c8ccd0")
         stage.write_title(pluralize(len(shown), "face"))
         return stage.plotter
     if has_colors(shown.colors):
-        stage.add_points(shown.points, "cloud", scalars=shown.colors, rgb=True, pickable=True)
+        stage.add_points(shown.points, "cloud", lit=True, scalars=shown.colors, rgb=True, pickable=True)
     else:
         heights = shown.points @ up_of(cameras)
         stage.add_bar(stage.add_values(shown.points, heights, height_range(heights)), "height")
@@ -94,6 +97,7 @@ def deviation(
     off_screen: bool | None = None,
     window_size: tuple[int, int] = WINDOW_SIZE,
     background: str = "dark",
+    lighting: bool = True,
 ) -> Any:
     """Return a plotter of a cloud coloured by distances, with the reference as a pale ghost.
 
@@ -111,6 +115,7 @@ def deviation(
         off_screen: as in `cloud`.
         window_size: as in `cloud`.
         background: as in `cloud`.
+        lighting: as in `cloud`.
 
     Returns:
         A `pyvista.Plotter`.
@@ -127,7 +132,7 @@ def deviation(
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit
     shared = frame(measured, {"": known}, _cameras_of(scene, known if ghost is None else ghost))
-    stage = Stage(shared, unit, Window(off_screen, window_size, background))
+    stage = Stage(shared, unit, Window(off_screen, window_size, background, lighting))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
     label = label or (label_of(values) if isinstance(values, str) else "distance")
@@ -170,10 +175,14 @@ def displacements(
         MissingExtra: pyvista is not installed.
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
-    window = Window(off_screen, window_size, background)
+    if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
+        raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
     shown = to_cloud(cloud)
-    found = _cameras_of(scene, shown)
-    return show_displacements("", shown, places, vectors, exaggeration, unit, window, found).plotter
+    moved = Displacements.of("", shown.points, places, vectors)
+    shared = frame(None, {"": shown}, _cameras_of(scene, shown))
+    stage = Stage(shared, unit or shown.unit, Window(off_screen, window_size, background))
+    moved.show(stage, exaggeration)
+    return stage.plotter
 
 
 def cameras(
@@ -221,36 +230,6 @@ def cameras(
         stage.add_points(drawing.positions, "cameras", color=_CAMERA_COLOR)
     stage.write_title(drawing.title)
     return stage.plotter
-
-
-def show_displacements(
-    name: str,
-    cloud: Cloud,
-    places: ArrayLike,
-    vectors: ArrayLike,
-    exaggeration: float | None,
-    unit: str | None,
-    window: Window,
-    viewing: ViewingCameras | None = None,
-) -> Stage:
-    """Return a stage with `displacements`, with a name in its title, seen from the side of cameras."""
-    if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
-        raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
-    tails, arrows = as_rows("places", places), as_rows("vectors", vectors)
-    if tails.shape != arrows.shape:
-        raise InputError(f"expected one vector for each of the {len(tails)} places, got {len(arrows)}")
-    lengths = np.linalg.norm(arrows, axis=1)
-    moved = np.isfinite(lengths) & (lengths > 0)
-    if not moved.any():
-        raise InputError("expected displacements, got none that is finite and not zero")
-    tails, arrows, typical = tails[moved], arrows[moved], float(np.percentile(lengths[moved], 95))
-    stage = Stage(frame(None, {"": cloud}, viewing), unit or cloud.unit, window)
-    factor = exaggeration or round_exaggeration(typical, stage.frame.box)
-    stage.add_ghost(cloud.points)
-    actor = stage.add_arrows(tails, factor * arrows, arrows @ up_of(viewing), Range(-typical, typical, signed=True))
-    stage.add_bar(actor, "vertical displacement")
-    stage.write_title(f"{name + ': ' if name else ''}displacements exaggerated {factor:g} times")
-    return stage
 
 
 def _cameras_of(scene: SceneLike | None, shown: Cloud | Mesh) -> ViewingCameras | None:

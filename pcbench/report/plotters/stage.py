@@ -16,14 +16,18 @@ from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
 from pcbench.report.figures import WINDOW_SIZE, Figures, ink
 from pcbench.report.plot.views import Frame, oblique_view
-from pcbench.report.plotters.axes import axes_of
+from pcbench.report.plotters.axes import FONT_PX, Layout, lay_out
+from pcbench.report.plotters.lighting import Lighting
 from pcbench.report.read import UNKNOWN_UNIT
 from pcbench.report.words import printable
 
-_FRAME_SHARE = (0.92, 0.76)  # of the window's width and height, for frame and axes
-_RAISED_SHARE = 0.045  # of the window's height by which the frame's middle lies above the window's
+_SIDE_PX, _TOP_PX, _BOTTOM_PX = 48, 60, 132  # around frame and axes, for title and colour bar
+_MAX_MARGIN_SHARES = (0.1, 0.15, 0.3)  # of a small window
+_BAR_PX = (24, 72)  # distance of the colour bar from the lower edge, and its height with labels and title
 _COLORS = 256  # entries of a lookup table
-_AXES_OPACITY = 0.6
+_LINE_INK_SHARE = 0.6  # of ink in the colour of lines; the rest is background
+_TITLE_SIZE, _MIN_TITLE_SIZE = 11, 5  # in points
+_TITLE_CHARACTER_PX = 12.4  # mean width of a character of the title's full size
 _TITLE_PX = 36  # from the upper edge to the lower edge of the title
 _NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
 _DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
@@ -41,11 +45,13 @@ class Window(NamedTuple):
         off_screen: whether to render without a window; None: as pyvista is set up.
         size: width and height in pixels.
         background: background colour, see `Figures`.
+        lighting: whether points have eye-dome lighting.
     """
 
     off_screen: bool | None = None
     size: tuple[int, int] = WINDOW_SIZE
     background: str = "dark"
+    lighting: bool = True
 
 
 class Stage:
@@ -66,6 +72,7 @@ class Stage:
         frame: the frame.
         unit: unit of lengths, or words for an unknown one.
         ink: colour of text on the background.
+        lighting: lighting of the points; None if the window has none.
 
     Raises:
         MissingExtra: pyvista is not installed.
@@ -85,32 +92,40 @@ class Stage:
         )
         self.plotter.set_background(ground)
         self.ink = ink(ground)
+        self._line_color = _mixed(self.ink, ground, _LINE_INK_SHARE)
         self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
+        self.lighting = Lighting(self.plotter) if window.lighting else None
         self.origin, self._view = local_origin(frame), oblique_view(frame.cameras)
         self._place_camera(self._add_axes(axes))
 
-    def add_points(self, points: FloatArray, name: str, **how: Any) -> Any:
+    def add_points(self, points: FloatArray, name: str, *, lit: bool = False, **how: Any) -> Any:
         """Add points (N, 3) as round dots, and return the actor.
 
         Args:
             points: (N, 3) in the clouds' coordinates.
             name: name of the actor, which replaces an earlier one of that name.
+            lit: whether the points have the window's lighting. Translucent ones cannot.
             how: arguments of `pyvista.Plotter.add_mesh`; `scalars` are (N,) values or (N, 3) colours.
         """
         local = (points - self.origin).astype(np.float32)
         inside = max(int(np.count_nonzero(self.frame.box.holds(points))), 1)
         dot = float(np.clip(_DOT_SHARE * np.sqrt(self._size[0] * self._size[1] / inside), _MIN_DOT_PX, _MAX_DOT_PX))
         options = {"point_size": dot, "pickable": False, **how}
-        return self.plotter.add_mesh(
+        actor = self.plotter.add_mesh(
             self._pyvista.PolyData(local),
             style="points",
             name=name,
             render_points_as_spheres=True,
-            lighting=False,  # light would change the colours, which show values
+            lighting=False,  # light from a direction would change the colours, which show values
+            interpolate_before_map=False,  # there is nothing between points; VTK 9.4 fails with it and the lighting
             show_scalar_bar=False,
             reset_camera=False,
+            render=False,
             **options,
         )
+        if lit and self.lighting is not None:
+            self.lighting.add(actor)
+        return actor
 
     def add_surface(self, mesh: Mesh, name: str, **how: Any) -> Any:
         """Add a mesh with light from the camera, and return the actor."""
@@ -127,18 +142,27 @@ class Stage:
 
     def add_values(self, points: FloatArray, values: FloatArray, scale: Range, name: str = "values") -> Any:
         """Add points (N, 3) coloured by finite values (N,), which a mouse click can pick, and return the actor."""
-        return self.add_points(
-            points, name, scalars=values, cmap=self.lookup_table(scale), clim=(scale.low, scale.high), pickable=True
-        )
+        how = {"scalars": values, "cmap": self.lookup_table(scale), "clim": (scale.low, scale.high)}
+        return self.add_points(points, name, lit=True, pickable=True, **how)
 
     def add_arrows(self, tails: FloatArray, vectors: FloatArray, values: FloatArray, scale: Range) -> Any:
         """Add arrows from tails (N, 3) along vectors (N, 3), coloured by values (N,), and return the actor."""
         data = self._pyvista.PolyData((tails - self.origin).astype(np.float32))
         data["vectors"], data["values"] = vectors, values
         arrows = data.glyph(orient="vectors", scale="vectors", geom=self._pyvista.Arrow(shaft_resolution=8))
-        table = self.lookup_table(scale)
-        how = {"cmap": table, "clim": (scale.low, scale.high), "lighting": False, "show_scalar_bar": False}
-        return self.plotter.add_mesh(arrows, scalars="values", name="arrows", reset_camera=False, pickable=False, **how)
+        return self.plotter.add_mesh(
+            arrows,
+            scalars="values",
+            cmap=self.lookup_table(scale),
+            clim=(scale.low, scale.high),
+            name="arrows",
+            interpolate_before_map=False,  # an arrow has one value
+            lighting=False,
+            show_scalar_bar=False,
+            reset_camera=False,
+            render=False,
+            pickable=False,
+        )
 
     def add_lines(self, lines: Sequence[FloatArray], name: str, color: str) -> Any:
         """Add lines, each through points (K, 3), and return the actor."""
@@ -155,59 +179,70 @@ class Stage:
         """Add the colour bar of an actor, with its label and the unit; it replaces an earlier one."""
         for title in [*self.plotter.scalar_bars.keys()]:
             self.plotter.remove_scalar_bar(title, render=False)
-        self.plotter.add_scalar_bar(
+        bar = self.plotter.add_scalar_bar(
             title=f"{label} [{self.unit}]\n",
             mapper=actor.mapper,
             vertical=False,
             position_x=0.27,
-            position_y=0.03,
+            position_y=_BAR_PX[0] / self._size[1],
             width=0.46,
-            height=0.09,
+            height=_BAR_PX[1] / self._size[1],
             n_labels=5,
             fmt=f"%.{_digits(*actor.mapper.scalar_range)}g",
             color=self.ink,
             title_font_size=16,
             label_font_size=14,
             unconstrained_font_size=True,
+            render=False,
         )
+        bar.GetLabelTextProperty().SetJustificationToCentered()  # else VTK centres them from the second rendering on
+
+    def with_unit(self, length: float) -> str:
+        """Return a length with three digits and the unit, if that is known."""
+        return f"{length:.3g} {self._known_unit}" if self._known_unit else f"{length:.3g}"
 
     def write_title(self, text: str) -> None:
-        """Write the title at the upper edge; it replaces an earlier one."""
+        """Write the title at the upper edge, smaller if it is long; it replaces an earlier one."""
+        shown = printable(text)
+        fitting = _TITLE_SIZE * 0.97 * self._size[0] / (_TITLE_CHARACTER_PX * max(len(shown), 1))
         self.plotter.add_text(
-            printable(text),
+            shown,
             position=(0.015, 1 - _TITLE_PX / self._size[1]),
             viewport=True,
-            font_size=11,
+            font_size=int(np.clip(fitting, _MIN_TITLE_SIZE, _TITLE_SIZE)),
             color=self.ink,
             name="title",
+            render=False,
         )
 
-    def _add_axes(self, names: tuple[str, str, str]) -> FloatArray:
-        """Add axes along edges of the frame's box, and return the places (K, 3) of their labels."""
-        axes = axes_of(self.frame.box.low - self.origin, self.frame.box.high - self.origin, self._view)
-        lines = [axis.ends for axis in axes] + [tick for axis in axes for tick in axis.ticks]
-        self._add_local_lines(lines, "axes", color=self.ink, opacity=_AXES_OPACITY)
+    def _add_axes(self, names: tuple[str, str, str]) -> Layout:
+        """Add axes along edges of the frame's box, and return their layout."""
         unit = f" [{self._known_unit}]" if self._known_unit else ""
         titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
-        places = np.concatenate([axis.places for axis in axes] + [axis.title_place[None] for axis in axes])
-        labels = [f"{value:.6g}" for axis in axes for value in axis.values] + titles
-        self.plotter.add_point_labels(
-            places,
-            labels,
-            name="axis labels",
-            show_points=False,
-            shape=None,
-            always_visible=True,
-            text_color=self.ink,
-            font_size=13,
-            bold=False,
-            justification_horizontal="center",
-            justification_vertical="center",
-            reset_camera=False,
-        )
+        low, high = self.frame.box.low - self.origin, self.frame.box.high - self.origin
+        side, top, bottom = self._margins
+        layout = lay_out(low, high, titles, self._view, np.array(self._size) - [2 * side, top + bottom])
+        lines = [axis.ends for axis in layout.axes] + [tick for axis in layout.axes for tick in axis.ticks]
+        self._add_local_lines(lines, "axes", color=self._line_color)
+        for number, axis in enumerate(layout.axes):
+            texts = (*axis.labels, axis.title)  # with the same alignment
+            self.plotter.add_point_labels(
+                np.stack([text.place for text in texts]),
+                [text.text for text in texts],
+                name=f"axis labels {number}",
+                show_points=False,
+                shape=None,
+                always_visible=True,
+                text_color=self.ink,
+                font_size=FONT_PX,
+                bold=False,
+                justification_horizontal=axis.title.horizontal,
+                justification_vertical=axis.title.vertical,
+                reset_camera=False,
+            )
         x, y, z = names
         self.plotter.add_axes(color=self.ink, line_width=3, xlabel=x, ylabel=y, zlabel=z)
-        return places
+        return layout
 
     def _add_local_lines(self, lines: Sequence[FloatArray], name: str, **how: Any) -> Any:
         """Add lines, each through points (K, 3) relative to the origin."""
@@ -216,17 +251,22 @@ class Stage:
         shown = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
         return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
 
-    def _place_camera(self, labels: FloatArray) -> None:
-        """Show the frame's box and the places (K, 3) of labels, with parallel projection as in the pictures."""
+    @property
+    def _margins(self) -> FloatArray:
+        """Pixels beside, above and below frame and axes."""
+        width, height = self._size
+        margins: FloatArray = np.minimum(
+            (_SIDE_PX, _TOP_PX, _BOTTOM_PX), np.multiply(_MAX_MARGIN_SHARES, (width, height, height))
+        )
+        return margins
+
+    def _place_camera(self, layout: Layout) -> None:
+        """Show the frame's box with its axes, with parallel projection as in the pictures."""
         right, up, toward = self._view.axes
-        box, center = self.frame.box, self.frame.box.center - self.origin
-        corners = np.stack(np.meshgrid(*zip(box.low, box.high, strict=True)), axis=-1).reshape(-1, 3) - self.origin
-        shown = (np.concatenate([corners, labels]) - center) @ self._view.axes[:2].T
-        low, high = shown.min(axis=0), shown.max(axis=0)
-        width, height = (high - low) / _FRAME_SHARE
-        visible = max(float(height), float(width) * self._size[1] / self._size[0])  # height of the whole window
-        middle = 0.5 * (low + high)
-        focus = center + middle[0] * right + (middle[1] - _RAISED_SHARE * visible) * up
+        visible = layout.pixel * self._size[1]  # height of the whole window
+        _, top, bottom = self._margins
+        x, y = layout.middle - [0, 0.5 * (bottom - top) * layout.pixel]
+        focus = x * right + y * up + (self.frame.box.center - self.origin) @ toward * toward
         camera = self.plotter.camera
         camera.parallel_projection = True
         camera.focal_point, camera.position = focus.tolist(), (focus + 2 * visible * toward).tolist()
@@ -241,6 +281,12 @@ def _check_size(size: Any) -> None:
         is_valid = False
     if not is_valid:
         raise InputError(f"expected the window size as two whole numbers from 1 to {_MAX_SIZE_PX}, got {size!r}")
+
+
+def _mixed(one: str, other: str, share: float) -> str:
+    """Return the colour #rrggbb that has a share of one colour and the rest of another."""
+    pairs = [(int(one[k : k + 2], 16), int(other[k : k + 2], 16)) for k in (1, 3, 5)]
+    return "#" + "".join(f"{round(share * a + (1 - share) * b):02x}" for a, b in pairs)
 
 
 def _digits(low: float, high: float) -> int:

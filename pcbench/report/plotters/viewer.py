@@ -1,4 +1,4 @@
-"""Interactive views of a saved report and of cloud files: candidates and maps by key, colour range, and picking."""
+"""Interactive views of a saved report, a folder of `pcbench deform` and cloud files: keys, sliders, and picking."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
@@ -19,20 +20,24 @@ from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
 from pcbench.report.inputs import SceneFolder
-from pcbench.report.plot.maps import label_of
+from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plotters.candidates import CandidateMaps
-from pcbench.report.plotters.stage import Window
-from pcbench.report.read import damage_in_one_line, read_report
+from pcbench.report.plotters.controls import add_exaggeration, add_hint, add_slider, enable_picking
+from pcbench.report.plotters.displacements import Displacements
+from pcbench.report.plotters.stage import Stage, Window
+from pcbench.report.read import damage_in_one_line, read_deformation, read_report
+from pcbench.report.reading import viewing_cameras
 from pcbench.scenes import read_scene
+
+NO_DISPLACEMENTS = "no deformation was found, so there are no displacements"
 
 NEIGHBORS = 50
 """Number of closest points whose values are summarised for a picked point."""
 
 _FIRST_SCALAR = "plane_distance"
 _SLIDER_FACTOR = 4.0  # the slider goes from the first range divided by this to the range times this
-_PICK_TOLERANCE = 0.005  # of the window's diagonal
 _DIGITS = 6  # of coordinates, counted from the size of the scene
-_KEYS = "N: next candidate   M: next map   right click: values of a point   Q: close"
+_KEYS = "N: next candidate   M: next map   D: displacements   L: lighting   right click: values of a point   Q: close"
 
 Say = Callable[[str], None]
 
@@ -40,8 +45,9 @@ Say = Callable[[str], None]
 class ReportViewer:
     """A view of a saved report.
 
-    The key N shows the next candidate, and M the next map. A slider sets the end of the colour range. A right click on
-    a point calls `say` with its coordinates, its value and statistics of its neighbours.
+    The key N shows the next candidate, M the next map, D its displacements as arrows, and L switches the lighting. A
+    slider sets the end of the colour range, or the exaggeration of the arrows. A right click on a point of a map calls
+    `say` with its coordinates, its value and statistics of its neighbours.
 
     Args:
         folder: the report folder.
@@ -51,15 +57,20 @@ class ReportViewer:
     Attributes:
         plotter: the plotter, which is not yet shown.
         name: the candidate shown.
-        scalar: the map shown.
+        scalar: the map shown, or shown before the displacements.
+        shows_displacements: whether displacements are shown instead of the map.
     """
 
     def __init__(self, folder: Path, say: Say, *, off_screen: bool) -> None:
         report, look = read_report(folder), recorded_figures(folder / "settings.json")
         with damage_in_one_line(folder):
             self._maps = CandidateMaps.of_report(report, look.range)
+            self._displacements = {
+                candidate.name: Displacements.of_field(candidate.name, candidate.deviation.points, candidate.field)
+                for candidate in report.candidates
+            }
         self._say, self._indices = say, dict[tuple[str, str], Index]()
-        self.name = next(iter(self._maps.maps))
+        self.name, self.shows_displacements = next(iter(self._maps.maps)), False
         scalars = self._maps.maps[self.name]
         self.scalar = _FIRST_SCALAR if _FIRST_SCALAR in scalars else next(iter(scalars))
         window = Window(off_screen, background=look.background or "dark")
@@ -71,22 +82,44 @@ class ReportViewer:
             self._add_controls()
 
     def next_candidate(self) -> None:
-        """Show the next candidate, with the same map if it has that one."""
+        """Show the next candidate, with the same map if it has that one, or its displacements if it has some."""
         self.name = _after(self.name, list(self._maps.maps))
         if self.scalar not in self._maps.maps[self.name]:
             self.scalar = next(iter(self._maps.maps[self.name]))
+        self.shows_displacements &= self._displacements[self.name] is not None
         self._show()
 
     def next_map(self) -> None:
         """Show the next map of the candidate."""
-        self.scalar = _after(self.scalar, list(self._maps.maps[self.name]))
+        self.scalar, self.shows_displacements = _after(self.scalar, list(self._maps.maps[self.name])), False
         self._show()
+
+    def switch_displacements(self) -> None:
+        """Show the candidate's displacements instead of its map, or the map again; say so if there are none."""
+        if self._displacements[self.name] is None:
+            self._say(f"{self.name}: {NO_DISPLACEMENTS}")
+            return
+        self.shows_displacements = not self.shows_displacements
+        self._show()
+
+    def switch_lighting(self) -> None:
+        """Switch the lighting of the points off or on."""
+        assert self._stage.lighting is not None
+        self._stage.lighting.enabled = not self._stage.lighting.enabled
+        self.plotter.render()
 
     def set_range(self, end: float) -> None:
         """Set the end of the colour range; that of signed values starts at minus this."""
         low = -end if self._scale.signed else 0.0
         mapper = self.plotter.actors["values"].mapper
         mapper.lookup_table.scalar_range = mapper.scalar_range = (low, end)
+        self.plotter.render()
+
+    def set_exaggeration(self, factor: float) -> None:
+        """Set the exaggeration of the displacements."""
+        shown = self._displacements[self.name]
+        assert shown is not None
+        shown.show(self._stage, factor)
         self.plotter.render()
 
     def describe(self, row: int) -> str:
@@ -119,35 +152,71 @@ class ReportViewer:
         return _decimals(self._maps.frame.box.high - self._maps.frame.box.low)
 
     def _show(self) -> None:
-        self._scale = self._maps.show(self._stage, self.name, self.scalar)
+        moved = self._displacements[self.name] if self.shows_displacements else None
+        self.plotter.remove_actor("arrows" if moved is None else "values", reset_camera=False, render=False)
+        if moved is None:
+            self._scale = self._maps.show(self._stage, self.name, self.scalar)
+        else:
+            moved.show(self._stage)
         if self._has_window:
             self._add_slider()
         self.plotter.render()
 
     def _add_controls(self) -> None:
-        self.plotter.add_key_event("n", self.next_candidate)
-        self.plotter.add_key_event("m", self.next_map)
+        keys = {"n": self.next_candidate, "m": self.next_map, "d": self.switch_displacements, "l": self.switch_lighting}
+        for key, action in keys.items():
+            self.plotter.add_key_event(key, action)
         self._add_slider()
-        enable_picking(self.plotter, lambda row: self._say(self.describe(row)))
-        add_hint(self.plotter, _KEYS, self._stage.ink)
+        enable_picking(self.plotter, self._pick)
+        add_hint(self._stage, _KEYS)
+
+    def _pick(self, row: int) -> None:
+        if not self.shows_displacements:
+            self._say(self.describe(row))
 
     def _add_slider(self) -> None:
-        """Add the slider for the current map, in place of an earlier one."""
-        self.plotter.clear_slider_widgets()
-        end = self._scale.high
-        self.plotter.add_slider_widget(
-            self.set_range,
-            (end / _SLIDER_FACTOR, end * _SLIDER_FACTOR),
-            value=end,
-            title=f"colour range ends at [{self._stage.unit}]",
-            pointa=(0.77, 0.08),
-            pointb=(0.97, 0.08),
-            color=self._stage.ink,
-            title_height=0.016,
-            fmt="%.3g",
-            interaction_event="always",
-            style="modern",
-        )
+        """Add the slider for the current map or displacements, in place of an earlier one."""
+        moved = self._displacements[self.name] if self.shows_displacements else None
+        if moved is not None:
+            add_exaggeration(self._stage, moved, self.set_exaggeration)
+            return
+        end, title = self._scale.high, f"colour range ends at [{self._stage.unit}]"
+        add_slider(self._stage, title, (end / _SLIDER_FACTOR, end * _SLIDER_FACTOR), end, self.set_range)
+
+
+def view_deformation(folder: Path, warn: Say, *, scene: SceneFolder | None = None, off_screen: bool) -> Any:
+    """Return a plotter of the displacements in a folder of `pcbench deform`, with a slider for their exaggeration.
+
+    Args:
+        folder: the folder.
+        warn: called with the warnings of the scene's reader.
+        scene: a scene with cameras in the reference's coordinates, which select the view.
+        off_screen: whether to render without a window.
+
+    Raises:
+        InputError: a file is damaged, no deformation was found, or the scene cannot be used.
+    """
+    verdict, look = read_deformation(folder), recorded_figures(folder / "settings.json")
+    with damage_in_one_line(folder):
+        field = folder / "deformation.ply"
+        cloud = read_cloud(folder / "aligned.ply", on_warning=lambda _: None)
+        places = read_cloud(field, on_warning=lambda _: None) if field.is_file() else None
+        moved = Displacements.of_field(f"candidate, {verdict.model} model", cloud.points, places)
+    if moved is None:
+        cloud_file = folder / "aligned.ply"
+        raise InputError(f"{folder}: {NO_DISPLACEMENTS}; `pcbench view {cloud_file}` shows the cloud")
+    cameras = None if scene is None else viewing_cameras(scene, cloud, warn)
+    window = Window(off_screen, background=look.background or "dark")
+    stage = Stage(frame(None, {"": cloud}, cameras), cloud.unit, window)
+    moved.show(stage)
+    if not off_screen:
+
+        def set_exaggeration(factor: float) -> None:
+            moved.show(stage, factor)
+            stage.plotter.render()
+
+        add_exaggeration(stage, moved, set_exaggeration)
+    return stage.plotter
 
 
 def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = None, off_screen: bool) -> Any:
@@ -175,23 +244,6 @@ def describe_point(cloud: Cloud, row: int) -> str:
     lines = [f"point {row:,} at {_coordinates(cloud.points[row], _decimals(high - low))}{unit}"]
     lines += [f"  {name}: {values[row]:.10g}" for name, values in cloud.attributes.items()]
     return "\n".join(lines)
-
-
-def enable_picking(plotter: Any, picked: Callable[[int], None]) -> None:
-    """Call a function with the row of each point that the user clicks on with the right mouse button."""
-
-    def on_pick(_: Any, picker: Any) -> None:
-        if picker.GetPointId() >= 0:
-            picked(picker.GetPointId())
-
-    plotter.enable_point_picking(
-        on_pick, tolerance=_PICK_TOLERANCE, picker="point", show_message=False, use_picker=True, color="#ff40ff"
-    )
-
-
-def add_hint(plotter: Any, text: str, color: str) -> None:
-    """Write the keys below the title."""
-    plotter.add_text(text, position=(0.015, 0.93), viewport=True, font_size=7, color=color, name="keys")
 
 
 def _after(current: str, names: Sequence[str]) -> str:
