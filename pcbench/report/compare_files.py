@@ -20,6 +20,7 @@ from pcbench.report.inputs import InputFile, SceneFolder
 from pcbench.report.names import names_of
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 from pcbench.report.reading import paths_in
+from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 
 _Setting = TypeVar("_Setting")
 
@@ -34,7 +35,7 @@ class ComparisonJob:
         settings: the settings.
         expected: recorded SHA-256 of files, by absolute path.
         figures: appearance of the pictures.
-        scene: the scene whose cameras select the views, if any.
+        scene: the scene whose cameras select the views, if any; or its cameras, if its folder no longer exists.
     """
 
     reference: Path
@@ -42,12 +43,12 @@ class ComparisonJob:
     settings: Settings
     expected: dict[str, str]
     figures: Figures = field(default_factory=Figures)
-    scene: SceneFolder | None = None
+    scene: SceneFolder | ViewingCameras | None = None
 
     @property
     def inputs(self) -> list[Path]:
         """The input files: the clouds, the files named in settings, and the scene."""
-        scene = [] if self.scene is None else self.scene.paths()
+        scene = self.scene.paths() if isinstance(self.scene, SceneFolder) else []
         return [self.reference, *self.candidates.values(), *paths_in(self.settings), *scene]
 
     @classmethod
@@ -70,7 +71,11 @@ class ComparisonJob:
         candidates = {name: Path(file.path) for name, file in inputs.candidates.items()}
         expected = {file.path: file.sha256 for file in inputs.all_files()}
         figures = recorded_figures(settings_file)
-        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, inputs.scene)
+        scene: SceneFolder | ViewingCameras | None = inputs.scene
+        recorded = settings_file.parent / CAMERAS_FILE
+        if inputs.scene is not None and not inputs.scene.path.exists() and recorded.is_file():
+            scene = ViewingCameras.read(recorded)
+        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, scene)
 
 
 @dataclass(frozen=True)
@@ -123,6 +128,8 @@ def _run(job: ComparisonJob, settings: Settings, step: ProgressPlan) -> Comparis
     inputs = measured.inputs
     reference, *files = (_with_change(job, file) for file in (inputs.reference, *inputs.files))
     warnings = [text for file in files for text in file.warnings]
+    if isinstance(job.scene, ViewingCameras):
+        warnings.append(f"the scene no longer exists: the views follow the cameras in the report's {CAMERAS_FILE}")
     reference = replace(reference, warnings=(*reference.warnings, *warnings))
     candidates = {name: _with_change(job, file) for name, file in inputs.candidates.items()}
     return replace(measured, inputs=replace(inputs, reference=reference, candidates=candidates, files=tuple(files)))

@@ -183,7 +183,7 @@ def compare_inputs(
     candidates: Sequence[CloudLike] | Mapping[str, Cloud] | Mapping[str, Any] | CloudLike,
     settings: Settings,
     step: Callable[[str], None],
-    scene: Scene | SceneFolder | None = None,
+    scene: Scene | SceneFolder | ViewingCameras | None = None,
 ) -> Comparison:
     """Compare like `compare`, but only record the warnings of file readers, without `warnings.warn`.
 
@@ -192,7 +192,7 @@ def compare_inputs(
         candidates: as in `compare`.
         settings: the settings.
         step: called with a short text before each step that takes time.
-        scene: the scene or its folder, as in `compare`.
+        scene: the scene or its folder, as in `compare`, or its cameras.
     """
     files: dict[str, InputFile] = {}
     reference_file, setting_files = None, named_files(settings)

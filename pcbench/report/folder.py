@@ -145,9 +145,9 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
 
 
-def _input_file(row: dict[str, Any]) -> InputFile:
+def _input_file(row: Any) -> InputFile:
     if not isinstance(row, dict):
-        raise ValueError(f"expected 'scene' as an object, got {row!r}")
+        raise ValueError(f"expected an input file as an object, got {row!r}")
     if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
         raise ValueError("path and sha256 must be text")
     return InputFile(row["path"], row["sha256"])

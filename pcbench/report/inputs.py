@@ -57,8 +57,8 @@ class Inputs:
         return (self.reference, *self.candidates.values(), *self.files)
 
     def paths(self) -> list[Path]:
-        """Return the paths of all input files."""
-        return [Path(file.path) for file in self.all_files()]
+        """Return the paths of all input files, and of the scene."""
+        return [*(Path(file.path) for file in self.all_files()), *([] if self.scene is None else self.scene.paths())]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

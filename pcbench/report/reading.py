@@ -76,13 +76,15 @@ def as_scene(scene: SceneLike) -> Scene | SceneFolder:
 
 
 def viewing_cameras(
-    scene: Scene | SceneFolder, shown: Cloud | Mesh, on_warning: Callable[[str], None]
+    scene: Scene | SceneFolder | ViewingCameras, shown: Cloud | Mesh, on_warning: Callable[[str], None]
 ) -> ViewingCameras:
     """Return the cameras of a scene for the views of a cloud or a mesh, read from its folder if necessary.
 
     Raises:
         InputError: the scene cannot be read, has no cameras, or none of them sees it.
     """
+    if isinstance(scene, ViewingCameras):
+        return scene
     if isinstance(scene, SceneFolder):
         from pcbench.scenes import read_scene
 

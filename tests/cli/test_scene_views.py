@@ -64,6 +64,20 @@ def test_the_cameras_are_recorded_listed_and_repeated(facade, run):
     assert "scene" not in json.loads(Path("one/settings.json").read_text())
 
 
+def test_a_comparison_is_repeated_with_the_recorded_cameras_if_the_scene_is_gone(facade, run):
+    assert run("compare", "wall.ply", "shifted.ply", "--scene", "photos", "--out", "one", "--no-figures", "-q")[0] == 0
+    Path("photos").rename("moved")
+    code, _, err = run("compare", "--settings", "one/settings.json", "--out", "two", "--no-figures")
+    assert code == 0
+    assert Path("two/cameras.json").read_bytes() == Path("one/cameras.json").read_bytes()
+    warnings = json.loads(Path("two/comparison.json").read_text())["reference"]["warnings"]
+    assert "the scene no longer exists" in check_text("\n".join(warnings))
+    assert "scene" not in json.loads(Path("two/settings.json").read_text())
+    Path("one/cameras.json").unlink()
+    code, _, err = run("compare", "--settings", "one/settings.json", "--out", "three")
+    assert code == 2 and "photos" in err
+
+
 def test_no_metric_depends_on_the_cameras(facade, run):
     for name, options in (("with", ("--scene", "photos")), ("without", ())):
         assert run("compare", "wall.ply", "shifted.ply", *options, "--out", name, "--no-figures", "-q")[0] == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,8 @@ def _deformation_pictures(
 ) -> dict[str, Picture]:
     is_rotated = frame.cameras is not None and frame.cameras.is_rotated
     axes = ("right", "forward") if is_rotated else ("x", "y")
+    if is_rotated:  # its trends are those along the reference's z, which is not up here
+        bend = replace(bend, growth=None)
     title = f"{name or 'candidate'} against the reference: {bend.label} ({bend.model} model)"
     prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
