@@ -245,6 +245,7 @@ def _print_info(path: Path) -> None:
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
+    from pcbench.report.words import printable
 
     mesh = spacing = None
     with steps(quiet=False) as show:
@@ -285,7 +286,7 @@ def _print_info(path: Path) -> None:
         click.echo(f"    opacity {spread(splats.opacities)}; largest axis {spread(splats.largest_axes)}")
         attributes = [name for name in attributes if not is_splat_attribute(name)]
     if attributes:
-        click.echo(f"  attributes {', '.join(attributes)}")
+        click.echo(f"  attributes {', '.join(map(printable, attributes))}")
 
 
 def _triple(values: Any) -> str:

@@ -20,7 +20,7 @@ _MESSAGE_INTERVAL_S = 9.0  # between progress lines in a pipe or a file
 
 def warn(text: object) -> None:
     """Print a warning as one line on stderr."""
-    line = " ".join(str(text).splitlines())
+    line = _one_line(str(text))
     LOGGER.warning("%s", line)
     click.echo(f"warning: {line}", err=True)
 
@@ -41,10 +41,19 @@ def name_files(kind: str, out: Path, *files: str) -> str:
 
 def report_error(message: str) -> None:
     """Print an error as one line on stderr."""
-    line = " ".join(message.split())
+    line = _one_line(message)
     LOGGER.error("%s", line, exc_info=sys.exc_info()[0] is not None)
     with suppress(OSError):  # stderr has no reader
         click.echo(f"error: {line}", err=True)
+
+
+def _one_line(text: str) -> str:
+    """Return a text on one line, with a question mark for each character that controls a terminal.
+
+    Bytes of file names that are no Unicode stay.
+    """
+    line = " ".join(text.split())
+    return "".join(c if c.isprintable() or "\udc80" <= c <= "\udcff" else "?" for c in line)
 
 
 def fail(message: str) -> NoReturn:

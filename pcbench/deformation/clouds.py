@@ -53,5 +53,5 @@ def deform(
     region = None if region is None else region.shifted(origin)
     sides = []
     for name, points, cloud in (("reference", target.surface, reference), ("candidate", aligned, candidate)):
-        sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s"), cloud))
+        sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s", origin), cloud))
     return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)

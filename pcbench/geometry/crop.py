@@ -9,7 +9,9 @@ from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.regions import Mask, Region
 
 
-def points_inside(points: FloatArray, region: Region | None, requested: Region | str, owner: str) -> Mask:
+def points_inside(
+    points: FloatArray, region: Region | None, requested: Region | str, owner: str, origin: FloatArray | None = None
+) -> Mask:
     """Return the mask (N,) of the points inside a region, or of all points if `region` is None.
 
     Args:
@@ -17,6 +19,7 @@ def points_inside(points: FloatArray, region: Region | None, requested: Region |
         region: region in the coordinates of the points, or None.
         requested: the region as the user wrote it, for the error message.
         owner: owner of the points in the error message, such as "the reference's".
+        origin: (3,) origin of the coordinates of the points, for the error message; default: 0.
 
     Raises:
         InputError: no point lies inside.
@@ -24,9 +27,8 @@ def points_inside(points: FloatArray, region: Region | None, requested: Region |
     inside = np.ones(len(points), dtype=np.bool_) if region is None else region.contains(points)
     if not inside.any():
         text = requested if isinstance(requested, str) else requested.text
-        extent = ", ".join(
-            f"{axis} {low:,.6g} to {high:,.6g}" for axis, low, high in zip("xyz", *bounds(points), strict=True)
-        )
+        corners = bounds(points) if origin is None else [corner + origin for corner in bounds(points)]
+        extent = ", ".join(f"{axis} {low:,.6g} to {high:,.6g}" for axis, low, high in zip("xyz", *corners, strict=True))
         raise InputError(
             f"the crop {text!r} leaves none of {owner} {len(points):,} points ({extent}): check its numbers, the"
             " coordinate system and the unit"

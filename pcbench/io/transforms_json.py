@@ -133,8 +133,10 @@ def _focal(values: Mapping[str, Any], axis: str, pixels: int) -> float | None:
 
 def _pose(matrix: Any) -> Similarity:
     m = np.array(matrix, dtype=np.float64)
-    if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
-        raise InputError(f"expected a 4x4 transform_matrix of finite numbers, got shape {m.shape}: export it again")
+    if m.shape not in ((4, 4), (3, 4)):
+        raise InputError(f"expected a 4x4 transform_matrix, got shape {m.shape}: export it again")
+    if not np.isfinite(m).all():
+        raise InputError(f"expected a transform_matrix of finite numbers, got {m[~np.isfinite(m)][0]}: export it again")
     cam_from_world = (nearest_rotation(m[:3, :3]) @ _OPENCV_FROM_OPENGL).T
     return Similarity(cam_from_world, -cam_from_world @ m[:3, 3])
 

@@ -181,7 +181,7 @@ def _align(reference: Reference, name: str, cloud: Cloud, settings: Settings) ->
     except RegistrationError as error:
         raise RegistrationError(f"{name}: {error}") from error
     points = registration.T_local.apply(cloud.points - reference.origin)
-    inside = points_inside(points, reference.region, settings.crop, f"{name}'s")
+    inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
     return _Aligned(cloud, registration, Index(points), inside)
 
 

@@ -124,41 +124,53 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
     if not isinstance(values, dict) or values.get("schema") != SETTINGS_SCHEMA:
         raise InputError(f"{path}: expected the settings.json of a report (schema {SETTINGS_SCHEMA})")
     try:
-        for key, kind, name in (("settings", dict, "an object"), ("candidates", list, "a list")):
+        values.setdefault("files", [])
+        kinds = {"settings": (dict, "an object"), "candidates": (list, "a list"), "files": (list, "a list")}
+        for key, (kind, name) in kinds.items():
             if not isinstance(values[key], kind):
                 raise ValueError(f"expected {key!r} as {name}, got {values[key]!r}")
         if unknown := [name for name in values["settings"] if name not in Settings.__dataclass_fields__]:
             raise ValueError(f"unknown setting {unknown[0]!r}")
         settings = restore(values["settings"])
-        candidates = {row["name"]: _input_file(row) for row in values["candidates"]}
+        candidates = {}
+        for row in values["candidates"]:
+            (name,) = _texts("a candidate", row, "name")
+            candidates[name] = _input_file("a candidate", row)
         if not candidates:
             raise ValueError("expected at least one candidate, got none")
         if len(candidates) < len(values["candidates"]):
             raise ValueError("candidates need different names")
         for name in candidates:
             check_name(name)
-        files = tuple(_input_file(row) for row in values.get("files", []))
-        scene = _scene(values["scene"]) if values.get("scene") is not None else None
-        return settings, Inputs(_input_file(values["reference"]), candidates, files, scene)
+        files = tuple(_input_file("a file", row) for row in values["files"])
+        scene = None
+        if values.get("scene") is not None:
+            folder, cameras = _texts("the scene", values["scene"], "path", "cameras")
+            scene = SceneFolder(Path(folder), cameras)
+        return settings, Inputs(_input_file("the reference", values["reference"]), candidates, files, scene)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
 
 
-def _input_file(row: Any) -> InputFile:
-    if not isinstance(row, dict):
-        raise ValueError(f"expected an input file as an object, got {row!r}")
-    if not isinstance(row["path"], str) or not isinstance(row["sha256"], str):
-        raise ValueError("path and sha256 must be text")
-    return InputFile(row["path"], row["sha256"])
+def _input_file(owner: str, row: Any) -> InputFile:
+    path, sha256 = _texts(owner, row, "path", "sha256")
+    return InputFile(path, sha256)
 
 
-def _scene(row: Any) -> SceneFolder:
+def _texts(owner: str, row: Any, *keys: str) -> list[str]:
+    """Return the texts of an object by their keys.
+
+    Raises:
+        ValueError: the row is no object, or a value is no text or has a NUL, which no file name can have.
+        KeyError: a value is missing.
+    """
     if not isinstance(row, dict):
-        raise ValueError(f"expected 'scene' as an object, got {row!r}")
-    if not isinstance(row["path"], str) or not isinstance(row["cameras"], str):
-        raise ValueError("path and cameras of the scene must be text")
-    return SceneFolder(Path(row["path"]), row["cameras"])
+        raise ValueError(f"expected {owner} as an object, got {row!r}")
+    for key in keys:
+        if not isinstance(row[key], str) or "\0" in row[key]:
+            raise ValueError(f"expected {key!r} of {owner} as a text, got {row[key]!r}")
+    return [row[key] for key in keys]
 
 
 def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str, Any]:

@@ -14,10 +14,11 @@ import pytest
 import scene_folders
 from command_line import is_one_line
 from optional import import_or_skip
-from wording import check_text
+from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.report.figures import Figures
 from pcbench.report.names import names_of
 from pcbench.report.plot import REPORT, worker
 from pcbench.studies.bench.charts import CHARTS
@@ -275,3 +276,68 @@ def test_an_endless_import_of_a_plugin_is_stopped(tmp_path, run):
     assert code == 2
     assert is_one_line(err)
     assert " 1 s" in check_text(err)
+
+
+def test_pictures_replace_links_and_leave_their_targets(tmp_path, monkeypatch, run):
+    """A folder from somebody else must not write into the files of its user."""
+    import_or_skip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    points = np.random.default_rng(0).uniform(-1, 1, (400, 3))
+    write_cloud("ref.ply", Cloud(points))
+    write_cloud("a.ply", Cloud(points + 0.01))
+    assert run("compare", "ref.ply", "a.ply", "--register", "none", "--out", "report", "-q")[0] == 0
+    Path("report/figures").mkdir(exist_ok=True)
+    Path("mine").write_text("mine")
+    Path("report/figures/distribution.png").symlink_to(Path("mine").absolute())
+    assert run("plot", "report", "distribution")[0] == 0
+    assert Path("mine").read_text() == "mine"
+    picture = Path("report/figures/distribution.png")
+    assert picture.read_bytes().startswith(b"\x89PNG") and not picture.is_symlink()
+
+
+def test_a_figures_folder_that_is_a_link_is_refused(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "figures").symlink_to(tmp_path / "elsewhere")
+    with check_error():
+        worker.draw(tmp_path, CHARTS.function, Figures())
+
+
+def test_messages_cannot_control_the_terminal(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("info", "no\x1b[31msuch\u202e.ply")
+    assert code == 2 and is_one_line(err)
+    assert "\x1b" not in err and "\u202e" not in err
+    Path("c.csv").write_text("x,y,z,a\x1b[31mred\n0,0,0,1\n1,0,0,2\n0,1,0,3\n")
+    code, out, _ = run("info", "c.csv")
+    assert code == 0 and "a?[31mred" in out
+
+
+def test_an_empty_crop_is_reported_with_the_extent_in_the_coordinates_of_the_file(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    corners = np.array([[0, 0, 0], [10, 10, 2.0]])
+    write_cloud("ref.ply", Cloud(np.concatenate([corners, np.random.default_rng(0).uniform(*corners, (500, 3))])))
+    for command in ("compare", "deform"):
+        code, _, err = run(command, "ref.ply", "ref.ply", "--crop", "sphere:100,100,100,1")
+        assert code == 2
+        assert "x 0 to 10, y 0 to 10, z 0 to 2" in check_text(err, masked=False)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"reference": 3},
+        {"candidates": ["x"]},
+        {"files": 3},
+        {"scene": {"path": "a\0b", "cameras": "auto"}},
+        {"candidates": [{"name": "a", "path": 3, "sha256": ""}]},
+    ],
+)
+def test_damaged_settings_name_what_is_wrong(changed, tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    write_cloud("ref.ply", Cloud(np.random.default_rng(0).uniform(-1, 1, (50, 3))))
+    assert run("compare", "ref.ply", "ref.ply", "--register", "none", "--out", "report", "-q")[0] == 0
+    settings = json.loads(Path("report/settings.json").read_text())
+    Path("changed.json").write_text(json.dumps(settings | changed))
+    code, _, err = run("compare", "--settings", "changed.json")
+    assert code == 2 and is_one_line(err)
+    check_text(err)

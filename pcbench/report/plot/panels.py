@@ -114,7 +114,12 @@ def drawing_style(look: Figures) -> AbstractContextManager[None]:
 
 
 def save(figure: Any, path: Path) -> None:
-    """Save a figure in the format of the path's extension; the same figure gives the same bytes."""
+    """Save a figure in the format of the path's extension; the same figure gives the same bytes.
+
+    A link is replaced, and the file that it names is not changed.
+    """
+    if path.is_symlink():
+        path.unlink()
     kind = path.suffix[1:]
     # Dots hardly compress: a higher level takes longer and saves little.
     quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 2}} if kind == "png" else {}

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pcbench.errors import PcbenchError
 from pcbench.report.figures import FORMATS, Figures
+from pcbench.report.manifest import check_figures_folder
 from pcbench.report.plot import Picture
 from pcbench.report.plot.panels import drawing_style
 from pcbench.report.read import damage_in_one_line
@@ -35,6 +36,7 @@ def draw(folder: Path, function: str, look: Figures, wanted: Sequence[str] = ())
     Raises:
         PcbenchError: there is no such picture, or the folder is damaged.
     """
+    check_figures_folder(folder)
     module, _, name = function.partition(":")
     pictures: Mapping[str, Picture] = getattr(import_module(module), name)(folder, look)
     requested = [_split(name, pictures, look) for name in wanted]
@@ -67,7 +69,8 @@ def main() -> int:
     except PcbenchError as error:
         print(" ".join(str(error).split()))
         return 2
-    print("\n".join(str(path) for path in written))
+    for path in written:
+        print(path)
     return 0
 
 
