@@ -29,6 +29,13 @@ def bounds(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
 
 
+def even_rows(count: int, most: int) -> IntArray:
+    """Return at most `most` of the rows 0 to `count` - 1 at even steps, the first and the last included."""
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.int64)
+
+
 def random_rows(points: FloatArray, count: int) -> FloatArray:
     """Return `count` of the points (N, 3) at random, in random order, the same in each run; all if there are fewer."""
     if len(points) <= count:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, even_rows
 from pcbench.geometry.cameras import Camera
 
 _MAX_ROLL_DEG = 12.0  # maximum roll of an image with horizontal rows: hand-held cameras deviate by a few degrees
@@ -91,7 +91,7 @@ def _consensus(axes: FloatArray) -> FloatArray | None:
 
     Deviations are clamped to the roll limit.
     """
-    some = axes[np.unique(np.linspace(0, len(axes) - 1, min(len(axes), _MAX_PAIRED_CAMERAS)).round().astype(int))]
+    some = axes[even_rows(len(axes), _MAX_PAIRED_CAMERAS)]
     first, second = np.triu_indices(len(some), 1)
     normals = np.cross(some[first], some[second])
     lengths = np.linalg.norm(normals, axis=1)

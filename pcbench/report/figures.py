@@ -10,6 +10,9 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pcbench.errors import InputError
 from pcbench.io.files import read_json
 
@@ -98,9 +101,14 @@ def record_figures(settings_file: Path, figures: Figures) -> None:
     settings_file.write_text(json.dumps({"figures": figures.plain()}, indent=2) + "\n", encoding="utf-8")
 
 
+def rgb(color: str) -> NDArray[np.uint8]:
+    """Return red, green and blue (3,) of a colour #rrggbb."""
+    return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
+
+
 def ink(ground: str) -> str:
     """Return a readable colour for text and lines on a background #rrggbb."""
-    red, green, blue = (int(ground[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    red, green, blue = rgb(ground) / 255
     # Rec. 709 luma approximates the perceived lightness.
     return "#1b1c1e" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.5 else "#e8e8e6"
 

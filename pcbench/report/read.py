@@ -126,9 +126,8 @@ def read_report(folder: Path, *, upright: bool = False) -> Report:
         reference = document["reference"]
         cameras = ViewingCameras.read(folder / CAMERAS_FILE) if (folder / CAMERAS_FILE).is_file() else None
         rotation = None
-        if upright and cameras is not None and not cameras.is_upright:
-            rotation = Similarity(cameras.upright_rotation(), np.zeros(3))
-            cameras = cameras.rotated(rotation.rotation)
+        if upright and cameras is not None:
+            rotation, cameras = cameras.upright()
         return Report(
             unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray, as_rows, random_rows
+from pcbench.geometry.arrays import FloatArray, as_rows, even_rows, random_rows
 from pcbench.geometry.cameras import Camera
+from pcbench.geometry.transform import Similarity
 from pcbench.geometry.upright import find_up, rotation_to_z
 from pcbench.io.files import read_json
 
@@ -62,6 +63,18 @@ class ViewingCameras:
         up = np.array([0.0, 0.0, 1.0]) if z_is_up else _find_up(cameras, rotations)
         return cls(centers, rotations[:, 2], up)
 
+    @property
+    def axis_names(self) -> tuple[str, str, str]:
+        """Names of the axes of the frame: those of the reference, or of what the cameras see after a rotation."""
+        return ("right", "forward", "up") if self.is_rotated else ("x", "y", "z")
+
+    def upright(self) -> tuple[Similarity | None, ViewingCameras]:
+        """Return the rotation about the origin after which +z is up, and the rotated cameras; None if it is already."""
+        if self.is_upright:
+            return None, self
+        rotation = Similarity(self.upright_rotation(), np.zeros(3))
+        return rotation, self.rotated(rotation.rotation)
+
     def rotated(self, rotation: FloatArray) -> ViewingCameras:
         """Return the cameras after a rotation (3, 3) about the origin."""
         up = None if self.up is None else rotation @ self.up
@@ -93,7 +106,7 @@ class ViewingCameras:
             InputError: no camera does, so the cameras are not in the coordinates of the cloud.
         """
         sample = random_rows(points, _MAX_SEEN_SAMPLE)
-        rows = np.unique(np.linspace(0, len(self.centers) - 1, _MAX_SEEING_CAMERAS).astype(int))
+        rows = even_rows(len(self.centers), _MAX_SEEING_CAMERAS)
         size = np.linalg.norm(np.ptp(sample, axis=0)) + np.linalg.norm(np.ptp(self.centers, axis=0))
         for center, direction in zip(self.centers[rows], self.directions[rows], strict=True):
             offsets = sample - center

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, even_rows
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, scalar_codes
 from pcbench.report.inputs import SourcedComparison
@@ -175,9 +175,7 @@ def _evenly_in_space(points: FloatArray, rows: IntArray, count: int) -> IntArray
 
 def _evenly(rows: IntArray, count: int) -> IntArray:
     """Return at most `count` rows at even steps."""
-    if len(rows) <= count:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)] if count > 0 else rows[:0]
+    return rows[even_rows(len(rows), max(count, 0))]
 
 
 def _finite(values: FloatArray) -> FloatArray:

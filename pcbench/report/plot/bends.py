@@ -14,7 +14,7 @@ from pcbench.deformation import Deformation, Growth, Trend
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.report.colors import Range
-from pcbench.report.figures import Figures, ink
+from pcbench.report.figures import Figures, ink, rgb
 from pcbench.report.plot.panels import compose, save
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length
@@ -127,14 +127,13 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     tails = field.points[inside] - frame.box.center
     scale = Range(-typical, typical, "blue: below the reference, red: above it", signed=True)
     colors = scale.colors(vectors[:, 2]) / 255
-    ground = look.ground("dark")
-    behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)])
+    behind = rgb(look.ground("dark"))
     # The cloud is only background for the arrows: between the background colour and a middle grey.
     faint = np.broadcast_to(np.rint(0.7 * behind + 0.3 * 138).astype(np.uint8), cloud.points.shape)
     about = cloud.points - frame.box.center
 
     def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
-        return splat(about, faint, view, window, pixels, behind.astype(np.uint8))
+        return splat(about, faint, view, window, pixels, behind)
 
     def over(axis: Any, view: Viewpoint, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
         flat = view.axes[:2].T

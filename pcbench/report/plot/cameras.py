@@ -70,8 +70,9 @@ def draw_cameras(scene: Scene, path: Path) -> None:
         axis.set_label_text(label)
         axis.set_major_locator(MaxNLocator(2 if length < 0.3 * extent.max() else 5))
     side.set_title("from the side", fontsize=11)
-    above.set_xlabel(f"{axes[0]} [{picture.unit}]")
-    above.set_ylabel(f"{axes[1]} [{picture.unit}]")
+    unit = picture.unit or "units of the cameras"
+    above.set_xlabel(f"{axes[0]} [{unit}]")
+    above.set_ylabel(f"{axes[1]} [{unit}]")
     above.set_aspect("equal", adjustable="datalim")
     above.grid(True, alpha=0.3)
     above.spines[["top", "right"]].set_visible(False)
@@ -83,13 +84,13 @@ def draw_cameras(scene: Scene, path: Path) -> None:
 
 
 class CameraDrawing(NamedTuple):
-    """Positions (N, 3), view pyramids (11, 3) and points (M, 3) in one frame, its axes and unit, and a title."""
+    """Positions (N, 3), view pyramids (11, 3) and points (M, 3) in one frame, its axes and known unit, and a title."""
 
     positions: FloatArray
     outlines: list[FloatArray]
     points: FloatArray
     axes: tuple[str, str, str]
-    unit: str
+    unit: str | None
     title: str
 
 
@@ -104,21 +105,20 @@ def camera_drawing(scene: Scene) -> CameraDrawing:
 
 def _cameras(scene: Scene) -> CameraDrawing:
     cameras = [scene.cameras[name] for name in scene.images if name in scene.cameras]
-    viewing = ViewingCameras.of(cameras, z_is_up=scene.origin is not None)
-    rotation, is_rotated = viewing.upright_rotation(), not viewing.is_upright
+    turn, viewing = ViewingCameras.of(cameras, z_is_up=scene.origin is not None).upright()
+    rotation = np.eye(3) if turn is None else turn.rotation
     positions = np.stack([camera.position for camera in cameras]) @ rotation.T
     size = 0.04 * float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
     points = (
         _nearby_points(scene.points.points @ rotation.T, positions) if scene.points is not None else np.zeros((0, 3))
     )
     known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
-    axes = ("right", "forward", "up") if is_rotated else ("x", "y", "z")
     return CameraDrawing(
         positions,
         [_outline(camera, size) @ rotation.T for camera in cameras],
         points,
-        ("east", "north", "up") if scene.origin is not None and not is_rotated else axes,
-        "m" if scene.origin is not None else "units of the cameras",
+        ("east", "north", "up") if scene.origin is not None and turn is None else viewing.axis_names,
+        "m" if scene.origin is not None else None,
         known + (f", {len(scene.points):,} points" if scene.points is not None else ""),
     )
 

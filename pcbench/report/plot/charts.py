@@ -7,6 +7,7 @@ from textwrap import shorten
 
 import numpy as np
 
+from pcbench.geometry.arrays import even_rows
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
@@ -51,7 +52,7 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
         share, _ = np.histogram(distances, bins)
         density.stairs(100 * share / len(distances), bins, color=color, fill=True, alpha=0.6 / len(values))
         density.stairs(100 * share / len(distances), bins, color=color, linewidth=1.4)
-        rows = np.unique(np.linspace(0, len(distances) - 1, _MAX_CURVE_POINTS).astype(int))
+        rows = even_rows(len(distances), _MAX_CURVE_POINTS)
         cumulative.plot(np.maximum(distances[rows], low), 100 * (rows + 1) / len(distances), color=color)
         percentiles = [(float(v), float(rank[1:])) for rank, v in candidate.percentiles_completeness.items() if v > 0]
         if percentiles:

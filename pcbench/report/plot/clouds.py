@@ -11,7 +11,6 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range, ranges_of
@@ -51,9 +50,9 @@ def draw_cloud(
     """
     require("matplotlib.figure")
     values = None if scalar is None else attribute_values(cloud, scalar)
-    if cameras is not None and not cameras.is_upright:
-        rotation = Similarity(cameras.upright_rotation(), np.zeros(3))
-        cloud, cameras = cloud.transformed(rotation), cameras.rotated(rotation.rotation)
+    if cameras is not None:
+        rotation, cameras = cameras.upright()
+        cloud = cloud if rotation is None else cloud.transformed(rotation)
     frame, unit = maps.frame(None, {name: cloud}, cameras), cloud.unit or UNKNOWN_UNIT
     with TemporaryDirectory() as folder, drawing_style(look):
         picture = Path(folder) / f"picture{path.suffix.lower()}"

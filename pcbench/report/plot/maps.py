@@ -12,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, has_colors, height_range
-from pcbench.report.figures import Figures
+from pcbench.report.figures import Figures, rgb
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import Backdrop, splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
@@ -159,5 +159,4 @@ def _image(
 
 
 def _ground(look: Figures) -> NDArray[np.uint8]:
-    color = look.ground(_DEFAULT_BACKGROUND)
-    return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
+    return rgb(look.ground(_DEFAULT_BACKGROUND))

@@ -43,14 +43,13 @@ def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
 def _deformation_pictures(
     name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str, frame: Frame, look: Figures
 ) -> dict[str, Picture]:
-    is_rotated = frame.cameras is not None and frame.cameras.is_rotated
-    axes = ("right", "forward") if is_rotated else ("x", "y")
-    if is_rotated:  # its trends are those along the reference's z, which is not up here
-        bend = replace(bend, growth=None)
+    axes = ("x", "y", "z") if frame.cameras is None else frame.cameras.axis_names
+    if frame.cameras is not None and frame.cameras.is_rotated:
+        bend = replace(bend, growth=None)  # its trends are those along the reference's z, which is not up here
     title = f"{name or 'candidate'} against the reference: {bend.label} ({bend.model} model)"
     prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
-        f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look, axes)),
+        f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look, axes[:2])),
         f"{prefix}displacement": Picture(
             lambda path: bends.arrows(cloud, field, title, unit, frame, path, look), reason
         ),

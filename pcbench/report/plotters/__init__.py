@@ -159,8 +159,8 @@ def displacements(
         cloud: cloud, (N, 3) array, or path of a file with a cloud.
         places: (M, 3) places, such as `deformation.field.places`.
         vectors: (M, 3) displacements there, such as `deformation.field.displacements`.
-        exaggeration: factor of the arrows' lengths; default: a round number that makes long arrows a tenth of the
-            scene.
+        exaggeration: factor of the arrows' lengths; default: a round number that makes long arrows 3 to 7 % of the
+            scene's diagonal.
         scene: as in `cloud`.
         unit: unit of coordinates and displacements; default: that of the cloud.
         off_screen: as in `cloud`.
@@ -218,8 +218,7 @@ def cameras(
     everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
     box = AxisBox(everything.min(axis=0), everything.max(axis=0))
     window = Window(off_screen, window_size, background)
-    unit = "m" if drawing.unit == "m" else None
-    stage = Stage(Frame.of(box, [everything]), unit, window, drawing.axes)
+    stage = Stage(Frame.of(box, [everything]), drawing.unit, window, drawing.axes)
     if len(drawing.points):
         stage.add_ghost(drawing.points)
     if rings := rings_of(drawing.positions):

@@ -73,7 +73,7 @@ class Displacements:
         return float(np.percentile(self.lengths, 95))
 
     def default_exaggeration(self, stage: Stage) -> float:
-        """Return a round factor that makes long arrows about a tenth of the scene."""
+        """Return a round factor that makes long arrows 3 to 7 % of the scene's diagonal."""
         return round_exaggeration(self.typical, stage.frame.box)
 
     def show(self, stage: Stage, exaggeration: float | None = None) -> float:

@@ -14,7 +14,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
-from pcbench.report.figures import WINDOW_SIZE, Figures, ink
+from pcbench.report.figures import WINDOW_SIZE, Figures, ink, rgb
 from pcbench.report.plot.views import Frame, oblique_view
 from pcbench.report.plotters.axes import FONT_PX, Layout, lay_out
 from pcbench.report.plotters.lighting import Lighting
@@ -285,8 +285,8 @@ def _check_size(size: Any) -> None:
 
 def _mixed(one: str, other: str, share: float) -> str:
     """Return the colour #rrggbb that has a share of one colour and the rest of another."""
-    pairs = [(int(one[k : k + 2], 16), int(other[k : k + 2], 16)) for k in (1, 3, 5)]
-    return "#" + "".join(f"{round(share * a + (1 - share) * b):02x}" for a, b in pairs)
+    mixed = np.rint(share * rgb(one) + (1 - share) * rgb(other)).astype(int)
+    return "#" + "".join(f"{value:02x}" for value in mixed)
 
 
 def _digits(low: float, high: float) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
-from pcbench.report.figures import Figures
+from pcbench.report.figures import Figures, rgb
 from pcbench.report.plot.panels import compose
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
@@ -44,8 +44,7 @@ def draw_worst(study: StressStudy, failure: SilentFailure, folder: Path, path: P
     points = np.concatenate([reference, found]) - frame.box.center
     greys = np.broadcast_to(np.array(_REFERENCE_COLOR, np.uint8), reference.shape)
     colors = np.concatenate([greys, scale.colors(errors)])
-    ground = look.ground("dark")
-    behind = np.array([int(ground[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
+    behind = rgb(look.ground("dark"))
 
     def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
         return splat(points, colors, view, window, pixels, behind)
