@@ -195,7 +195,7 @@ def test_missing_views_are_rendered(tmp_path):
     (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
     job = ViewsJob((*scenes, workspace, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
-    study = run_views(job, out)
+    study = run_views(job, out, figures=False).study
     assert [scene.views.scene for scene in study.scenes] == ["one", "two", "three"]
     assert [len(scene.select(test=True)) for scene in study.scenes] == [2, 2, 2]
     assert study.notes[0].code == "no-views"
