@@ -25,7 +25,7 @@ def warn(text: object) -> None:
     click.echo(f"warning: {line}", err=True)
 
 
-class Outcome(Protocol):
+class PageOutcome(Protocol):
     """Results whose page or requested pictures may be missing."""
 
     @property
@@ -37,7 +37,7 @@ class Outcome(Protocol):
         """Why requested pictures are missing; None if they were drawn."""
 
 
-def warn_of_missing(outcome: Outcome) -> None:
+def warn_of_missing(outcome: PageOutcome) -> None:
     """Print why the page or requested pictures are missing, if they are."""
     for problem in filter(None, (outcome.without_page, outcome.without_figures)):
         warn(problem)

@@ -23,7 +23,6 @@ from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
-from pcbench.report.article import markdown
 from pcbench.report.document import provenance, to_json
 from pcbench.report.markup import csv_text
 from pcbench.report.plot import Drawn, draw_if_possible
@@ -47,7 +46,7 @@ from pcbench.studies.folder import (
 from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.bench/1"
-KIND = StudyKind("bench", "bench.json", SCHEMA, (".lock", "runs"))
+KIND = StudyKind("bench", "bench.json", SCHEMA, "bench.md", (".lock", "runs"))
 COLUMNS = (
     "method",
     "settings",
@@ -163,7 +162,7 @@ def bench(
 ) -> BenchOutcome:
     """Run each method with each combination of settings and measure its clouds. A failed run is recorded as a row.
 
-    `bench.csv`, `bench.md` and `bench.json` are written after each run, charts and `report.html` after the last. A
+    `bench.csv`, `bench.json`, `bench.md` and `report.html` are written after each run, and charts after the last. A
     stored run is used again if its inputs (images, cameras, method, settings, versions, machine) are unchanged. Its
     scores are used again if the reference and the rules are unchanged.
 
@@ -217,7 +216,7 @@ def bench(
             _write(out, doc)
         on_step("drawing the charts" if figures else "writing the page")
         drawn = draw_if_possible(out, CHARTS) if figures else Drawn([])
-        without_page = write_report(out, article(doc, drawn.relative_to(out)), doc["provenance"], _input_files(doc))
+        without_page = _write_report(out, doc, drawn.relative_to(out))
     return BenchOutcome(doc, drawn.problem, without_page)
 
 
@@ -429,15 +428,14 @@ def _write(out: Path, doc: dict[str, Any]) -> None:
     rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
     texts = {
         "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
-        "bench.md": markdown(article(doc)),
         "bench.json": to_json(doc),
     }
-    write_results(out, texts)
+    write_results(out, KIND, texts)
+    _write_report(out, doc)  # to read while the bench runs
 
 
-def _input_files(doc: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return role, path and SHA-256 of each input."""
+def _write_report(out: Path, doc: dict[str, Any], figures: Sequence[str] = ()) -> str | None:
     inputs = [(role, doc[role]["path"], doc[role]["sha256"]) for role in ("scene", "reference")]
     if (mesh := doc["reference"]["mesh"]) is not None:
         inputs.append(("true surface", mesh["path"], mesh["sha256"]))
-    return inputs
+    return write_report(out, KIND, lambda: article(doc, figures), doc["provenance"], inputs)

@@ -9,16 +9,15 @@ from pathlib import Path
 from pcbench.errors import InputError, Notice, ReconstructionError, record_error
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
-from pcbench.report.article import markdown
 from pcbench.report.document import provenance
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes.views import find_views
 from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_report, write_results
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import PICTURES
-from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
+from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_files, score_views
 
-KIND = StudyKind("views", DOCUMENT, SCHEMA)
+KIND = StudyKind("views", DOCUMENT, SCHEMA, "views.md")
 _RUNS_FOLDER = "runs"
 _EXPECTED_SCENE_S = 300.0  # rough duration of rendering a scene, for progress bars
 
@@ -90,11 +89,10 @@ def run_views(
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
         study = ViewStudy(study.scenes, (*failed, *study.notes))
-        write_results(out, {"views.md": markdown(article(study))})
-        write_scores(out, study)
+        write_results(out, KIND, score_files(study))
         step("drawing the pictures" if figures else "writing the page")
         drawn = draw_if_possible(out, PICTURES) if figures else Drawn([])
-        without_page = write_report(out, article(study, drawn.relative_to(out)), provenance(None))
+        without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), provenance(None))
     return ViewsOutcome(study, drawn.problem, without_page)
 
 

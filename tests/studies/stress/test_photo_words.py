@@ -110,7 +110,8 @@ def test_documents_without_reconstructions_are_read(tmp_path):
 
 def test_page_names_scene_threshold_and_figures():
     study = photo_study()
-    text = markdown(article(study, ["outcomes_reconstruction.png", "scores_images.png", "scores_surface.png"]))
+    names = ["outcomes_reconstruction.png", "scores_images.png", "scores_surface.png"]
+    text = markdown(article(study, [f"figures/{name}" for name in names]))
     assert text.startswith("# Where reconstructors break\n")
     assert all(sentence in text for sentence in sentences(study))
     assert (
@@ -140,8 +141,7 @@ def test_charts(tmp_path):
     assert hollow == [0.05, 0.3]
     assert sum(line.get_marker() == "x" for line in markers) == 4
     (tmp_path / "out").mkdir()
-    names = draw_charts(study, tmp_path / "out")
-    assert set(names) == {
+    assert {file.name for file in draw_charts(study, tmp_path / "out")} == {
         "outcomes_reconstruction.png", "matrix_reconstruction.png", "scores_images.png", "scores_surface.png",
         "severity_reconstruction_images.png",
     }  # fmt: skip
