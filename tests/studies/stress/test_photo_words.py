@@ -118,7 +118,7 @@ def test_page_names_scene_threshold_and_figures():
         "32 reconstructions on 3 ladders of perturbations. Each scene is a city of 100 m with 10 images of 160 x 120"
         " pixels; a pixel is 1.2 m on the surface. The F-score is measured at 2.4 m" in text
     )
-    assert "CPU seconds against severity (images)](figures/scores_images.png)" in text
+    assert "CPU seconds against severity (images)](./figures/scores_images.png)" in text
     assert "- sfm solves for its cameras and aligns them to the given ones" in text
     assert "Left out: splat (torch is not installed" in text
 
