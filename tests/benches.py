@@ -9,7 +9,7 @@ from pcbench import Cloud
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity
 from pcbench.plugins import Reconstruction
-from pcbench.studies.bench.runs import BenchJob
+from pcbench.studies.bench.runs import BenchJob, bench
 
 K = Intrinsics(40, 30, 35, 35, 20, 15)
 RIG = [
@@ -98,6 +98,11 @@ POINTS = shapes.city(3000, seed=2)[0]
 def job(*methods, **options):
     """Bench job for the current folder of the fixture `bench_folder`."""
     return BenchJob(Path("photos"), Path("truth.ply"), [f"methods.py:{name}" for name in methods], **options)
+
+
+def run_bench(bench_job, out=Path("out"), **options):
+    """Run a bench without charts, and return its document."""
+    return bench(bench_job, out, figures=False, **options).document
 
 
 def executed_methods():

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from pcbench.cli.messages import name_files, steps, warn
+from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -79,8 +79,7 @@ def bend(
         for sentence in study.sentences:
             click.echo(sentence)
         click.echo(name_files("report", out, "experiment.csv", "experiment.json"))
-    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
-        warn(problem)
+    warn_of_missing(outcome)
     if not study.has_measured_bends:
         raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be evaluated: see the table there")
 
@@ -163,5 +162,4 @@ def gao(
         for sentence in outcome.study.sentences:
             click.echo(sentence)
         click.echo(name_files("report", out, "gao.md", "experiment.csv", "experiment.json"))
-    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
-        warn(problem)
+    warn_of_missing(outcome)

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Lock, Thread
 from time import monotonic
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 import click
 
@@ -23,6 +23,24 @@ def warn(text: object) -> None:
     line = _one_line(str(text))
     LOGGER.warning("%s", line)
     click.echo(f"warning: {line}", err=True)
+
+
+class PageOutcome(Protocol):
+    """Results whose page or requested pictures may be missing."""
+
+    @property
+    def without_page(self) -> str | None:
+        """Why the page is missing; None if it was written."""
+
+    @property
+    def without_figures(self) -> str | None:
+        """Why requested pictures are missing; None if they were drawn."""
+
+
+def warn_of_missing(outcome: PageOutcome) -> None:
+    """Print why the page or requested pictures are missing, if they are."""
+    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
+        warn(problem)
 
 
 def warn_unless(quiet: bool) -> Callable[[str], None]:

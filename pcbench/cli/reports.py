@@ -11,7 +11,7 @@ import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
-from pcbench.cli.messages import steps, warn, warn_unless
+from pcbench.cli.messages import steps, warn, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -212,8 +212,7 @@ def compare_and_print(
             warn(text)
     elif not output.on_stdout and not quiet:
         print_comparison(outcome.comparison, full=full, folder=out)
-    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
-        warn(problem)
+    warn_of_missing(outcome)
     return outcome.comparison
 
 

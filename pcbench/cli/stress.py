@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import name_files, steps, warn, warn_unless
+from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     is_given,
@@ -142,5 +142,4 @@ def stress(
         click.echo(outcome.table)
         click.echo()
         click.echo(name_files("report", out, "stress.md", "stress.csv", "stress.json"))
-    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
-        warn(problem)
+    warn_of_missing(outcome)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import name_files, steps, warn, warn_unless
+from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     POSITIVE,
@@ -205,7 +205,6 @@ def bench(
 
 
 def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: bool, quiet: bool) -> None:
-    from pcbench.studies.bench.page import write_bench_report
     from pcbench.studies.bench.runs import FinishedRun
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
@@ -215,16 +214,14 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
             click.echo(f"{done.number}/{done.of} {done.summary}", err=output.on_stdout)
 
     with steps(quiet) as step:
-        doc = run_bench(job, out, on_row=say, on_step=step, on_warning=warn_unless(quiet))
-        step("drawing the charts" if figures else "writing the page")
-        problems = write_bench_report(out, doc, figures=figures)
+        outcome = run_bench(job, out, figures=figures, on_row=say, on_step=step, on_warning=warn_unless(quiet))
+    doc = outcome.document
     output.write(doc)
     if not quiet and not output.on_stdout:
         click.echo()
         print_bench(doc)
         click.echo(name_files("bench", out, "bench.md", "bench.csv", "bench.json"))
-    for problem in problems:
-        warn(problem)
+    warn_of_missing(outcome)
     if not any(row["status"] == "ok" for row in doc["rows"]):
         raise ReconstructionError(f"{out}: none of {len(doc['rows'])} runs could be measured: see the messages there")
 
@@ -276,20 +273,16 @@ def views(
     Example: pcbench views city_a/ city_b/ cloud.work/ --out views/
     """
     from pcbench.report import print_columns
-    from pcbench.studies.views.page import write_views_report
     from pcbench.studies.views.runs import ViewsJob, run_views
     from pcbench.studies.views.table import sentences, table
 
     values = {"hold_out": hold_out, **dict(key_value(text) for text in settings)}
     job = ViewsJob(scenes, method, values, cameras, image_scale, time_limit)
     with steps(quiet) as step:
-        study = run_views(job, out, step)
-        step("writing the page" if no_figures else "drawing the pictures")
-        problems = write_views_report(out, study, figures=not no_figures)
+        outcome = run_views(job, out, figures=not no_figures, step=step)
     if not quiet:
-        print_columns(table(study))
-        for sentence in sentences(study):
+        print_columns(table(outcome.study))
+        for sentence in sentences(outcome.study):
             click.echo(sentence)
         click.echo(name_files("views", out, "views.md", "scores.csv", "scores.json"))
-    for problem in problems:
-        warn(problem)
+    warn_of_missing(outcome)

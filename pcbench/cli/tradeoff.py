@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import name_files, steps, warn, warn_unless
+from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
 from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, share, split_names
 
 
@@ -111,5 +111,4 @@ def tradeoff(
         if out is not None:
             click.echo()
             click.echo(name_files("report", out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))
-    for problem in filter(None, (outcome.without_page, outcome.without_figures)):
-        warn(problem)
+    warn_of_missing(outcome)

@@ -2,15 +2,26 @@
 
 A study hands over an `Article`: the answer first, then what not to trust, then sections. Both outputs have the same
 sentences and numbers. `pcbench.report.html.article` writes the page.
+
+Texts may contain names of files and messages of other programs. Both writers put each text on one line, and escape what
+would be markup.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple
+from urllib.parse import quote
 
 from pcbench.report.markup import markdown_table
+from pcbench.report.words import one_line
+
+# In Markdown: the start of HTML, the address of a link, an entity, a backslash that would escape the next character.
+_MARKDOWN = re.compile(r"<(?=[A-Za-z/!?])|(?<=\])\(|&(?=#?\w+;)|\\(?=[!-/:-@\[-`{-~])")
+_BRACKETS = re.compile(r"[\[\]]")
 
 Mark = Literal["", "best", "second"]
 
@@ -125,14 +136,19 @@ class Article:
     sections: Sequence[ArticleSection]
 
 
+def address(file: str) -> str:
+    """Return the relative address of a file; without `./`, a name with a colon would begin with a protocol."""
+    return "./" + quote(Path(file).as_posix(), errors="surrogateescape")
+
+
 def markdown(article: Article) -> str:
     """Return an article as Markdown."""
-    parts = [f"# {article.title}", _bullets(article.answer)]
+    parts = [f"# {_text(article.title)}", _bullets(article.answer)]
     if article.warnings:
         parts += ["## What not to trust", _bullets(article.warnings)]
-    parts += article.setup
+    parts += map(_text, article.setup)
     for section in article.sections:
-        parts += [f"## {section.title}", *_blocks(section.blocks)]
+        parts += [f"## {_text(section.title)}", *_blocks(section.blocks)]
     return "\n\n".join(filter(None, parts)) + "\n"
 
 
@@ -140,25 +156,37 @@ def _blocks(blocks: Iterable[Block]) -> Iterator[str]:
     for block in blocks:
         match block:
             case Paragraph(text):
-                yield text
+                yield _text(text)
             case Heading(text):
-                yield f"### {text}"
+                yield f"### {_text(text)}"
             case Bullets(sentences):
                 yield _bullets(sentences)
             case DataTable(_, rows, labels):
                 yield markdown_table(([_cell(cell) for cell in row] for row in rows), labels)
             case Figure(file, caption):
-                yield f"![{caption}]({file})"
+                yield f"!{_link(caption, file)}"
             case Links(links):
-                yield _bullets([f"[{link.text}]({link.file})" for link in links])
+                yield "\n".join(f"- {_link(link.text, link.file)}" for link in links)
 
 
 def _bullets(sentences: Iterable[str]) -> str:
-    return "\n".join(f"- {sentence}" for sentence in sentences)
+    return "\n".join(f"- {_text(sentence)}" for sentence in sentences)
 
 
 def _cell(cell: str | TableCell) -> str:
     if isinstance(cell, str):
-        return cell
+        return _text(cell)
     around = {"": "", "best": "**", "second": "_"}[cell.mark]
-    return f"{around}{cell.text}{around}"
+    return f"{around}{_text(cell.text)}{around}"
+
+
+def _link(text: str, file: str) -> str:
+    return f"[{_BRACKETS.sub(_escaped, _text(text))}]({address(file)})"
+
+
+def _text(text: str) -> str:
+    return _MARKDOWN.sub(_escaped, one_line(text))
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return f"\\{found[0]}"

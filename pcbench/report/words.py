@@ -51,6 +51,11 @@ def printable(name: str) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
+def one_line(text: str) -> str:
+    """Return a text on one line, with a question mark for each unprintable character."""
+    return printable(" ".join(text.split()))
+
+
 def columns(text: str) -> int:
     """Return the terminal columns of a text: 2 for a wide letter, 0 for a combining mark (Unicode annex 11)."""
     return sum(map(_columns, text))

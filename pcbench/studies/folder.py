@@ -7,8 +7,9 @@ A study of many runs takes hours. All studies therefore work in the same way:
 2. Slow results are saved for later runs: as a folder by `pcbench.plugins.stages.stage`, or as a JSON file by
    `write_record`, which `read_record` returns for the same inputs only. A failure that may be temporary (a full disk, a
    missing library) is raised and never saved.
-3. `save_charts` and `write_results` write the results. The document that other programs read is written last.
-4. `write_report` writes the page, which shows the same article as the Markdown file (`pcbench.report.article`).
+3. `write_results` writes the results for other programs, before anything that may fail is drawn from them.
+4. Pictures are drawn, by `draw_if_possible` in a child process or by `draw_here` in this one.
+5. `write_report` writes the Markdown file and the page from one article (`pcbench.report.article`).
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcbench.errors import InputError, MissingExtra, record_error
+from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
-from pcbench.report.article import Article
+from pcbench.report.article import Article, markdown
 from pcbench.report.html import PAGE, Origin, article_page, write_page
+from pcbench.report.plot import Drawn
 from pcbench.scratch import lock_output
 
 if TYPE_CHECKING:
@@ -44,12 +47,14 @@ class StudyKind:
         name: name of the study's command.
         document: file name of its results.
         schema: schema name in that file.
+        markdown: file name of its article as Markdown; empty if there is none.
         former_marks: file names that together mark a folder of an earlier version, which wrote no `study.json`.
     """
 
     name: str
     document: str
     schema: str
+    markdown: str = ""
     former_marks: tuple[str, ...] = ()
 
 
@@ -85,7 +90,7 @@ def study_folder(out: Path, kind: StudyKind, settings: DataclassInstance) -> Ite
     with lock_output(out):
         out.mkdir(exist_ok=True)
         mark = {"schema": SCHEMA, "study": kind.name, "settings": asdict(settings)}
-        write_pages(out, {MARK: json.dumps(mark, indent=1, default=str) + "\n"})
+        write_files(out, {MARK: json.dumps(mark, indent=1, default=str) + "\n"})
         yield
 
 
@@ -128,10 +133,10 @@ def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) 
     Raises:
         OSError: the file cannot be written.
     """
-    write_pages(path.parent, {path.name: to_json({_KEY: key, **values})})
+    write_files(path.parent, {path.name: to_json({_KEY: key, **values})})
 
 
-def write_pages(out: Path, texts: Mapping[str, str]) -> None:
+def write_files(out: Path, texts: Mapping[str, str]) -> None:
     """Write files by name, each of them atomically. Parts of file names that are not valid Unicode are escaped.
 
     Raises:
@@ -142,68 +147,80 @@ def write_pages(out: Path, texts: Mapping[str, str]) -> None:
             file.write(text.encode(errors="backslashreplace"))
 
 
-def write_results(out: Path, texts: Mapping[str, str]) -> None:
-    """Write the results of a study as files by name. The page of earlier results is deleted first.
+def write_results(out: Path, kind: StudyKind, texts: Mapping[str, str]) -> None:
+    """Write the results of a study as files by name. The page and the Markdown file of earlier ones are deleted first.
 
     Raises:
         OSError: a file cannot be written or deleted.
     """
-    (out / PAGE).unlink(missing_ok=True)
-    write_pages(out, texts)
+    for name in filter(None, (kind.markdown, PAGE)):
+        (out / name).unlink(missing_ok=True)
+    write_files(out, texts)
 
 
 def write_report(
-    out: Path, article: Article, provenance: Mapping[str, Any] | None, inputs: Sequence[tuple[str, str, str]] = ()
+    out: Path,
+    kind: StudyKind,
+    make: Callable[[], Article],
+    provenance: Mapping[str, Any] | None,
+    inputs: Sequence[tuple[str, str, str]] = (),
 ) -> str | None:
-    """Write `report.html` of a study, and return the reason if that fails; all other files do not depend on it.
+    """Write the Markdown file and `report.html` of a study, and return why one is missing, or None.
 
     Args:
         out: folder of the study, with the pictures of the article.
-        article: results of the study.
+        kind: kind of study.
+        make: returns the results of the study as an article.
         provenance: how they were made, see `pcbench.report.document.provenance`.
         inputs: role, path and SHA-256 of each input file.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: a file cannot be written.
     """
-    origin = Origin(provenance, inputs=inputs)
-    return write_page(out / PAGE, lambda: article_page(article, origin, out))
+    origin, article = Origin(provenance, inputs=inputs), cache(make)
+    pages = {kind.markdown: lambda: markdown(article()), PAGE: lambda: article_page(article(), origin, out)}
+    problems = [write_page(out / name, page) for name, page in pages.items() if name]
+    return "; ".join(filter(None, problems)) or None
 
 
-def draw_if_installed(draw: Callable[[], list[str]]) -> tuple[list[str], str | None]:
-    """Draw charts; return their file names, and if a library for them is not installed, the error, else None."""
+def draw_here(draw: Callable[[], list[Path]]) -> Drawn:
+    """Draw pictures in this process; the results do not depend on them.
+
+    Args:
+        draw: writes the pictures and returns their files.
+    """
     try:
-        return draw(), None
-    except MissingExtra as error:
-        return [], record_error(error)
+        return Drawn(draw())
+    except PcbenchError as error:
+        return Drawn([], record_error(error))
+    except Exception as error:
+        return Drawn([], f"no pictures: drawing failed ({type(error).__name__}: {record_error(error)})")
 
 
-def save_charts(out: Path, charts: Iterable[tuple[str, Any]]) -> list[str]:
-    """Save matplotlib figures by name as PNG files in `figures/` of a study's folder, and return their file names.
+def save_charts(out: Path, charts: Iterable[tuple[str, Any]]) -> list[Path]:
+    """Save matplotlib figures by name as PNG files in `figures/` of a study's folder, and return the files.
 
     Raises:
         OSError: a file cannot be written.
     """
     figures = out / FIGURES
     figures.mkdir(exist_ok=True)
-    names = []
+    files = []
     for name, figure in charts:
-        with atomic_write(figures / f"{name}.png") as file:
+        files.append(figures / f"{name}.png")
+        with atomic_write(files[-1]) as file:
             figure.savefig(file, format="png")
-        names.append(f"{name}.png")
-    return names
+    return files
 
 
-def delete_former_charts(out: Path, names: Iterable[str]) -> None:
-    """Delete the PNG files in `figures/` of a study's folder whose names are not among `names`.
+def delete_former_charts(out: Path, files: Iterable[Path]) -> None:
+    """Delete the PNG files in `figures/` of a study's folder that are not among `files`.
 
     Raises:
         OSError: a file cannot be deleted.
     """
-    current = set(names)
-    for former in (out / FIGURES).glob("*.png"):
-        if former.name not in current:
-            former.unlink()
+    for former in set((out / FIGURES).glob("*.png")) - set(files):
+        former.unlink()
 
 
 def folders_by_name(paths: Iterable[Path], reserved: Iterable[str] = ()) -> dict[str, Path]:

@@ -3,10 +3,11 @@
 import base64
 import io
 import sys
+from urllib.parse import quote
 
 import numpy as np
 import pytest
-from html_pages import HOSTILE, PROVENANCE, check_page_of_study
+from html_pages import HOSTILE, PROVENANCE, Page, check_page_of_study
 from optional import import_or_skip
 
 from pcbench.report.article import (
@@ -25,6 +26,7 @@ from pcbench.report.article import (
 from pcbench.report.colors import SEQUENTIAL
 from pcbench.report.html import Origin, article_page, write_page
 from pcbench.report.html.embedding import embed
+from pcbench.report.words import one_line
 
 ROWS = [
     ["", "time", TableCell("score")],
@@ -59,7 +61,7 @@ def test_markdown_has_the_answer_first_then_warnings_and_sections():
     assert markdown(made) == (
         "# A title\n\n- It is so.\n- And so.\n\n## What not to trust\n\n- Not this.\n\nTwo runs.\n\n## Results\n\n"
         "Words.\n\n### Part\n\n- a\n- b\n\n|  | time | score |\n| --- | ---: | ---: |\n| one | 1 | **0.5** |\n"
-        "| two | 22 | _0.25_ |\n\n![A.](f.png)\n"
+        "| two | 22 | _0.25_ |\n\n![A.](./f.png)\n"
     )
     assert "What not to trust" not in markdown(article(warnings=[]))
 
@@ -117,6 +119,25 @@ def test_hostile_texts_stay_text(tmp_path):
     parsed, plain = check_page_of_study(text), check_page_of_study(page(made("x"), tmp_path))
     assert parsed.tags == plain.tags
     assert "\u202e" not in text and "49" not in "".join(parsed.words)
+
+
+def test_markdown_of_hostile_texts_has_the_same_elements():
+    parser = import_or_skip("markdown_it").MarkdownIt("commonmark").enable("table")
+
+    def tags(text, file):
+        rows = [[text, "n"], [text, TableCell(text, "best")]]
+        blocks = [Paragraph(text), Heading(text), Bullets([text]), DataTable("t", rows), Figure(file, text)]
+        section = ArticleSection(text, [*blocks, Links([Link(text, file)])])
+        html = parser.render(markdown(Article("k", text, [text], [text], [text], [section])))
+        parsed = Page(html)
+        assert parsed.values("src") == parsed.values("href") == [f"./{quote(file)}"]
+        return parsed.tags, " ".join(parsed.words)
+
+    plain, _ = tags("x", "f.png")
+    for text in (HOSTILE, "a\n\n# b\n- c\u202e", "a](https://example.org) [b](c", "a | b\\<i>", "&lt;b&gt; &#60;"):
+        found, words = tags(f"x {text}", "figures/my (1) [s]#?.png")
+        assert found == plain
+        assert one_line(text) in words
 
 
 def test_a_section_with_a_summary_is_folded(tmp_path):

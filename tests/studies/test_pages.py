@@ -27,7 +27,7 @@ from pcbench.studies.bench import page as bench_page
 from pcbench.studies.bench.pareto import mark_front
 from pcbench.studies.bend import page as bend_page
 from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, SurveyedScene
-from pcbench.studies.folder import write_report, write_results
+from pcbench.studies.folder import StudyKind, draw_here, write_report, write_results
 from pcbench.studies.gao import page as gao_page
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE
 from pcbench.studies.gao.results import document as gao_document
@@ -220,21 +220,37 @@ def test_bench_and_stress_show_speed_and_stability():
     ]
     assert shown == charts
     names = ["outcomes_registration.png", "speed.png", "profiles.png", "severity_registration_start.png", "worst_1.png"]
-    article = stress_page.article(stress_study(), names)
+    files = [f"figures/{name}" for name in names]
+    article = stress_page.article(stress_study(), files)
     shown = [b.file for s in article.sections for b in s.blocks if isinstance(b, Figure)]
-    assert sorted(shown) == sorted(f"figures/{name}" for name in names)
+    assert sorted(shown) == sorted(files)
 
 
-def test_new_results_replace_the_page_or_remove_it(tmp_path, monkeypatch):
+KIND = StudyKind("bend", "experiment.json", "pcbench.bend/1", "bend.md")
+
+
+def test_new_results_replace_the_pages_or_remove_them(tmp_path, monkeypatch):
     article = bend_page.article(bend_study())
-    assert write_report(tmp_path, article, PROVENANCE, [("scene", "photos", "c" * 64)]) is None
-    first = (tmp_path / PAGE).read_text(encoding="utf-8")
-    assert "c" * 64 in first
-    write_results(tmp_path, {"experiment.json": "{}"})
-    assert not (tmp_path / PAGE).exists()
-    assert write_report(tmp_path, article, None) is None
+    inputs = [("scene", "photos", "c" * 64)]
+    assert write_report(tmp_path, KIND, lambda: article, PROVENANCE, inputs) is None
+    assert "c" * 64 in (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert (tmp_path / "bend.md").read_text(encoding="utf-8") == markdown(article)
+    write_results(tmp_path, KIND, {"experiment.json": "{}"})
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.json"]
+    assert write_report(tmp_path, replace(KIND, markdown=""), lambda: article, None) is None
     second = check_page_of_study((tmp_path / PAGE).read_text(encoding="utf-8"))
     assert PROVENANCE["machine"] not in text_of(second)
+    assert not (tmp_path / "bend.md").exists()
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    assert check_text(write_report(tmp_path, article, PROVENANCE)).count("\n") == 0
-    assert not (tmp_path / PAGE).exists()
+    assert check_text(write_report(tmp_path, KIND, lambda: article, PROVENANCE)).count("\n") == 0
+    assert not (tmp_path / PAGE).exists() and (tmp_path / "bend.md").exists()
+
+
+def test_results_do_not_depend_on_the_article_or_on_pictures(tmp_path):
+    def fail():
+        raise KeyError("an unknown picture")
+
+    write_results(tmp_path, KIND, {"experiment.json": "{}"})
+    check_text(write_report(tmp_path, KIND, fail, PROVENANCE))
+    check_text(draw_here(fail).problem)
+    assert [path.name for path in tmp_path.iterdir()] == ["experiment.json"]

@@ -8,11 +8,15 @@ from optional import import_or_skip
 from stress_studies import study as stress_study
 
 from pcbench.report import to_json
-from pcbench.studies.bench.page import write_bench_report
+from pcbench.report.plot import draw_if_possible
+from pcbench.studies.bench.charts import CHARTS
+from pcbench.studies.bench.page import article as bench_article
 from pcbench.studies.bench.pareto import mark_front
-from pcbench.studies.folder import write_report
+from pcbench.studies.bench.runs import KIND as BENCH
+from pcbench.studies.folder import draw_here, write_report
 from pcbench.studies.stress.charts import draw_charts
-from pcbench.studies.stress.page import article
+from pcbench.studies.stress.page import article as stress_article
+from pcbench.studies.stress.study import KIND as STRESS
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 
@@ -27,9 +31,10 @@ def browser():
 
 
 def write_stress(folder):
-    names = draw_charts(stress_study(), folder)
-    assert write_report(folder, article(stress_study(), names), PROVENANCE) is None
-    return len(names)
+    drawn = draw_here(lambda: draw_charts(stress_study(), folder))
+    article = stress_article(stress_study(), drawn.relative_to(folder))
+    assert drawn.problem is write_report(folder, STRESS, lambda: article, PROVENANCE) is None
+    return len(drawn.files)
 
 
 def write_bench(folder):
@@ -41,7 +46,9 @@ def write_bench(folder):
     doc = {"schema": "pcbench.bench/1", "scene": {"path": "s", "sha256": "a" * 64}, "reference": reference}
     doc |= {"rows": rows, "notes": [], "provenance": PROVENANCE}
     (folder / "bench.json").write_text(to_json(doc))
-    assert write_bench_report(folder, doc, figures=True) == []
+    drawn = draw_if_possible(folder, CHARTS)
+    article = bench_article(doc, drawn.relative_to(folder))
+    assert drawn.problem is write_report(folder, BENCH, lambda: article, PROVENANCE) is None
     return 1  # no accuracy in these rows
 
 

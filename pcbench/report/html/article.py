@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 from pcbench.report.article import (
     Article,
@@ -15,10 +14,10 @@ from pcbench.report.article import (
     DataTable,
     Figure,
     Heading,
-    Link,
     Links,
     Paragraph,
     TableCell,
+    address,
 )
 from pcbench.report.html.embedding import EmbeddedPicture, embed
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, source
@@ -72,14 +71,9 @@ def _block(block: Block, folder: Path, pictures: dict[str, EmbeddedPicture]) -> 
             yield {"kind": "picture", "caption": caption, **pictures[file]._asdict()}
         case Links(links):
             if there := [link for link in links if (folder / link.file).is_file()]:
-                yield {"kind": "links", "links": [{"text": link.text, "address": _address(link)} for link in there]}
+                yield {"kind": "links", "links": [{"text": link.text, "address": address(link.file)} for link in there]}
         case DataTable():
             yield {"kind": "table", "name": block.name, **_table(block)}
-
-
-def _address(link: Link) -> str:
-    """Return a relative address; without `./`, a name with a colon would be read as that of a protocol."""
-    return "./" + quote(Path(link.file).as_posix(), errors="surrogateescape")
 
 
 class _StyledCell(NamedTuple):

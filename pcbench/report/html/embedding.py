@@ -39,7 +39,7 @@ def embed(folder: Path, files: Sequence[str], limit: int = MAX_BYTES) -> dict[st
     Args:
         folder: folder of the files.
         files: PNG files, relative to the folder.
-        limit: number of bytes of all pictures together. Small pictures leave what they do not need to larger ones.
+        limit: number of bytes of all pictures together. Budget that small pictures do not use goes to larger ones.
 
     Raises:
         OSError: a file cannot be read.

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from pcbench.errors import PcbenchError, record_error
 from pcbench.extras import require
 from pcbench.io.files import atomic_write
-from pcbench.report.words import printable
+from pcbench.report.words import one_line, printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -93,8 +93,8 @@ def render(template: str, opening: Opening, origin: Origin, *, script: str = "",
 
 
 def one_line_each(sentences: Iterable[str]) -> list[str]:
-    """Return sentences without characters that names may contain and that would change the text around them."""
-    return [printable(" ".join(sentence.split())) for sentence in sentences]
+    """Return sentences on one line each, with a question mark for each unprintable character."""
+    return [one_line(sentence) for sentence in sentences]
 
 
 def source(name: str) -> str:
@@ -122,7 +122,7 @@ def _environment() -> Environment:
 
 
 def write_page(path: Path, make: Callable[[], str]) -> str | None:
-    """Write a page, and return the reason if that fails: hours of measurement do not depend on a page.
+    """Write a page, and return the reason if that fails: a failed page does not discard the results.
 
     Args:
         path: file of the page; an earlier one is replaced, or deleted if this fails.

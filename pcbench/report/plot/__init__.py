@@ -57,6 +57,10 @@ class Drawn(NamedTuple):
     files: list[Path]
     problem: str | None = None
 
+    def relative_to(self, folder: Path) -> list[str]:
+        """Return the files relative to a folder, with forward slashes."""
+        return [path.relative_to(folder).as_posix() for path in self.files]
+
 
 REPORT = Drawer("pcbench.report.plot.pictures:pictures", ("comparison.json", "deformation.json"))
 

@@ -1,4 +1,4 @@
-"""Files of single pictures: metadata that identifies pictures of pcbench, which alone are replaced."""
+"""Marks written into pictures, so that only pictures drawn by pcbench are replaced."""
 
 from __future__ import annotations
 

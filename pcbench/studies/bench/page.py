@@ -1,4 +1,4 @@
-"""The article of a bench: the best configurations, failures and doubts, charts and tables; and its page."""
+"""The article of a bench: the best configurations, failures and doubts, charts and tables."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
-from pcbench.report.plot import draw_if_possible
 from pcbench.report.words import join_words
-from pcbench.studies.bench.charts import CHARTS
 from pcbench.studies.bench.pareto import Configuration, choice_text, configurations, front_configurations
 from pcbench.studies.bench.table import LABELS, bench_table, legend, run_lines, threshold_table, threshold_text
-from pcbench.studies.folder import write_report
 
 _CAPTIONS = {
     "speed": "Accuracy against wall time: F-score, where higher is better, and Chamfer distance, where lower is better",
@@ -43,26 +40,6 @@ def article(doc: dict[str, Any], figures: Sequence[str] = ()) -> Article:
         setup=[],
         sections=sections,
     )
-
-
-def write_bench_report(out: Path, doc: dict[str, Any], *, figures: bool) -> list[str]:
-    """Draw the charts of a bench into its folder, and write its page; return what failed, one line each.
-
-    Args:
-        out: folder of the bench.
-        doc: document of bench.json.
-        figures: whether to draw charts.
-
-    Raises:
-        OSError: the page cannot be written.
-    """
-    drawn = draw_if_possible(out, CHARTS) if figures else None
-    files = [] if drawn is None else [path.relative_to(out).as_posix() for path in drawn.files]
-    inputs = [(role, doc[role]["path"], doc[role]["sha256"]) for role in ("scene", "reference")]
-    if (mesh := doc["reference"]["mesh"]) is not None:
-        inputs.append(("true surface", mesh["path"], mesh["sha256"]))
-    without_page = write_report(out, article(doc, files), doc["provenance"], inputs)
-    return [*filter(None, (without_page, None if drawn is None else drawn.problem))]
 
 
 def _answer(doc: dict[str, Any]) -> Iterator[str]:

@@ -23,10 +23,11 @@ from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
-from pcbench.report.article import markdown
 from pcbench.report.document import provenance, to_json
 from pcbench.report.markup import csv_text
+from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
+from pcbench.studies.bench.charts import CHARTS
 from pcbench.studies.bench.page import article
 from pcbench.studies.bench.pareto import choice_text, mark_front
 from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
@@ -39,12 +40,13 @@ from pcbench.studies.folder import (
     read_record,
     study_folder,
     write_record,
+    write_report,
     write_results,
 )
 from pcbench.systems import cpu_count
 
 SCHEMA = "pcbench.bench/1"
-KIND = StudyKind("bench", "bench.json", SCHEMA, (".lock", "runs"))
+KIND = StudyKind("bench", "bench.json", SCHEMA, "bench.md", (".lock", "runs"))
 COLUMNS = (
     "method",
     "settings",
@@ -140,29 +142,37 @@ class FinishedRun:
         return f"{row_title(row)}: {row['wall_s']:.1f} s, {points}{end}{kept}"
 
 
+@dataclass(frozen=True, eq=False)
+class BenchOutcome:
+    """The document of bench.json, and why requested charts or the page are missing, or None."""
+
+    document: dict[str, Any]
+    without_figures: str | None = None
+    without_page: str | None = None
+
+
 def bench(
     job: BenchJob,
     out: Path,
     *,
+    figures: bool = True,
     on_row: Callable[[FinishedRun], None] = lambda _: None,
     on_step: Callable[[str], None] = lambda _: None,
     on_warning: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:
+) -> BenchOutcome:
     """Run each method with each combination of settings and measure its clouds. A failed run is recorded as a row.
 
-    `bench.csv`, `bench.md` and `bench.json` are written after each run. A stored run is used again if its inputs
-    (images, cameras, method, settings, versions, machine) are unchanged. Its scores are used again if the reference and
-    the rules are unchanged.
+    `bench.csv`, `bench.json`, `bench.md` and `report.html` are written after each run, and charts after the last. A
+    stored run is used again if its inputs (images, cameras, method, settings, versions, machine) are unchanged. Its
+    scores are used again if the reference and the rules are unchanged.
 
     Args:
         job: bench to run.
         out: output folder.
+        figures: whether to draw charts.
         on_row: called with each finished run.
         on_step: progress callback.
         on_warning: called with each warning, one line.
-
-    Returns:
-        The document of bench.json.
 
     Raises:
         InputError: the scene, the reference or an option is not usable, or `out` is not the folder of a bench.
@@ -204,7 +214,10 @@ def bench(
             notes.append(f"{len(stale)} runs in {out / _RUNS_FOLDER} have other settings and are not in the tables")
             doc = _document(job, inputs, protocol, methods, rows, notes)
             _write(out, doc)
-    return doc
+        on_step("drawing the charts" if figures else "writing the page")
+        drawn = draw_if_possible(out, CHARTS) if figures else Drawn([])
+        without_page = _write_report(out, doc, drawn.relative_to(out))
+    return BenchOutcome(doc, drawn.problem, without_page)
 
 
 def _true_cameras(job: BenchJob, scene: Scene, warn: Callable[[str], None]) -> Mapping[str, Camera]:
@@ -415,7 +428,14 @@ def _write(out: Path, doc: dict[str, Any]) -> None:
     rows = [{**row, "settings": choice_text(row["choices"])} for row in doc["rows"]]
     texts = {
         "bench.csv": csv_text(COLUMNS, ([row.get(column) for column in COLUMNS] for row in rows)),
-        "bench.md": markdown(article(doc)),
         "bench.json": to_json(doc),
     }
-    write_results(out, texts)
+    write_results(out, KIND, texts)
+    _write_report(out, doc)  # to read while the bench runs
+
+
+def _write_report(out: Path, doc: dict[str, Any], figures: Sequence[str] = ()) -> str | None:
+    inputs = [(role, doc[role]["path"], doc[role]["sha256"]) for role in ("scene", "reference")]
+    if (mesh := doc["reference"]["mesh"]) is not None:
+        inputs.append(("true surface", mesh["path"], mesh["sha256"]))
+    return write_report(out, KIND, lambda: article(doc, figures), doc["provenance"], inputs)

@@ -29,6 +29,7 @@ from pcbench.plugins.stages import stage
 from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.document import provenance
+from pcbench.report.plot import Drawn
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bend.figure import draw_bend
 from pcbench.studies.bend.findings import MEASURE_S, Solution, Variant, csv_text, explain, measure_solutions
@@ -37,15 +38,15 @@ from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, Surv
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    draw_if_installed,
+    draw_here,
     study_folder,
-    write_pages,
+    write_files,
     write_report,
     write_results,
 )
 
 PLUGIN = "sfm"
-KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, (".experiment", "lenses"))
+KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, former_marks=(".experiment", "lenses"))
 _INTRINSICS_FOLDER, _PICTURE = "lenses", "bend.png"
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # lens distortion of synthetic scenes
 _FOV_DEG = 60.0  # vertical field of view, typical of a drone
@@ -162,19 +163,19 @@ def _run(out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[s
             write_cloud(file, solution.cloud)
         else:
             file.unlink(missing_ok=True)
-    write_results(out, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
-    drawn: list[str] = []
-    without_figures = None
+    write_results(out, KIND, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
+    drawn = Drawn([])
     if figures:
         step("drawing the picture")
-        drawn, without_figures = draw_if_installed(lambda: _draw(study, out))
-    return BendOutcome(study, without_figures, write_report(out, article(study, drawn), study.provenance))
+        drawn = draw_here(lambda: _draw(study, out))
+    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
+    return BendOutcome(study, drawn.problem, without_page)
 
 
-def _draw(study: BendStudy, out: Path) -> list[str]:
-    """Draw the picture into the folder of the experiment, and return its file name."""
+def _draw(study: BendStudy, out: Path) -> list[Path]:
+    """Draw the picture into the folder of the experiment, and return its file."""
     draw_bend(study, out / _PICTURE)
-    return [_PICTURE]
+    return [out / _PICTURE]
 
 
 def variants(scene: Scene) -> Iterator[Variant]:
@@ -275,7 +276,7 @@ class _SolveInputs:
         write_colmap_model(self.out / _INTRINSICS_FOLDER / "true", cameras)
         write_colmap_model(self.out / _INTRINSICS_FOLDER / "undistorted", plain)
         lines = list(_control_lines(cameras, mesh, truth, self.seed))
-        write_pages(self.out, {"control.txt": "\n".join(["# NAME X Y Z IMAGE U V", *lines, ""])})
+        write_files(self.out, {"control.txt": "\n".join(["# NAME X Y Z IMAGE U V", *lines, ""])})
 
 
 def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, seed: int) -> Iterator[str]:

@@ -18,7 +18,7 @@ from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
 from pcbench.report import to_json
-from pcbench.report.article import markdown
+from pcbench.report.article import Article
 from pcbench.report.document import provenance
 from pcbench.report.html import PAGE
 from pcbench.report.plot import Drawn, draw_if_possible
@@ -30,6 +30,7 @@ from pcbench.studies.folder import (
     check_folder,
     folders_by_name,
     study_folder,
+    write_files,
     write_report,
     write_results,
 )
@@ -54,9 +55,9 @@ from pcbench.studies.gao.results import (
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures
 from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
-from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, write_scores
+from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_files, score_views
 
-KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, (".experiment-gao",))
+KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, "gao.md", (".experiment-gao",))
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
 _RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK, PAGE)  # names that a scene's folder cannot have
 _TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
@@ -149,13 +150,17 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
     scenes = [replace(s, views=_new_views(scored[s.name]) if s.name in scored else None) for s in scenes]
     study = GaoStudy(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
-    _write(out, study, views)
-    pictures = _draw(out, reports, views, step) if figures else _Pictures()
-    shown = article(study, views, pictures.files, pictures.view_files, [_relative(folder, out) for folder in reports])
-    without_page = write_report(out, shown, study.provenance)
+    write_results(out, KIND, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
+    drawn, views_drawn = _draw(out, reports, views, step) if figures else (Drawn([]), Drawn([]))
+
+    def make() -> Article:
+        folders = [folder.relative_to(out).as_posix() for folder in reports]
+        return article(study, views, drawn.relative_to(out), views_drawn.relative_to(out), folders)
+
+    without_page = write_report(out, KIND, make, study.provenance)
     if not reports:
         raise ReconstructionError(f"{out}: no cloud could be measured: {next(failures(study), '')}")
-    return Outcome(study, views, pictures.problem, without_page)
+    return Outcome(study, views, drawn.problem or views_drawn.problem, without_page)
 
 
 @dataclass(frozen=True)
@@ -239,7 +244,7 @@ def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]
         return None
     study = score_views(folders, step)
     (out / _VIEWS_FOLDER).mkdir(exist_ok=True)
-    write_scores(out / _VIEWS_FOLDER, study)
+    write_files(out / _VIEWS_FOLDER, score_files(study))
     return study
 
 
@@ -248,36 +253,15 @@ def _new_views(scored: ScoredScene) -> NewViews:
     return NewViews(scored.mean(test=False), scored.mean(test=True), train, test, scored.standard_error())
 
 
-def _write(out: Path, study: GaoStudy, views: ViewStudy | None) -> None:
-    texts = {
-        DOCUMENT: to_json(document(study)),
-        "experiment.csv": csv_text(study),
-        "gao.md": markdown(article(study, views)),
-    }
-    write_results(out, texts)
-
-
-@dataclass(frozen=True)
-class _Pictures:
-    """Files of pictures, relative to the folder of the experiment, and the first problem, or None."""
-
-    files: Sequence[str] = ()
-    view_files: Sequence[str] = ()
-    problem: str | None = None
-
-
-def _draw(out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]) -> _Pictures:
-    """Draw all pictures."""
+def _draw(
+    out: Path, reports: Sequence[Path], views: ViewStudy | None, step: Callable[[str], None]
+) -> tuple[Drawn, Drawn]:
+    """Draw the pictures of the experiment and its reports, and those of novel views; return both."""
     step(Step("drawing the pictures", _DRAWING_S))
     own = draw_if_possible(out, PICTURES)
     problems = [own.problem, *map(draw_maps, reports)]
     of_views = Drawn([]) if views is None else draw_if_possible(out / _VIEWS_FOLDER, VIEW_PICTURES)
-    files, view_files = ([_relative(path, out) for path in drawn.files] for drawn in (own, of_views))
-    return _Pictures(files, view_files, next(filter(None, (*problems, of_views.problem)), None))
-
-
-def _relative(path: Path, out: Path) -> str:
-    return path.relative_to(out).as_posix()
+    return Drawn(own.files, next(filter(None, problems), None)), of_views
 
 
 def _read_checked_scene(job: GaoJob, path: Path, image_scale: float = 1.0) -> Scene:

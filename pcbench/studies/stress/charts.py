@@ -22,7 +22,7 @@ from pcbench.studies.stress.results import ALL_SUBJECTS, StressStudy
 from pcbench.studies.stress.worst import draw_worst
 
 
-def draw_charts(study: StressStudy, folder: Path) -> list[str]:
+def draw_charts(study: StressStudy, folder: Path) -> list[Path]:
     """Draw all charts of a study, and pictures of its worst silent failures, into `figures/` of its folder.
 
     Args:
@@ -30,20 +30,19 @@ def draw_charts(study: StressStudy, folder: Path) -> list[str]:
         folder: folder of the study, which also has the clouds of the silent failures.
 
     Returns:
-        The names of the written files. Charts without data are not written, and those of an earlier run are deleted.
+        The written files. Charts without data are not written, and those of an earlier run are deleted.
 
     Raises:
         MissingExtra: matplotlib is not installed.
         OSError: a file cannot be written.
     """
     require("matplotlib.figure")
-    names = save_charts(folder, _charts(study))
+    files = save_charts(folder, _charts(study))
     for number, failure in enumerate(study.worst, 1):
-        name = f"worst_{number}.png"
-        draw_worst(study, failure, folder, folder / FIGURES / name)
-        names.append(name)
-    delete_former_charts(folder, names)
-    return names
+        files.append(folder / FIGURES / f"worst_{number}.png")
+        draw_worst(study, failure, folder, files[-1])
+    delete_former_charts(folder, files)
+    return files
 
 
 def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:

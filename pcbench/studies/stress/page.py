@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import PurePath
 
 from pcbench.measure.wording import pluralize
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Heading, Paragraph
@@ -70,7 +71,7 @@ def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
 
     Args:
         study: the study.
-        figures: names of the pictures in `figures/`, as `draw_charts` returns them.
+        figures: files of its pictures, relative to the folder of the study.
     """
     title = "Where reconstructors break" if study.photographs else "Where registration, metrics and verdicts break"
     sections = [
@@ -101,19 +102,19 @@ def _worst_blocks(study: StressStudy, figures: Sequence[str]) -> Iterator[Block]
     yield Paragraph("Wrong poses without a warning that the pose may be wrong, those with the largest relative errors.")
     for number, failure in enumerate(study.worst, 1):
         title = f"{number}. {failure_title(study, failure)}"
-        name = f"worst_{number}.png"
-        yield Figure(f"{FIGURES}/{name}", title) if name in figures else Paragraph(f"{title}.")
+        file = f"{FIGURES}/worst_{number}.png"
+        yield Figure(file, title) if file in figures else Paragraph(f"{title}.")
 
 
 def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Figure]:
     """Yield the pictures whose names begin with given stems, with their captions."""
     for stem in stems:
-        for name in figures:
+        for file in figures:
+            name = PurePath(file).stem
             if name.startswith(stem):
                 caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
-                kind = name.removesuffix(".png").rpartition("_")[2]
-                shown = f"{caption} ({kind})" if stem.startswith(("severity_", "scores_")) else caption
-                yield Figure(f"{FIGURES}/{name}", shown)
+                kind = name.rpartition("_")[2]
+                yield Figure(file, f"{caption} ({kind})" if stem.startswith(("severity_", "scores_")) else caption)
 
 
 def _setup(study: StressStudy) -> str:

@@ -21,12 +21,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, digest
 from pcbench.report import to_json
-from pcbench.report.article import markdown
 from pcbench.report.document import provenance
+from pcbench.report.plot import Drawn
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    draw_if_installed,
+    draw_here,
     study_folder,
     write_report,
     write_results,
@@ -80,8 +80,8 @@ from pcbench.studies.stress.table import stress_table
 from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
 from pcbench.studies.stress.words import sentences
 
-KIND = StudyKind("stress", DOCUMENT, SCHEMA)
-CSV, PAGE, TABLE = "stress.csv", "stress.md", "stress.txt"
+KIND = StudyKind("stress", DOCUMENT, SCHEMA, "stress.md")
+CSV, TABLE = "stress.csv", "stress.txt"
 RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
 _GIVEN_FILE = "given.npz"
 # What a study perturbs.
@@ -253,21 +253,14 @@ def write_study(
         OSError: a file cannot be written.
     """
     study = replace(study, sentences=sentences(study))
-    without_figures = None
-    drawn: list[str] = []
+    table = stress_table(study)
+    write_results(out, KIND, {CSV: csv_text(study), TABLE: f"{table}\n", DOCUMENT: to_json(document(study))})
+    drawn = Drawn([])
     if figures:
         step("drawing charts")
-        drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
-    table = stress_table(study)
-    shown = article(study, drawn)
-    texts = {
-        CSV: csv_text(study),
-        TABLE: f"{table}\n",
-        PAGE: markdown(shown),
-        DOCUMENT: to_json(document(study)),
-    }
-    write_results(out, texts)
-    return StressOutcome(study, table, without_figures, write_report(out, shown, study.provenance))
+        drawn = draw_here(lambda: draw_charts(study, out))
+    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
+    return StressOutcome(study, table, drawn.problem, without_page)
 
 
 def csv_text(study: StressStudy) -> str:

@@ -38,17 +38,17 @@ _BIAS_TICKS = (-100.0, -50.0, -20.0, -10.0, -5.0, 0.0, 5.0, 10.0, 20.0, 50.0, 10
 _LEAST_ERROR = 1e-5  # 0.001 %: smaller errors are drawn there
 
 
-def draw_charts(study: Tradeoff, folder: Path) -> list[str]:
-    """Draw all charts of a study into `figures/` of its folder, and return the names of the written files.
+def draw_charts(study: Tradeoff, folder: Path) -> list[Path]:
+    """Draw all charts of a study into `figures/` of its folder, and return the written files.
 
     Raises:
         MissingExtra: matplotlib is not installed.
         OSError: a file cannot be written.
     """
     require("matplotlib.figure")
-    names = save_charts(folder, _charts(study))
-    delete_former_charts(folder, names)
-    return names
+    files = save_charts(folder, _charts(study))
+    delete_former_charts(folder, files)
+    return files
 
 
 def _charts(study: Tradeoff) -> Iterator[tuple[str, Any]]:

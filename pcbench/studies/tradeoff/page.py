@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import PurePath
 
 from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
-from pcbench.studies.folder import FIGURES
 from pcbench.studies.tradeoff.results import Tradeoff
 from pcbench.studies.tradeoff.table import LEGEND, error_rows, table_rows
 from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, percent, verdict_sentences
 
-CAPTIONS = {
-    "errors.png": "Error of each metric beside CPU seconds",
-    "bias.png": "Bias of mean distances to thinned clouds, with and without the correction by the floor",
+_CAPTIONS = {
+    "errors": "Error of each metric beside CPU seconds",
+    "bias": "Bias of mean distances to thinned clouds, with and without the correction by the floor",
 }
 
 
 def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
-    """Return the study as an article; `figures` are the names of the charts in `figures/`."""
+    """Return the study as an article; `figures` are the files of its charts, relative to its folder."""
     exact = study.exact
     unit = f" {exact.unit}" if exact.unit else ""
     threshold = "" if exact.threshold is None else f" F-score at {exact.threshold:.4g}{unit}."
@@ -30,14 +30,12 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         ArticleSection(
             "Error and cost",
             [
-                *_picture("errors.png", figures),
+                *_picture("errors", figures),
                 DataTable("Errors and costs of approximations", table_rows(study)),
                 Paragraph(f"{LEGEND[0].upper()}{LEGEND[1:]}."),
             ],
         ),
-        ArticleSection(
-            "Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias.png", figures)]
-        ),
+        ArticleSection("Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias", figures)]),
         ArticleSection("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
         ArticleSection(
             "Errors of all metrics in %", [DataTable("Errors of all metrics", error_rows(study))], "all errors"
@@ -54,4 +52,4 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
 
 
 def _picture(name: str, figures: Sequence[str]) -> list[Figure]:
-    return [Figure(f"{FIGURES}/{name}", CAPTIONS[name])] if name in figures else []
+    return [Figure(file, _CAPTIONS[name]) for file in figures if PurePath(file).stem == name]

@@ -17,12 +17,12 @@ from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.settings import Settings
 from pcbench.report import to_json
-from pcbench.report.article import markdown
 from pcbench.report.document import provenance
+from pcbench.report.plot import Drawn
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
-    draw_if_installed,
+    draw_here,
     study_folder,
     write_report,
     write_results,
@@ -36,8 +36,8 @@ from pcbench.studies.tradeoff.runs import check_pair, run_all
 from pcbench.studies.tradeoff.table import tradeoff_csv, tradeoff_table
 from pcbench.studies.tradeoff.words import sentences
 
-KIND = StudyKind("tradeoff", DOCUMENT, SCHEMA)
-CSV, PAGE, TABLE, RECORDS = "tradeoff.csv", "tradeoff.md", "tradeoff.txt", "runs"
+KIND = StudyKind("tradeoff", DOCUMENT, SCHEMA, "tradeoff.md")
+CSV, TABLE, RECORDS = "tradeoff.csv", "tradeoff.txt", "runs"
 _THRESHOLD_SPACINGS = 2.0  # threshold of the F-score over the spacing of the reference, the second default of `compare`
 
 
@@ -125,20 +125,11 @@ def write_study(
     Raises:
         OSError: a file cannot be written.
     """
-    without_figures = None
-    drawn: list[str] = []
+    table = tradeoff_table(study)
+    write_results(out, KIND, {CSV: tradeoff_csv(study), TABLE: f"{table}\n", DOCUMENT: to_json(document(study))})
+    drawn = Drawn([])
     if figures:
         step("drawing charts")
-        drawn, without_figures = draw_if_installed(lambda: draw_charts(study, out))
-    table = tradeoff_table(study)
-    shown = article(study, drawn)
-    write_results(
-        out,
-        {
-            CSV: tradeoff_csv(study),
-            TABLE: f"{table}\n",
-            PAGE: markdown(shown),
-            DOCUMENT: to_json(document(study)),
-        },
-    )
-    return TradeoffOutcome(study, table, without_figures, write_report(out, shown, study.provenance))
+        drawn = draw_here(lambda: draw_charts(study, out))
+    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
+    return TradeoffOutcome(study, table, drawn.problem, without_page)

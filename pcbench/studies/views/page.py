@@ -7,10 +7,6 @@ from pathlib import Path
 
 from pcbench.measure.wording import pluralize
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure
-from pcbench.report.document import provenance
-from pcbench.report.plot import draw_if_possible
-from pcbench.studies.folder import write_report
-from pcbench.studies.views.pictures import PICTURES
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import answer, doubts, legend, table
 
@@ -46,20 +42,3 @@ def view_pictures(figures: Sequence[str]) -> list[Block]:
     """Return pictures of views with captions; `figures` are their files, relative to the folder of the article."""
     what = "photograph, rendering, and absolute error in grey levels"
     return [Figure(file, f"{Path(file).stem}: {what}") for file in figures]
-
-
-def write_views_report(out: Path, study: ViewStudy, *, figures: bool) -> list[str]:
-    """Draw pictures of views into a folder of scores, and write its page; return what failed, one line each.
-
-    Args:
-        out: folder of the study.
-        study: the scores.
-        figures: whether to draw pictures.
-
-    Raises:
-        OSError: the page cannot be written.
-    """
-    drawn = draw_if_possible(out, PICTURES) if figures else None
-    files = [] if drawn is None else [path.relative_to(out).as_posix() for path in drawn.files]
-    without_page = write_report(out, article(study, files), provenance(None))
-    return [*filter(None, (without_page, None if drawn is None else drawn.problem))]

@@ -9,13 +9,15 @@ from pathlib import Path
 from pcbench.errors import InputError, Notice, ReconstructionError, record_error
 from pcbench.plugins.run import JOB, PLUGIN, ReconstructionJob, run
 from pcbench.progress import Step
-from pcbench.report.article import markdown
+from pcbench.report.document import provenance
+from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_results
+from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_report, write_results
 from pcbench.studies.views.page import article
-from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_views, write_scores
+from pcbench.studies.views.pictures import PICTURES
+from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_files, score_views
 
-KIND = StudyKind("views", DOCUMENT, SCHEMA)
+KIND = StudyKind("views", DOCUMENT, SCHEMA, "views.md")
 _RUNS_FOLDER = "runs"
 _EXPECTED_SCENE_S = 300.0  # rough duration of rendering a scene, for progress bars
 
@@ -41,15 +43,27 @@ class ViewsJob:
     time_limit: float | None = None
 
 
-def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: None) -> ViewStudy:
+@dataclass(frozen=True, eq=False)
+class ViewsOutcome:
+    """Scores of views, and why requested pictures or the page are missing, or None."""
+
+    study: ViewStudy
+    without_figures: str | None = None
+    without_page: str | None = None
+
+
+def run_views(
+    job: ViewsJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
+) -> ViewsOutcome:
     """Render missing views, one scene after another, and measure all views.
 
     A scene without views becomes a note; the others are measured. Renderings stay in `out` and are used again by a
-    later call. `scores.json`, `scores.csv` and `views.md` are written there.
+    later call. `scores.json`, `scores.csv`, `views.md`, pictures and `report.html` are written there.
 
     Args:
         job: scenes to measure.
         out: output folder.
+        figures: whether to draw pictures.
         step: progress callback.
 
     Raises:
@@ -75,9 +89,11 @@ def run_views(job: ViewsJob, out: Path, step: Callable[[str], None] = lambda _: 
             raise ReconstructionError(f"no scene has rendered views: {failed[0]}")
         study = score_views(folders, step)
         study = ViewStudy(study.scenes, (*failed, *study.notes))
-        write_results(out, {"views.md": markdown(article(study))})
-        write_scores(out, study)
-    return study
+        write_results(out, KIND, score_files(study))
+        step("drawing the pictures" if figures else "writing the page")
+        drawn = draw_if_possible(out, PICTURES) if figures else Drawn([])
+        without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), provenance(None))
+    return ViewsOutcome(study, drawn.problem, without_page)
 
 
 def _render_views(job: ViewsJob, scene: Path, workspace: Path, step: Callable[[str], None]) -> Path:

@@ -18,7 +18,6 @@ from pcbench.progress import Step
 from pcbench.report import to_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
-from pcbench.studies.folder import write_pages
 
 SCHEMA = "pcbench.view-scores/1"
 DOCUMENT = "scores.json"
@@ -117,15 +116,11 @@ def _masked_view_notices(scenes: Iterable[ScoredScene]) -> Iterable[Notice]:
             )
 
 
-def write_scores(out: Path, study: ViewStudy) -> None:
-    """Write `scores.json`, which `read_scores` reads, and `scores.csv`, one row per view.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+def score_files(study: ViewStudy) -> dict[str, str]:
+    """Return the texts of `scores.csv`, one row per view, and of `scores.json`, which `read_scores` reads."""
     notes = [{"code": note.code, "text": note.text} for note in study.notes]
     document = {"schema": SCHEMA, "scenes": [_scene_values(scene) for scene in study.scenes], "notes": notes}
-    write_pages(out, {"scores.csv": _csv(study), DOCUMENT: to_json(document)})
+    return {"scores.csv": _csv(study), DOCUMENT: to_json(document)}
 
 
 def read_scores(out: Path) -> ViewStudy:

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from benches import METHODS, OWN, executed_methods, job
+from benches import METHODS, OWN, executed_methods, job, run_bench
 from html_pages import check_page_of_study, markdown_tables
 from optional import import_or_skip
 from processes import has_ended
@@ -26,7 +26,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins.run import Description, describe
 from pcbench.studies.bench import runs
 from pcbench.studies.bench.plan import Axis
-from pcbench.studies.bench.runs import COLUMNS, BenchJob, bench
+from pcbench.studies.bench.runs import COLUMNS, BenchJob
 
 
 @pytest.mark.long
@@ -147,12 +147,12 @@ def test_finished_runs_are_reused(bench_folder, run, in_process):
 @pytest.mark.parametrize("content", [None, "[]", "{}"])
 def test_damaged_run_is_repeated(bench_folder, in_process, name, content):
     bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"])
-    first_row = bench(bench_job, Path("out"))["rows"][0]
+    first_row = run_bench(bench_job)["rows"][0]
     (file,) = Path("out").glob(f"runs/*/{name}")
     file.unlink()
     if content is not None:
         file.write_text(content)
-    repeated_row = bench(bench_job, Path("out"))["rows"][0]
+    repeated_row = run_bench(bench_job)["rows"][0]
     assert (repeated_row["status"], repeated_row["fscore"]) == ("ok", first_row["fscore"])
 
 
@@ -171,7 +171,7 @@ def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
     ]
     Path("methods.py").write_text("\n".join(["import shutil", METHODS, *classes]))
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing them is harmless
-    rows = bench(job(*names, "Good"), Path("out"))["rows"]
+    rows = run_bench(job(*names, "Good"))["rows"]
     assert [row["status"] for row in rows] == ["crashed"] * len(actions) + ["ok"]
 
 
@@ -185,43 +185,43 @@ def test_interrupted_bench_is_resumed(bench_folder, in_process):
 
     bench_job = job("Good", axes=[Axis.sweep("noise=0.02,0.1,1")])
     with pytest.raises(Stop):
-        bench(bench_job, Path("out"), on_row=stop)
+        run_bench(bench_job, on_row=stop)
     assert len(json.loads(Path("out/bench.json").read_text())["rows"]) == 2
     reused = []
-    doc = bench(bench_job, Path("out"), on_row=lambda progress: reused.append(progress.kept))
+    doc = run_bench(bench_job, on_row=lambda progress: reused.append(progress.kept))
     assert reused == [True, True, False]
     assert executed_methods() == ["Good"] * 3
     assert len(doc["rows"]) == 3
     shutil.rmtree(Path("out") / doc["rows"][1]["folder"])
-    bench(bench_job, Path("out"))
+    run_bench(bench_job)
     assert executed_methods() == ["Good"] * 4
     # A truncated record is ignored.
     (Path("out") / doc["rows"][0]["folder"] / "run.json").write_text('{"key"')
-    bench(bench_job, Path("out"))
+    run_bench(bench_job)
     assert executed_methods() == ["Good"] * 5
 
 
 def test_timeout_is_reused_for_shorter_limits(bench_folder, monkeypatch):
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing it may exceed the limit
-    first_row = bench(job("Hang", time_limit_s=0.2), Path("out"))["rows"][0]
+    first_row = run_bench(job("Hang", time_limit_s=0.2))["rows"][0]
     assert (first_row["status"], first_row["message"]) == ("timeout", "it exceeded the time limit of 0.2 s")
-    assert bench(job("Hang", time_limit_s=0.1), Path("out"))["rows"][0]["time_limit_s"] == 0.2
-    assert bench(job("Hang", time_limit_s=0.3), Path("out"))["rows"][0]["time_limit_s"] == 0.3
+    assert run_bench(job("Hang", time_limit_s=0.1))["rows"][0]["time_limit_s"] == 0.2
+    assert run_bench(job("Hang", time_limit_s=0.3))["rows"][0]["time_limit_s"] == 0.3
 
 
 def test_refused_run_is_repeated(bench_folder, in_process):
-    assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "refused"
+    assert run_bench(job("Missing"))["rows"][0]["status"] == "refused"
     Path("installed").touch()
-    assert bench(job("Missing"), Path("out"))["rows"][0]["status"] == "ok"
+    assert run_bench(job("Missing"))["rows"][0]["status"] == "ok"
 
 
 @pytest.mark.parametrize("error", [MissingExtra("open3d", "open3d"), MemoryError()])
 def test_temporary_measurement_failure_is_retried(bench_folder, in_process, monkeypatch, error):
     original = runs.score
     monkeypatch.setattr(runs, "score", Mock(side_effect=error))
-    assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "unmeasured"
+    assert run_bench(job("Good"))["rows"][0]["status"] == "unmeasured"
     monkeypatch.setattr(runs, "score", original)
-    assert bench(job("Good"), Path("out"))["rows"][0]["status"] == "ok"
+    assert run_bench(job("Good"))["rows"][0]["status"] == "ok"
     assert executed_methods() == ["Good"]
 
 
@@ -245,9 +245,9 @@ class Passing:
 """
     )
     bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["passing.py:Passing"])
-    assert bench(bench_job, Path("out"))["rows"][0]["status"] == status
+    assert run_bench(bench_job)["rows"][0]["status"] == status
     Path("repaired").touch()
-    assert bench(bench_job, Path("out"))["rows"][0]["status"] == "ok"
+    assert run_bench(bench_job)["rows"][0]["status"] == "ok"
 
 
 @pytest.mark.parametrize("stop_signal", [signal.SIGINT, signal.SIGKILL])
@@ -281,19 +281,20 @@ def test_bench_without_a_measured_row_is_an_error(bench_folder, run, in_process)
 
 
 def test_folder_is_locked_by_one_bench(bench_folder, in_process):
-    calls = []
+    refused = []
 
-    def start_second_bench(_):
-        with check_error():
-            bench(job("Good"), Path("out"))
-        calls.append(True)
+    def start_second_bench(step):
+        if "seed" in step or "page" in step:  # while a method runs, and while the page is written
+            with check_error():
+                run_bench(job("Good"))
+            refused.append(str(step))
 
-    bench(job("Good"), Path("out"), on_row=start_second_bench)
-    assert calls
+    run_bench(job("Good"), on_step=start_second_bench)
+    assert len(refused) == 2
     with check_error():
-        bench(job("Good"), Path("photos"))
+        run_bench(job("Good"), Path("photos"))
     with check_error():
-        bench(job("Good"), Path("truth.ply"))
+        run_bench(job("Good"), Path("truth.ply"))
 
 
 @pytest.mark.parametrize(
@@ -305,7 +306,7 @@ def test_method_that_cannot_be_described_is_a_row(bench_folder, body, limit):
     assert description.problem
     assert description.settings == ()
     bench_job = BenchJob(Path("photos"), Path("truth.ply"), ["bad.py:A"], time_limit_s=limit)
-    assert bench(bench_job, Path("out"))["rows"][0]["status"] in ("crashed", "timeout", "refused")
+    assert run_bench(bench_job)["rows"][0]["status"] in ("crashed", "timeout", "refused")
 
 
 def test_gpu_memory_is_that_of_torch(bench_folder, in_process, monkeypatch):
@@ -321,7 +322,7 @@ def test_gpu_memory_is_that_of_torch(bench_folder, in_process, monkeypatch):
         max_memory_reserved=lambda device: 1000 + device,
     )
     monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(cuda=cuda))
-    assert bench(job("Good"), Path("out"))["rows"][0]["gpu_bytes"] == 2001
+    assert run_bench(job("Good"))["rows"][0]["gpu_bytes"] == 2001
 
 
 def test_withheld_cameras_still_register_clouds(bench_folder, in_process):
@@ -350,7 +351,7 @@ class Own:
         Path("photos"), Path("truth.ply"), ["own.py:Own", "methods.py:Good"], [Axis.setting("noise=0")]
     )
     bench_job = replace(bench_job, cameras="none")
-    own_row, good_row = bench(bench_job, Path("out"))["rows"]
+    own_row, good_row = run_bench(bench_job)["rows"]
     assert (own_row["status"], own_row["registration"], good_row["registration"]) == ("ok", "cameras", "none")
     assert own_row["d1_c2r"] == pytest.approx(good_row["d1_c2r"], rel=1e-4)  # the matrix is printed with eight digits
 

@@ -184,18 +184,18 @@ def test_scores_are_invariant_to_large_coordinates(tmp_path):
 
 
 def test_mesh_of_the_scene_is_used(bench_folder, in_process):
-    from benches import RIG
+    from benches import RIG, run_bench
 
     from pcbench import write_cloud
     from pcbench.scenes.synthetic.files import write_mesh_ply
-    from pcbench.studies.bench.runs import BenchJob, bench
+    from pcbench.studies.bench.runs import BenchJob
 
     mesh = square_mesh(40.0)
     Path("photos/truth").mkdir()
     write_mesh_ply(Path("photos/truth/mesh.ply"), mesh)
     write_cloud("photos/truth/cloud.ply", mesh.sample(3000))
     write_cloud("made.ply", Cloud(mesh.sample(1000, seed=3).points))
-    doc = bench(BenchJob(Path("photos"), Path("photos/truth/cloud.ply"), ["methods.py:Good"]), Path("out"))
+    doc = run_bench(BenchJob(Path("photos"), Path("photos/truth/cloud.ply"), ["methods.py:Good"]))
     (row,) = doc["rows"]
     assert (row["accuracy_to"], row["mean_c2r_floor"]) == ("surface", 0)
     assert row["mean_c2r"] == pytest.approx(0.05 * np.sqrt(2 / np.pi), rel=0.1)
@@ -208,5 +208,5 @@ def test_mesh_of_the_scene_is_used(bench_folder, in_process):
     assert "against the true surface" in text
     assert "F of seen" in text
     # A reference from elsewhere is not of that truth.
-    other_doc = bench(BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"]), Path("out2"))
+    other_doc = run_bench(BenchJob(Path("photos"), Path("truth.ply"), ["methods.py:Good"]), Path("out2"))
     assert other_doc["rows"][0]["accuracy_to"] == "points"

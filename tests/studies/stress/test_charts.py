@@ -38,15 +38,15 @@ def silent_failure(folder, points=3000):
 def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "worst_3.png").write_bytes(b"")
-    names = draw_charts(study(worst=(silent_failure(tmp_path),)), tmp_path)
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == set(names)
+    files = draw_charts(study(worst=(silent_failure(tmp_path),)), tmp_path)
+    assert set((tmp_path / "figures").iterdir()) == set(files)
     kinds = {"registration": ("start", "parts", "noise"), "metrics": ("noise",), "verdicts": ("warp",)}
     expected = {"recall", "basin_start-map", "profiles", "speed", "sizes", "coverage", "worst_1"}
     expected |= {f"{chart}_{subject}" for chart in ("outcomes", "matrix") for subject in kinds}
     expected |= {f"severity_{subject}_{kind}" for subject, found in kinds.items() for kind in found}
-    assert set(names) == {f"{name}.png" for name in expected}
-    for name in names:
-        assert (tmp_path / "figures" / name).read_bytes().startswith(b"\x89PNG")
+    assert {file.name for file in files} == {f"{name}.png" for name in expected}
+    for file in files:
+        assert file.read_bytes().startswith(b"\x89PNG")
 
 
 def test_charts_without_data_are_not_drawn(tmp_path):

@@ -26,9 +26,9 @@ def test_the_answer_comes_first_and_all_sentences_follow():
 
 def test_pictures_are_shown_once_and_only_those_that_were_drawn():
     names = ["outcomes_registration.png", "severity_verdicts_warp.png", "severity_registration_start.png", "recall.png"]
-    text = page(study(), names)
-    assert sorted(re.findall(r"\(figures/(.*?)\)", text)) == sorted(names)
-    assert "![Success against severity (start)](figures/severity_registration_start.png)" in text
+    text = page(study(), [f"figures/{name}" for name in names])
+    assert sorted(re.findall(r"\(\./figures/(.*?)\)", text)) == sorted(names)
+    assert "![Success against severity (start)](./figures/severity_registration_start.png)" in text
     assert "figures/" not in page(study())
 
 
@@ -36,8 +36,8 @@ def test_the_worst_silent_failures_are_listed_with_their_pictures():
     cell = next(c for c in study().registrations if c.outcome == SILENT)
     made = study(worst=(SilentFailure(cell, "worst_1.npz"),))
     assert "1. icp: rotation of the start 90 deg; city, seed 2" in page(made)
-    assert "(figures/worst_1.png)" not in page(made)
-    assert "(figures/worst_1.png)" in page(made, ["worst_1.png"])
+    assert "(./figures/worst_1.png)" not in page(made)
+    assert "(./figures/worst_1.png)" in page(made, ["figures/worst_1.png"])
 
 
 def test_tables_are_complete_markdown():

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import textwrap
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from pcbench.report.article import markdown
 from pcbench.report.figures import Figures
 from pcbench.scenes.splits import split_every
 from pcbench.scenes.views import ViewImages, write_views
+from pcbench.studies.folder import write_files
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import draw_views, select_views
 from pcbench.studies.views.runs import ViewsJob, run_views
-from pcbench.studies.views.scores import read_scores, score_views, write_scores
+from pcbench.studies.views.scores import read_scores, score_files, score_views
 from pcbench.studies.views.table import sentences, table
 
 Image = import_or_skip("PIL.Image")
@@ -100,7 +102,7 @@ def test_scores_round_trip(tmp_path):
         tmp_path / "c", "same", "splat", SPLIT_OF_NINE, lambda name: ViewImages(name, photograph(1), photograph(1))
     )
     study = score_views([*folders, tmp_path / "c"], perceptual=NO_PERCEPTUAL_METRICS)
-    write_scores(tmp_path, study)
+    write_files(tmp_path, score_files(study))
     restored = read_scores(tmp_path)
     assert restored.notes == study.notes
     assert [note.code for note in study.notes] == ["masked-views"]
@@ -195,7 +197,7 @@ def test_missing_views_are_rendered(tmp_path):
     (tmp_path / "empty").mkdir()
     out = tmp_path / "out"
     job = ViewsJob((*scenes, workspace, tmp_path / "empty"), f"{plugin}:Painter", {"hold_out": "every", "grey": "0.25"})
-    study = run_views(job, out)
+    study = run_views(job, out, figures=False).study
     assert [scene.views.scene for scene in study.scenes] == ["one", "two", "three"]
     assert [len(scene.select(test=True)) for scene in study.scenes] == [2, 2, 2]
     assert study.notes[0].code == "no-views"
@@ -205,6 +207,16 @@ def test_missing_views_are_rendered(tmp_path):
     assert (out / "views.md").read_text().count("\n| ") == 6
     with check_error():
         run_views(job, tmp_path / "one")
+
+
+def test_scores_do_not_depend_on_the_page(tmp_path, monkeypatch):
+    out, job = tmp_path / "out", ViewsJob((write_view_folder(tmp_path / "a", "near", 9),))
+    assert run_views(job, out, figures=False).without_page is None
+    assert (out / "views.md").is_file() and (out / "report.html").is_file()
+    monkeypatch.setattr("pcbench.studies.views.runs.article", Mock(side_effect=KeyError("near_splat")))
+    check_text(run_views(job, out, figures=False).without_page)
+    assert len(read_scores(out).scenes) == 1
+    assert not (out / "views.md").exists() and not (out / "report.html").exists()
 
 
 def test_views_command(tmp_path, run, monkeypatch):
