@@ -66,7 +66,7 @@ def bend(
     """
     from pcbench.report import print_columns
     from pcbench.studies.bend.bend import SurveySettings, run_bend
-    from pcbench.studies.bend.findings import table
+    from pcbench.studies.bend.findings import failures, table
 
     if scene is not None and any(is_given(context, name) for name in ("images", "size")):
         raise click.UsageError("--images and --size apply only to a synthetic scene, without SCENE")
@@ -76,8 +76,8 @@ def bend(
     study = outcome.study
     if not quiet:
         print_columns(table(study))
-        for sentence in study.sentences:
-            click.echo(sentence)
+        for line in (*study.sentences, *failures(study)):
+            click.echo(line)
         click.echo(name_files("report", out, "experiment.csv", "experiment.json"))
     warn_of_missing(outcome)
     if not study.has_measured_bends:

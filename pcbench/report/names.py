@@ -32,13 +32,16 @@ def check_name(name: Any) -> str:
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each candidate: its file's stem, with a number if stems are equal.
+    """Return a name for each candidate: its file's stem.
+
+    Equal stems get the nearest folder that distinguishes them as a prefix (`a/x.ply` and `b/x.ply` become `a_x` and
+    `b_x`), or a number if there is none.
 
     Raises:
         InputError: a stem is not a valid name.
     """
     result: list[str] = []
-    stems = [_UNPRINTABLE.sub("_", path.stem) for path in paths]
+    stems = [_with_folder(path, paths) for path in paths]
     taken = {*stems, "reference"}
     for stem in stems:
         name, number = stem or "candidate", 2
@@ -49,3 +52,26 @@ def names_of(paths: Sequence[Path]) -> list[str]:
             taken.add(name)
         result.append(check_name(name))
     return result
+
+
+def _with_folder(path: Path, paths: Sequence[Path]) -> str:
+    """Return the stem of a path, after the nearest folder that distinguishes all paths with this stem."""
+    stem = _stem(path)
+    same = [other for other in paths if _stem(other) == stem]
+    if len(same) > 1:
+        # From the nearest folder to the root; paths of different depth are compared up to the shortest one.
+        for level in zip(_folders(path), *map(_folders, same), strict=False):
+            name = f"{level[0]}_{stem}"
+            if len({*level[1:]}) == len(same) and len(os.fsencode(name)) <= _MAX_NAME_BYTES:
+                return name
+    return stem
+
+
+def _stem(path: Path) -> str:
+    return _UNPRINTABLE.sub("_", path.stem)
+
+
+def _folders(path: Path) -> list[str]:
+    """Return the names of a path's folders as parts of file names, the nearest first."""
+    folders = Path(os.path.abspath(path)).parent.parts[:0:-1]  # noqa: PTH100 - `resolve` would follow links
+    return [_UNPRINTABLE.sub("_", folder).replace("\\", "_") for folder in folders]

@@ -82,13 +82,13 @@ def test_json_on_standard_output(files, run):
     assert run("compare", "ref.ply", "a.ply", "--quiet")[1] == ""
 
 
-def test_equal_file_stems_are_numbered(files, run):
+def test_equal_file_stems_get_their_folders_as_prefix(files, run):
     (files / "sub").mkdir()
     write_cloud("sub/a.ply", read_cloud("b.ply"))
     write_cloud("reference.ply", read_cloud("b.ply"))
     code, _, _ = run("compare", "ref.ply", "a.ply", "sub/a.ply", "reference.ply", "--out", "report")
     assert code == 0
-    assert [c["name"] for c in read_comparison("report")["candidates"]] == ["a", "a_2", "reference_2"]
+    assert [c["name"] for c in read_comparison("report")["candidates"]] == [f"{files.name}_a", "sub_a", "reference_2"]
 
 
 def test_one_damaged_candidate_leaves_no_report(files, run):

@@ -9,7 +9,7 @@ from wording import check_text
 from pcbench.registration import (
     register,
 )
-from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE
+from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.scenes.synthetic import city
 
 
@@ -51,6 +51,23 @@ def test_a_missing_scale_is_reported(scene):
         for text in texts:
             check_text(text)
     assert register(reference, motion(scale=1.002).inverse().apply(candidate), "similarity").warnings == ()
+
+
+def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
+    """Facade of 20 m x 8 m with recesses, noise of the candidate 2 cm: its edges indicate a scale of 0.966."""
+
+    def facade(n, noise, seed):
+        rng = np.random.default_rng(seed)
+        x, z = rng.uniform(0, 20, n), rng.uniform(0, 8, n)
+        recess = (x % 4 > 1) & (x % 4 < 3) & (z % 4 > 1) & (z % 4 < 3)
+        return np.column_stack([x, np.where(recess, 0.25, 0.0) + rng.normal(0, noise, n), z])
+
+    reference, candidate = facade(60_000, 0.004, 0), facade(20_000, 0.02, 11)
+    assert register(reference, candidate, "none").warnings == ()
+    result = register(reference, candidate, "similarity")
+    assert result.T_reference_candidate.scale == pytest.approx(1, abs=1e-9)
+    assert result.warnings[0].code == WEAKLY_OBSERVABLE
+    assert "the scale" in check_text(result.warnings[0].text)
 
 
 def test_unobservable_motions_are_reported():

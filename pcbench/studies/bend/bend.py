@@ -57,6 +57,7 @@ _MARK_SIGMA_PX = 0.5  # standard deviation of a control point's mark in an image
 _SOLVE_S = 60.0  # rough duration of a solution, for progress bars
 _SURVEY_SIGMA = 0.01  # standard deviation of a control point's position, in the truth's unit
 _RAY_OFFSET = 1e-4  # from the surface to the start of lines of sight, in the truth's unit
+_CONTROL_MARGIN = 0.05  # share of the image's sides within which no control point is marked
 # SIFT at the images' own size takes a third of the time and finds enough points.
 _COMMON_SETTINGS = {"poses": "solve", "upsample": "false", "matching": "exhaustive"}
 
@@ -292,9 +293,12 @@ def _control_lines(cameras: Sequence[Camera], mesh: MeshIndex, truth: Cloud, see
         target = middle + half_size * (np.array(divmod(number, 3)) - 1)
         near = np.argsort(np.square(level.points[:, :2] - target).sum(axis=1))[:50]
         points, starts = level.points[near], level.points[near] + _RAY_OFFSET * level.normals[near]
-        visible = np.stack(
-            [in_frame(c, points) & ~mesh.is_occluded(starts, c.position - starts, limit=1.0) for c in cameras], axis=1
-        )
+        seen = [
+            in_frame(camera, points, beyond=-_CONTROL_MARGIN)
+            & ~mesh.is_occluded(starts, camera.position - starts, limit=1.0)
+            for camera in cameras
+        ]
+        visible = np.stack(seen, axis=1)
         best = int(visible.sum(axis=1).argmax())
         if visible[best].sum() < 3:
             continue
@@ -331,7 +335,7 @@ def _solve(inputs: _SolveInputs, variant: Variant, surface: MeshIndex) -> Soluti
         cameras = {camera.name: camera for camera in read_colmap_cameras(folder / "cameras")}
         cloud = register_by_rays(read_cloud(folder / "cloud.ply"), cameras, inputs.scene.cameras, surface)
     except (InputError, ReconstructionError) as error:  # not saved: the next run tries again
-        return Solution(variant, len(images), failure=record_error(error))
+        return Solution(variant, len(images), failure=record_error(error).removeprefix("failed: "))
     notes = json.loads((folder / "notes.json").read_text(encoding="utf-8"))
     intrinsics = next(iter(cameras.values())).intrinsics
     return Solution(variant, len(images), len(cameras), cloud, intrinsics, tuple(notes))

@@ -30,6 +30,7 @@ _COLORS = (
 _GREY = "#777777"
 _MAP_COLUMNS = 6
 _SMALL_BEND_SHARE = 0.1
+_MAX_ZOOM_SHARE = 0.5  # of the largest displacement drawn: small deformations have a separate panel below it
 
 
 def draw_bend(study: BendStudy, path: Path) -> None:
@@ -62,7 +63,8 @@ def draw_bend(study: BendStudy, path: Path) -> None:
     upper, lower = parts
     sizes = {row.name: bend.rms or 0.0 for row, bend in measured_bends(rows)}
     small = [row for row in rows if sizes.get(row.name, 0.0) <= _SMALL_BEND_SHARE * max(sizes.values(), default=0.0)]
-    growth_axis, *zoom_axes, size_axis = upper.subplots(1, 3 if small else 2)
+    has_zoom = bool(small) and _highest(small) <= _MAX_ZOOM_SHARE * _highest(rows)
+    growth_axis, *zoom_axes, size_axis = upper.subplots(1, 3 if has_zoom else 2)
     _draw_growth(growth_axis, rows, colors, unit, "Displacement by distance: means over rings; shaded: noise alone")
     for axis in zoom_axes:
         _draw_growth(
@@ -97,6 +99,13 @@ def draw_bend(study: BendStudy, path: Path) -> None:
         figure.savefig(file, format="png")
 
 
+def _highest(rows: Sequence[SolutionResult]) -> float:
+    """Return the end of the axis of displacements: the largest mean or noise of the solutions' rings."""
+    growths = [row.truth.growth.with_distance for row in rows if row.truth is not None and row.truth.growth is not None]
+    places = [place for growth in growths if growth is not None for place in growth.profile]
+    return max((max(abs(place.mean), place.null) for place in places), default=0.0)
+
+
 def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str, title: str) -> None:
     axis.axhline(0, color=_GREY, linewidth=0.8)
     for row in rows:
@@ -115,23 +124,34 @@ def _draw_growth(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str,
 
 
 def _draw_sizes(axis: Any, rows: Sequence[SolutionResult], colors: Mapping[str, str], unit: str) -> None:
-    """Draw deformation against the error of the intrinsics with 95 % intervals; hollow markers: not significant."""
+    """Draw deformation against the error of the intrinsics with 95 % intervals; hollow markers: not significant.
+
+    The axes are logarithmic: zeros are at their left and lower ends.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     points = [
         (row.lens_error_px, bend.rms, bend.ci, bend, row)
         for row, bend in measured_bends(rows)
-        if row.lens_error_px is not None and bend.rms and bend.ci is not None
+        if row.lens_error_px is not None and bend.rms is not None and bend.ci is not None
     ]
     min_error = 0.5 * min((error for error, *_ in points if error > 1e-3), default=0.01)
+    min_rms = 0.3 * min((rms for _, rms, *_ in points if rms > 0), default=0.01)
     for error, rms, (low, high), bend, row in points:
+        at = max(rms, min_rms)
         axis.errorbar(
-            max(error, min_error), rms, [[rms - max(low, 0.05 * rms)], [high - rms]],
+            max(error, min_error), at, [[at - max(low, min_rms)], [high - at]],
             color=colors[row.name], marker="s" if row.factors["control"] == "True" else "o", markersize=8,
             markerfacecolor=None if bend.is_bent else "white", capsize=3,
         )  # fmt: skip
     axis.set_xscale("log")
     axis.set_yscale("log")
+    for scale in (axis.xaxis, axis.yaxis):
+        scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        scale.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        scale.set_minor_formatter(NullFormatter())
     axis.set_xlabel("lens error, RMS [px]; at the left: no error")
-    axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]")
+    axis.set_ylabel(f"deformation beyond affine, RMS [{unit}]; at the bottom: 0")
     axis.set_title("By lens error (hollow: noise; squares: control points)", fontsize=10, loc="left")
     axis.grid(alpha=0.25, which="both")
     axis.spines[["top", "right"]].set_visible(False)

@@ -16,6 +16,7 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
 from pcbench.report.markup import csv_text as csv_of
+from pcbench.report.words import join_words
 from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, measured_bends
 
 FACTORS = {
@@ -154,7 +155,26 @@ def intrinsics_error(intrinsics: Intrinsics, truth: Intrinsics) -> float:
 
 
 def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
-    """Yield sentences on what deforms the scene, computed from the results."""
+    """Yield sentences on what deforms the scene, computed from the results.
+
+    The first states the condition if registrations are doubtful. Clouds are aligned by corresponding points before, but
+    the registration may slide, and a deformation of many point spacings raises doubts as well.
+    """
+    sentences = _conclusions(rows, unit)
+    first = next(sentences)
+    known = measured_bends(rows)
+    if doubtful := [repr(row.name) for row, bend in known if bend.conditional]:
+        if len(doubtful) == 1:
+            condition = f"the pose of {doubtful[0]} is right (its registration is doubtful)"
+        else:
+            poses = "the poses" if len(doubtful) == len(known) else f"the poses of {join_words(doubtful)}"
+            condition = f"{poses} are right (the registrations are doubtful)"
+        first = f"If {condition}, {first[0].lower()}{first[1:]}"
+    yield first
+    yield from sentences
+
+
+def _conclusions(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     known = measured_bends(rows)
     if not known:
         yield "No solution could be evaluated."
@@ -196,7 +216,7 @@ def table(study: BendStudy) -> Iterator[list[str]]:
     for row in study.rows:
         images = f"{row.images}/{row.images_given}"
         if row.truth is None:
-            yield [row.name, images, "", "", "", f"failed: {row.failure}", "", "", ""]
+            yield [row.name, images, "", "", "", "failed", "", "", ""]
             continue
         yield [
             row.name,
@@ -204,11 +224,21 @@ def table(study: BendStudy) -> Iterator[list[str]]:
             f"{row.points:,}",
             _number(row.reprojection_error),
             _number(row.lens_error_px),
-            row.truth.verdict,
+            row.truth.verdict_text,
             row.truth.size_text(),
             _number(row.truth.detectable),
-            "" if row.mutual is None else f"{row.mutual.verdict}, {_number(row.mutual.rms)}",
+            "" if row.mutual is None else f"{row.mutual.verdict_text}, {_number(row.mutual.rms)}",
         ]
+
+
+def failures(study: BendStudy) -> Iterator[str]:
+    """Yield the reason of each failed solution; solutions with the same reason share a line."""
+    names: dict[str, list[str]] = {}
+    for row in study.rows:
+        if row.failure:
+            names.setdefault(row.failure, []).append(repr(row.name))
+    for reason, of in names.items():
+        yield f"{join_words(of)} failed: {reason}"
 
 
 def csv_text(study: BendStudy) -> str:
@@ -238,16 +268,12 @@ def _bend_cells(bend: BendVerdict | None) -> tuple[object, ...]:
 
 
 def _measure_deformation(reference: Cloud, candidate: Cloud, method: str, seed: int) -> tuple[Deformation, Cloud]:
-    """Return the verdict and the registered candidate.
-
-    The candidate is aligned already, by corresponding points. So a doubt about the pose, which a deformation of many
-    point spacings causes, does not withhold the verdict.
-    """
+    """Return the verdict and the registered candidate."""
     try:
         registration, found = deform(reference, candidate, method, seed=seed)
     except (InputError, RegistrationError) as error:
         return Deformation.undecided_because(Notice("not-registered", record_error(error))), candidate
-    return found.assuming_pose(), candidate.transformed(registration.T_reference_candidate)
+    return found, candidate.transformed(registration.T_reference_candidate)
 
 
 class _BendChange(NamedTuple):

@@ -8,13 +8,13 @@ from pathlib import Path
 from pcbench.measure.wording import pluralize
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Paragraph
 from pcbench.report.words import join_words
-from pcbench.studies.bend.findings import table
-from pcbench.studies.bend.results import BendStudy
+from pcbench.studies.bend.findings import failures, table
+from pcbench.studies.bend.results import BendStudy, measured_bends
 
 _LEGEND = (
     "error px: mean reprojection error; lens px: RMS error of the lens; bend RMS: deformation beyond affine against the"
     " truth{unit}; detectable: RMS of the smallest dome that would have been stated{unit}; to the first: deformation"
-    " against the first solution{unit}."
+    " against the first solution{unit}; (?): verdict that holds if the pose is right; the registration is doubtful."
 )
 _CAPTION = (
     "Vertical displacement by distance from the centre; deformation by error of the lens; maps of vertical displacement"
@@ -45,7 +45,8 @@ def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
         warnings=list(_warnings(study)),
         setup=[
             f"{pluralize(len(study.rows), 'solution')} of {pluralize(study.scene.images, 'image')} by {study.plugin},"
-            " with different settings; each cloud is compared with the truth and with the first solution."
+            f" with different settings; the deformation of {len(measured_bends(study.rows))} of them could be measured,"
+            " against the truth and against the first solution."
         ],
         sections=sections,
     )
@@ -53,9 +54,8 @@ def article(study: BendStudy, figures: Sequence[str] = ()) -> Article:
 
 def _warnings(study: BendStudy) -> list[str]:
     """Return failures, and warnings of the tests for deformation."""
-    failed = [f"{row.name} failed: {row.failure}" for row in study.rows if row.failure]
     doubts = ((row.name, text) for row in study.rows if row.truth is not None for text in row.truth.warnings)
-    return [*failed, *_by_text(doubts)]
+    return [*failures(study), *_by_text(doubts)]
 
 
 def _by_text(named: Iterable[tuple[str, str]]) -> list[str]:

@@ -46,6 +46,7 @@ class BendVerdict:
         growth: trends with distance and height, as in `Deformation`.
         warnings: one line each.
         against: name of the solution that it is compared with; None for the truth.
+        conditional: whether all of this holds only if the pose is right, because the registration is doubtful.
     """
 
     verdict: str
@@ -57,10 +58,12 @@ class BendVerdict:
     growth: Growth | None
     warnings: tuple[str, ...] = ()
     against: str | None = None
+    conditional: bool = False
 
     @classmethod
-    def from_deformation(cls, found: Deformation, against: str | None = None) -> BendVerdict:
-        """Take the verdict without its field."""
+    def from_deformation(cls, result: Deformation, against: str | None = None) -> BendVerdict:
+        """Take the verdict without its field; a conditional one if the registration is doubtful."""
+        found = result.assuming_pose()
         size = found.amplitude
         return cls(
             found.verdict,
@@ -72,7 +75,13 @@ class BendVerdict:
             found.growth,
             tuple(map(str, found.warnings)),
             against,
+            result.conditional_verdict is not None,
         )
+
+    @property
+    def verdict_text(self) -> str:
+        """Verdict for tables; one that holds only if the pose is right is followed by `(?)`."""
+        return f"{self.verdict} (?)" if self.conditional else self.verdict
 
     @property
     def is_bent(self) -> bool:

@@ -22,17 +22,19 @@ from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
 from pcbench.scenes.synthetic.warp import make_warp, similarity_from_angles
-from pcbench.studies.bend.bend import BendOutcome, register_by_rays
+from pcbench.studies.bend.bend import BendOutcome, _control_lines, register_by_rays
 from pcbench.studies.bend.findings import (
     Solution,
     Variant,
     _correlation_sentence,
     csv_text,
     explain,
+    failures,
     intrinsics_error,
     measure_solutions,
     table,
 )
+from pcbench.studies.bend.page import article
 from pcbench.studies.bend.results import (
     BendStudy,
     BendVerdict,
@@ -111,7 +113,7 @@ def test_experiment_json_round_trip(study, tmp_path):
         *("name", "factors", "images_given", "images", "failure", "notes", "points", "reprojection_error"),
         *("lens", "lens_error_px", "truth", "mutual", "cells"),
     }
-    keys = {"verdict", "model", "rms", "ci", "p_value", "detectable", "growth", "warnings"}
+    keys = {"verdict", "model", "rms", "ci", "p_value", "detectable", "growth", "warnings", "conditional"}
     assert {*row["truth"]} == keys
     assert {*row["mutual"]} == {*keys, "against"}
     assert {*row["lens"]} == {"fx", "fy", "distortion", "size"}
@@ -147,6 +149,35 @@ def test_cause_follows_from_results(study):
     check_text(*explain(study.rows[3:], "m"))
     uncertain = rows_with(verdict="non-affine", ci=(0.0, 1.0))
     check_text(next(explain(uncertain[:2], "m")))
+
+
+def test_verdicts_of_doubtful_registrations_are_conditional(study):
+    def sentence_with(*names):
+        rows = [
+            replace(row, truth=replace(row.truth, conditional=True)) if row.name in names else row for row in study.rows
+        ]
+        doubtful = replace(study, rows=rows)
+        verdicts = {line[0]: line[5] for line in table(doubtful)}
+        assert all(("(?)" in verdict) == (name in names) for name, verdict in verdicts.items())
+        assert "(?)" in " ".join(article(doubtful).sections[0].blocks[-1].text.split())
+        return next(explain(rows, "m"))
+
+    assert sentence_with() == study.sentences[0]
+    check_text(sentence_with("no distortion"))
+    measured = [row.name for row in study.rows if row.truth is not None]
+    assert sentence_with(*measured).startswith("If the poses are right (the registrations are doubtful), the cause is ")
+
+
+def test_control_points_are_marked_well_inside_the_images():
+    town = build_city(CitySettings(extent=120.0, seed=3), texel=0.5)
+    surface = MeshIndex(town.mesh)
+    cameras = rig("drone", 18, Site(120.0, 0.0, town.plan.top), INTRINSICS)
+    lines = list(_control_lines(cameras, surface, surface_cloud(town.plan, surface, cameras, 3000), 0))
+    marks = np.array([line.split()[-2:] for line in lines], dtype=np.float64)
+    assert len(marks) > 20
+    margin = 0.05 * np.array([400, 300]) - 3  # 3: marks have an error of 0.5 pixels
+    assert (marks > margin).all()
+    assert (marks < [400, 300] - margin).all()
 
 
 def test_no_evaluated_solution_is_an_error(study, run, monkeypatch, tmp_path):
@@ -190,7 +221,8 @@ def test_table_and_csv(study):
     assert lines[1][0] == "no distortion"
     assert lines[1][1:3] == ["12/12", "8,000"]
     assert lines[1][5] == "non-affine"
-    assert lines[3][5] == "failed: nothing registers"
+    assert lines[3][5] == "failed"
+    assert list(failures(study)) == ["'every second' failed: nothing registers"]
     csv_rows = list(csv.DictReader(csv_text(study).splitlines()))
     assert [row["name"] for row in csv_rows] == [line[0] for line in lines]
     assert float(csv_rows[1]["truth_rms"]) == pytest.approx(study.rows[1].truth.rms)
@@ -241,6 +273,38 @@ def test_picture_is_drawn(study, tmp_path):
     with Image.open(tmp_path / "bend.png") as image:
         assert image.width > 1000
         assert np.asarray(image.convert("L")).std() > 10
+
+
+def test_solutions_without_deformation_stay_in_the_picture(study):
+    import_or_skip("matplotlib")
+    from matplotlib.figure import Figure
+
+    from pcbench.studies.bend.figure import _draw_sizes
+
+    rows = [replace(row, truth=replace(row.truth, rms=0.0, ci=(0.0, 0.5))) for row in study.rows[:1]] + [
+        *study.rows[1:]
+    ]
+    axis = Figure().subplots()
+    _draw_sizes(axis, rows, {row.name: "black" for row in rows}, "m")
+    measured = [row for row in rows if row.truth is not None]
+    assert len(axis.containers) == len(measured)
+    lowest, highest = axis.get_ylim()
+    heights = [container.lines[0].get_ydata()[0] for container in axis.containers]
+    assert all(lowest < height < highest for height in heights)
+    assert heights[0] == min(heights)
+
+
+def test_small_deformations_have_a_panel_only_if_its_scale_is_finer(study, tmp_path, monkeypatch):
+    import_or_skip("matplotlib")
+    from pcbench.studies.bend import figure
+
+    titles = []
+    draw = figure._draw_growth
+    monkeypatch.setattr(figure, "_draw_growth", lambda *args: titles.append(args[-1]) or draw(*args))
+    figure.draw_bend(study, tmp_path / "bend.png")
+    monkeypatch.setattr(figure, "_highest", lambda rows: 1.0)
+    figure.draw_bend(study, tmp_path / "bend.png")
+    assert ["Zoom" in title for title in titles] == [False, True, False]
 
 
 def test_scene_without_truth_is_rejected(run, tmp_path):
