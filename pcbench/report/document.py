@@ -40,7 +40,7 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
     inputs = comparison.inputs
     values = {
         "schema": SCHEMA,
-        "reference": {**_file(None if inputs is None else inputs.reference), **asdict(comparison.reference)},
+        "reference": _reference(comparison),
         "settings": comparison.settings.plain(),
         "provenance": provenance(comparison.settings.seed),
         "candidates": [
@@ -89,6 +89,16 @@ def to_json(values: Any) -> str:
 
 def _file(file: InputFile | None) -> dict[str, Any]:
     return {"path": None, "sha256": None, "warnings": []} if file is None else asdict(file)
+
+
+def _reference(comparison: SourcedComparison) -> dict[str, Any]:
+    reference = comparison.reference
+    file_values = _file(None if comparison.inputs is None else comparison.inputs.reference)
+    return {
+        **file_values,
+        **{field.name: getattr(reference, field.name) for field in fields(reference)},
+        "warnings": [*file_values["warnings"], *reference.warnings],
+    }
 
 
 def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
