@@ -138,11 +138,14 @@ def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
     }
     for kind, both in m.spreads.items():
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            metrics["spreads"][kind][direction]["percentiles"] = both[direction].percentiles
+            values = metrics["spreads"][kind][direction]
+            values["percentiles"] = both[direction].percentiles
+            values.setdefault("bias", None)  # unsigned distances have a mean instead
     if m.d2_samples:
         metrics["d2_mse"]["sample"] = {direction: sample._asdict() for direction, sample in m.d2_samples.items()}
     for name, values in maps["maps"].items():
         values["percentiles"] = deviation.spreads[name].percentiles
+        values.setdefault("bias", None)
     if deviation.m3c2 is not None:
         maps["m3c2"].update(_m3c2(deviation.m3c2))
     distances, plane = deviation.spreads["distance"], deviation.spreads.get("plane_distance")

@@ -23,6 +23,7 @@ from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
 from pcbench.report.notes import warnings
 from pcbench.report.plot import Drawn
+from pcbench.report.table import rows
 
 NO_REGISTRATION = Settings(register="none")
 
@@ -363,6 +364,28 @@ def test_a_mesh_may_be_the_reference():
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
     np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
     assert comparison.candidates[0].metrics.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("closed", "name"), [(True, "bias"), (False, "mean")])
+def test_only_signed_distances_have_a_bias(closed, name):
+    """The distances to an open mesh are never negative."""
+    from pcbench.geometry.mesh import Mesh
+
+    corners = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
+    mesh = Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])[: 4 if closed else 3])
+    candidate = np.random.default_rng(1).uniform([1, 1, -0.1], [3, 3, 0.1], (500, 3))
+    comparison = compare(mesh, candidate, NO_REGISTRATION)
+    values = document(comparison)["candidates"][0]
+    found = values["deviation"]["maps"]["mesh_distance"]
+    assert found[name] == pytest.approx(comparison.candidates[0].deviation.scalars["mesh_distance"].mean())
+    assert (found["bias"] is None) == (not closed)
+    assert ("mean" in found) == (not closed)
+    assert values["deviation"]["maps"]["plane_distance"]["bias"] is not None
+    nearest = values["metrics"]["spreads"]["distance"][CANDIDATE_TO_REFERENCE]
+    assert nearest["bias"] is None
+    assert nearest["mean"] == pytest.approx(comparison.candidates[0].metrics.mean_distance.accuracy.value)
+    variants = {row.variant for row in rows(comparison) if row.metric == "mesh_distance"}
+    assert {"bias", "mean"} & variants == {name}
 
 
 def test_a_cloud_merged_with_itself_keeps_its_spacing():
