@@ -171,12 +171,11 @@ def _statistics(spread: Spread, *, is_signed: bool) -> Iterator[tuple[str, str, 
 def _map(spread: Spread, name: str, title: str, *, is_signed: bool, is_new: bool) -> Iterator[Quantity]:
     """Yield the statistics of a map; the variant is the statistic's name."""
     mean = "bias" if is_signed else "mean"
-    first = f"{title}: {mean}, rms"
-    labels = {mean: first, "rms": first}
+    labels = {mean: f"{title}: {mean}", "rms": "  rms"}
     if is_new:
-        labels |= {"median": "  median, NMAD", "nmad": "  median, NMAD", "std": "  standard deviation"}
+        labels |= {key: f"  {label}" for key, label in _SPREAD_LABELS.items()}
     for key, definition, value in _statistics(spread, is_signed=is_signed):
-        label = labels.get(key, "")
+        is_main = is_new and key in (mean, "rms")
         yield Quantity(
             name,
             CANDIDATE_TO_REFERENCE,
@@ -184,20 +183,23 @@ def _map(spread: Spread, name: str, title: str, *, is_signed: bool, is_new: bool
             value,
             variant=key,
             section="maps",
-            label=label,
-            shares_row=f"{title}{label}",
-            second=key in ("rms", "nmad"),
-            headline=Headline(first, optional=True) if is_new and label == first else None,
+            label=labels.get(key, ""),
+            headline=Headline(f"{title}: {key}", optional=True) if is_main else None,
         )
 
 
 def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
     for found in _map(m3c2.spread, "m3c2", "map m3c2", is_signed=True, is_new=True):
         yield replace(found, metric=f"m3c2_{found.variant}", variant="", path=("deviation", "m3c2", found.variant))
-    label = "  median LoD95, significant"
-    for key, definition, value, unit in (
-        ("lod95_median", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
-        ("significant_share", "share of the distances beyond their level of detection", m3c2.significant_share, RATIO),
+    for key, label, definition, value, unit in (
+        ("lod95_median", "median LoD95", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
+        (
+            "significant_share",
+            "significant share",
+            "share of the distances beyond their level of detection",
+            m3c2.significant_share,
+            RATIO,
+        ),
     ):
         yield Quantity(
             f"m3c2_{key}",
@@ -207,10 +209,8 @@ def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
             unit,
             path=("deviation", "m3c2", key),
             section="maps",
-            label=label,
-            shares_row=label,
-            second=key == "significant_share",
-            headline=Headline(label, optional=True),
+            label=f"  {label}",
+            headline=Headline(f"  {label}", optional=True),
         )
 
 
@@ -286,20 +286,20 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
-    bend, label = candidate.deformation, "  RMS, detectable RMS"
+    bend = candidate.deformation
     verdict = f"verdict: {bend.verdict}"
     size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
-    cell = Quantity("", "", text, None, section="deformation", label=label, shares_row=label)
+    rms = Quantity("deformation_rms", "", text, None, section="deformation", label="  RMS")
     if size is None:
-        yield replace(cell, metric="deformation_rms")
+        yield rms
     else:
-        yield replace(cell, metric="deformation_rms", value=size.rms, interval=Interval(*size.ci))
+        yield replace(rms, value=size.rms, interval=Interval(*size.ci))
         yield Quantity("deformation_max", "", text, size.max, section="deformation")
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
     yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
     text = f"RMS of a dome that is detected and exceeds {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
-    yield replace(cell, metric="detectable_rms", definition=text, value=bend.size_limit, second=True)
+    yield Quantity("detectable_rms", "", text, bend.size_limit, section="deformation", label="  detectable RMS")
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:

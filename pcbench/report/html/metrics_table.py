@@ -45,6 +45,11 @@ class MetricRow:
     is_detail: bool = False
     is_column: bool = False
 
+    @property
+    def is_directed(self) -> bool:
+        """Whether the row has values r→c beside those c→r."""
+        return any(second.text for _, second in self.cells)
+
 
 def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
     """Return the metrics of the summary, one row per metric with both directions of each candidate."""
@@ -52,10 +57,8 @@ def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
     reference_points = f"{comparison.reference.points_in_region:,}"
     rows = [
         _plain_row("points measured", [(f"{c.points_in_region:,}", reference_points) for c in candidates]),
-        _plain_row(
-            "registration RMSE, overlap",
-            [(number(c.registration.rmse), f"{c.registration.overlap:.1%}") for c in candidates],
-        ),
+        _plain_row("registration RMSE", [(number(c.registration.rmse), "") for c in candidates]),
+        _plain_row("overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates]),
     ]
     best, intervals = _Best(comparison), [_intervals(candidate) for candidate in candidates]
     least = rounding_limit(comparison)
