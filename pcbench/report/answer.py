@@ -274,6 +274,10 @@ class _Writer:
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
                 text += f"; a deformation below {self.length(limit)} RMS would not be stated"
+            problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict == "none")
+            for problem in filter(None, problems):
+                whose = [c for c in chosen if c.deformation.limit_problem == problem]
+                text += f"; {problem if whose == chosen else f'for {self.name_list(whose)} {problem}'}"
             sentences.append(text)
         return ". ".join(sentences)
 
