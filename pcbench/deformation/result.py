@@ -23,6 +23,14 @@ POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the v
 _CODES_IN_SENTENCE = (BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED)
 NEGLIGIBLE_SHARE = 0.4  # share of the noise, white and correlated, below which a deformation is negligible
 RESOLUTION_SHARE = 7.5e-3  # share of the spacing of the points that define the planes: they do not resolve less
+_KINDS_IN_WORDS = {
+    "dome": "a dome",
+    "saddle": "a saddle",
+    "S-bend": "an S-bend",
+    "twist": "a twist about the vertical",
+    "lean": "a lean that increases with height",
+}
+_MIN_VERTICAL_SHARE = 0.1  # of the tiles that constrain vertical displacements: below it, the surfaces hardly show them
 _LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
 _MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
 Interval = tuple[float, float]  # lower and upper end, 95 %
@@ -321,6 +329,16 @@ class Deformation:
         limits = [limit for limit in (self.minimum_detectable_rms, self.negligible_rms) if limit is not None]
         return None if self.minimum_detectable_rms is None else max(limits)
 
+    @property
+    def limit_problem(self) -> str:
+        """Reason why there is no `size_limit`, as a clause; empty if there is one, or if nothing is known."""
+        hidden = {size.kind for size in self.detectable if size.displacement is None}
+        if self.size_limit is not None or "dome" not in hidden:
+            return ""
+        is_seen = self.observable is not None and self.observable.z >= _MIN_VERTICAL_SHARE
+        reason = "the clouds are too noisy" if is_seen else "the surfaces hardly show vertical displacements"
+        return f"no size limit can be given, because {reason}"
+
     def _verdict_in_words(self, name: str, unit: str) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
@@ -367,7 +385,7 @@ class Deformation:
         """Return the size below which a deformation would not be stated, and kinds that have to be much larger."""
         limit = self.size_limit
         if limit is None:
-            return ""
+            return f"; {self.limit_problem}" if self.limit_problem else ""
         of_noise = 0.0 if self.noise is None else NEGLIGIBLE_SHARE * self.noise.sigma
         share = ""
         if limit == self.negligible_rms:
@@ -378,10 +396,12 @@ class Deformation:
         text = f"; a deformation below {limit:.3g}{unit} RMS{share} would not be stated"
         known = [size for size in self.detectable if size.displacement is not None]
         large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
-        hidden = [size.kind for size in self.detectable if size.displacement is None]
-        parts = [f"a {size.kind} below {size.displacement:.3g}{unit}" for size in large]
-        parts += [f"a {kind} of any size" for kind in hidden]
-        return f"{text}, nor would {' or '.join(parts)}" if parts else text
+        if large:
+            parts = [f"{_in_words(size.kind)} below {size.displacement:.3g}{unit}" for size in large]
+            text += f", nor would {' or '.join(parts)}"
+        if hidden := [_in_words(size.kind) for size in self.detectable if size.displacement is None]:
+            text += f"; the surfaces do not show {' or '.join(hidden)}, however large"
+        return text
 
     @property
     def has_moved_part(self) -> bool:
@@ -460,6 +480,11 @@ def _scale_amplitude(amplitude: Amplitude, factor: float) -> Amplitude:
         return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
 
     return Amplitude(*(times(getattr(amplitude, item.name)) for item in dataclasses.fields(amplitude)))
+
+
+def _in_words(kind: str) -> str:
+    """Return a kind of deformation with its article; kinds of other versions as they are."""
+    return _KINDS_IN_WORDS.get(kind, f"a {kind}")
 
 
 def _p_value_text(value: float | None) -> str:

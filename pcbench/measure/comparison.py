@@ -241,16 +241,20 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
 
     The distances to points and planes were already measured and are reused. Sampled ones make no map.
     """
-    scalars = {"distance": forth.distances.to_points}
+    scalars, unsigned = {"distance": forth.distances.to_points}, {"distance"}
     if isinstance(forth.distances.to_planes, np.ndarray):
         scalars["plane_distance"] = forth.distances.to_planes
     for name, mesh in reference.meshes.items():
+        if not mesh.supports_signed_distance:
+            unsigned.add(name)
         scalars[name] = mesh.query(forth.points, signed=mesh.supports_signed_distance).distances
     along_normals = None
     if "m3c2" in settings.maps:
         how = settings.m3c2 if isinstance(settings.m3c2, M3C2Settings) else M3C2Settings()
         along_normals = compare_along_normals(reference, aligned.index, aligned.registration, how)
-    return DeviationMap(forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals)
+    return DeviationMap(
+        forth.points + reference.origin, np.flatnonzero(aligned.inside), scalars, along_normals, frozenset(unsigned)
+    )
 
 
 def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:

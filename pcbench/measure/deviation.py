@@ -30,7 +30,7 @@ class Spread:
     Attributes:
         percentiles: percentiles by name, as {"p50": ...}.
         rms: root mean square.
-        bias: mean.
+        bias: mean; of unsigned values it is no bias, and outputs call it mean.
         median: median of the (signed) values.
         std: standard deviation about the mean, with ddof 0 (rms^2 = bias^2 + std^2).
         nmad: normalised median absolute deviation (Höhle & Höhle 2009), see `pcbench.metrics.nmad`.
@@ -75,12 +75,14 @@ class DeviationMap:
             signed, to the tangent plane there (positive above it); `mesh_distance` to a surface (signed if the surface
             is closed, negative inside).
         m3c2: M3C2 map, if requested; it has its own core points.
+        unsigned: names of the scalars that are never negative.
     """
 
     points: FloatArray
     rows: IntArray
     scalars: Mapping[str, FloatArray]
     m3c2: M3C2 | None = None
+    unsigned: frozenset[str] = frozenset({"distance"})
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:

@@ -19,7 +19,7 @@ from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Headline, Qu
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 
 _UNITS = {0: RATIO, 1: LENGTH, 2: SQUARED_LENGTH}  # by the power of the unit of length
-_SPREAD_DEFINITIONS = {  # the numbers of a `Spread`
+_SPREAD_DEFINITIONS = {  # the numbers of a `Spread` of signed values
     "bias": "mean",
     "rms": "root mean square",
     "median": "median",
@@ -108,13 +108,13 @@ def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
     """Yield the distribution of the distances of one kind, in both directions."""
     both = candidate.metrics.spreads[kind]
     for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-        for key, definition in _SPREAD_DEFINITIONS.items():
+        for key, definition, value in _statistics(both[way], is_signed=kind == "plane_distance"):
             signed = ", signed" if kind == "plane_distance" and key == "median" else ""
             yield Quantity(
                 f"{kind}_{key}",
                 way,
                 f"{definition} of: {_DISTANCE_DEFINITIONS[kind]}",
-                getattr(both[way], key),
+                value,
                 path=("metrics", "spreads", kind, way, key),
                 label=f"  {_SPREAD_LABELS[key]}{signed}" if key in _SPREAD_LABELS else "",
             )
@@ -155,41 +155,51 @@ def _maps(candidate: Candidate) -> Iterator[Quantity]:
     deviation, spreads = candidate.deviation, candidate.metrics.spreads
     for name in deviation.maps:
         title = f"map {name.replace('_distance', '')}"
-        for found in _map(deviation.spreads[name], name, title, is_new=name not in spreads):
+        is_signed = name not in deviation.unsigned
+        for found in _map(deviation.spreads[name], name, title, is_signed=is_signed, is_new=name not in spreads):
             yield replace(found, path=("deviation", "maps", name, found.variant))
     if deviation.m3c2 is not None:
         yield from _m3c2(deviation.m3c2)
 
 
-def _map(spread: Spread, name: str, title: str, *, is_new: bool) -> Iterator[Quantity]:
-    """Yield the statistics of a map; the variant is the statistic's name in `Spread`."""
-    first = f"{title}: bias, rms"
-    labels = {"bias": first, "rms": first}
-    if is_new:
-        labels |= {"median": "  median, NMAD", "nmad": "  median, NMAD", "std": "  standard deviation"}
+def _statistics(spread: Spread, *, is_signed: bool) -> Iterator[tuple[str, str, float | None]]:
+    """Yield name, definition and value of each statistic; the mean of signed values is the bias."""
     for key, definition in _SPREAD_DEFINITIONS.items():
-        label = labels.get(key, "")
+        yield "mean" if key == "bias" and not is_signed else key, definition, getattr(spread, key)
+
+
+def _map(spread: Spread, name: str, title: str, *, is_signed: bool, is_new: bool) -> Iterator[Quantity]:
+    """Yield the statistics of a map; the variant is the statistic's name."""
+    mean = "bias" if is_signed else "mean"
+    labels = {mean: f"{title}: {mean}", "rms": "  rms"}
+    if is_new:
+        labels |= {key: f"  {label}" for key, label in _SPREAD_LABELS.items()}
+    for key, definition, value in _statistics(spread, is_signed=is_signed):
+        is_main = is_new and key in (mean, "rms")
         yield Quantity(
             name,
             CANDIDATE_TO_REFERENCE,
             f"{definition} of the deviation map",
-            getattr(spread, key),
+            value,
             variant=key,
             section="maps",
-            label=label,
-            shares_row=f"{title}{label}",
-            second=key in ("rms", "nmad"),
-            headline=Headline(first, optional=True) if is_new and label == first else None,
+            label=labels.get(key, ""),
+            headline=Headline(f"{title}: {key}", optional=True) if is_main else None,
         )
 
 
 def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
-    for found in _map(m3c2.spread, "m3c2", "map m3c2", is_new=True):
+    for found in _map(m3c2.spread, "m3c2", "map m3c2", is_signed=True, is_new=True):
         yield replace(found, metric=f"m3c2_{found.variant}", variant="", path=("deviation", "m3c2", found.variant))
-    label = "  median LoD95, significant"
-    for key, definition, value, unit in (
-        ("lod95_median", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
-        ("significant_share", "share of the distances beyond their level of detection", m3c2.significant_share, RATIO),
+    for key, label, definition, value, unit in (
+        ("lod95_median", "median LoD95", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
+        (
+            "significant_share",
+            "significant share",
+            "share of the distances beyond their level of detection",
+            m3c2.significant_share,
+            RATIO,
+        ),
     ):
         yield Quantity(
             f"m3c2_{key}",
@@ -199,10 +209,8 @@ def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
             unit,
             path=("deviation", "m3c2", key),
             section="maps",
-            label=label,
-            shares_row=label,
-            second=key == "significant_share",
-            headline=Headline(label, optional=True),
+            label=f"  {label}",
+            headline=Headline(f"  {label}", optional=True),
         )
 
 
@@ -278,20 +286,20 @@ def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
-    bend, label = candidate.deformation, "  RMS, detectable RMS"
+    bend = candidate.deformation
     verdict = f"verdict: {bend.verdict}"
     size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
-    cell = Quantity("", "", text, None, section="deformation", label=label, shares_row=label)
+    rms = Quantity("deformation_rms", "", text, None, section="deformation", label="  RMS")
     if size is None:
-        yield replace(cell, metric="deformation_rms")
+        yield rms
     else:
-        yield replace(cell, metric="deformation_rms", value=size.rms, interval=Interval(*size.ci))
+        yield replace(rms, value=size.rms, interval=Interval(*size.ci))
         yield Quantity("deformation_max", "", text, size.max, section="deformation")
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
     yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
     text = f"RMS of a dome that is detected and exceeds {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
-    yield replace(cell, metric="detectable_rms", definition=text, value=bend.size_limit, second=True)
+    yield Quantity("detectable_rms", "", text, bend.size_limit, section="deformation", label="  detectable RMS")
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:

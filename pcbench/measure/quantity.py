@@ -47,7 +47,7 @@ class Quantity:
         section: section of the table; a rule separates sections.
         label: label of its line in the table; empty: not in the table. Two leading blanks attach it to the line above.
         shares_row: name of the line that several metrics share; by default each has its own.
-        second: whether it is in the second column of its line, as r→c always is.
+        second: whether it is in the column r→c under another name of that direction.
         headline: presentation in the summary; None: not in the summary.
     """
 
@@ -75,7 +75,7 @@ class Quantity:
 
     @property
     def column(self) -> int:
-        """Column in tables: 0 for c→r and values without direction, 1 for r→c and second values."""
+        """Column in tables: 1 for r→c, 0 for all others."""
         return int(self.second or self.direction == REFERENCE_TO_CANDIDATE)
 
     def unit_name(self, length: str) -> str:

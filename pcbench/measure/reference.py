@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, Notice
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
@@ -23,9 +24,13 @@ from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
 from pcbench.registration import Target, local_origin
 
+ARBITRARY_SIGN = "arbitrary-sign"
+"""Code of the warning that signed distances to most of the reference have an arbitrary sign."""
 _VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
 _MESH_SAMPLES = 1_000_000  # points sampled from a reference mesh
 _MIN_SAMPLED_POINTS = 2_000_000  # a sample of the distances to planes of fewer points saves no time
+_MAX_VERTICAL_NZ = math.sin(math.radians(10))  # |z| of the normal of a nearly vertical surface: within 10 degrees
+_MIN_VERTICAL_SHARE = 0.5  # of the measured points on nearly vertical surfaces, for a warning
 _MAX_POISSON_POINTS = 400_000  # limits the Poisson reconstruction to well under a minute
 
 
@@ -146,4 +151,24 @@ class Reference:
             faces=None if mesh is None else len(mesh.mesh.faces),
             block_side=self.cells.side,
             voxel_side=self.voxel,
+            warnings=tuple(self._sign_warnings()),
         )
+
+    def _sign_warnings(self) -> Iterator[Notice]:
+        """Yield a warning if estimated normals, which point upwards, give most distances to planes a random sign."""
+        if self.cloud.normals is not None or not self.has_normals:
+            return
+        # No row is passed, so no further normals are estimated; a sample of them is as good.
+        vertical = self.surface.compute_normals(np.empty(0, dtype=np.int64))[:, 2]
+        vertical = vertical if self.rows is None else vertical[self.rows]
+        known = np.isfinite(vertical)
+        if not known.any():
+            return
+        share = float((np.abs(vertical[known]) < _MAX_VERTICAL_NZ).mean())
+        if share >= _MIN_VERTICAL_SHARE:
+            yield Notice(
+                ARBITRARY_SIGN,
+                f"the reference has no normals, and {share:.0%} of it is nearly vertical: signed distances to it have"
+                " an arbitrary sign there, so that their mean (bias) and medians say little. Give a reference with"
+                " normals that point outwards",
+            )

@@ -209,6 +209,7 @@ class ReferenceSummary:
         faces: number of faces if the reference is a mesh; None for a cloud.
         block_side: side of the correlation cells of the intervals.
         voxel_side: side of the voxels of area weighting.
+        warnings: warnings about the reference that concern all candidates.
     """
 
     points: int
@@ -221,6 +222,7 @@ class ReferenceSummary:
     faces: int | None
     block_side: float
     voxel_side: float
+    warnings: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from pcbench.measure.intervals import Interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
+from pcbench.report.ranking import leaders
 from pcbench.report.words import join_words, length, rounding_limit, shorten_name
 
 _MAX_SENTENCES = 4
@@ -193,11 +194,22 @@ class _Writer:
     def _ranking(self, found: Mapping[str, _Distance], more: str, most: str, quantity: str) -> str:
         """Return the order of candidates as far as their paired differences are significant.
 
-        Two intervals may overlap although the paired difference is significant.
+        Two intervals may overlap although the paired difference is significant. A candidate whose interval is so wide
+        that it does not differ from the best, while better ones do, is not ranked.
         """
         order = sorted(found, key=lambda name: found[name].value)
         first = found[order[0]]
-        like = self._tied_with(order[0], order, first.metric)
+
+        def differ(a: str, b: str) -> bool:
+            return self._differ(a, b, first.metric)
+
+        like = leaders(order, differ)
+        unranked = [name for name in order[len(like) :] if not differ(order[0], name)]
+        if unranked:
+            ranked = self._ranking({name: found[name] for name in order if name not in unranked}, more, most, quantity)
+            whose = "its interval is" if len(unranked) == 1 else "their intervals are"
+            wide = [f"{self.names[name]} ({self.length(found[name].value)})" for name in unranked]
+            return f"{ranked}; {join_words(wide)} cannot be ranked, because {whose} too wide"
         values = [self.length(found[name].value) for name in order]
         best, worst = self.names[order[0]], self.names[order[-1]]
         words = f" {first.label}" + ("" if first.floor is None else f" (floor {self.length(first.floor)})")
@@ -207,17 +219,13 @@ class _Writer:
             return f"{best} is {more} than {worst}: {values[0]} against {values[1]}{words}"
         if len(like) == len(order):
             return f"No significant difference in {quantity}: {values[0]} ({best}) to {values[-1]} ({worst}){words}"
-        tied = self._tied_with(order[-1], order, first.metric)
+        tied = leaders(order[::-1], differ)[::-1]
         last = "" if order[-1] in like else self._last([name for name in tied if name not in like], found)
         if len(like) == 1:
             then = "" if order[1] in tied else f", then {self.names[order[1]]} ({values[1]})"
             return f"{best} is {most}: {values[0]}{words}{then}{last}"
         these, farthest = join_words([self.names[name] for name in like]), self.length(found[like[-1]].value)
         return f"{these} are {most}, without a significant difference: {values[0]} to {farthest}{words}{last}"
-
-    def _tied_with(self, one: str, order: Sequence[str], metric: str) -> list[str]:
-        """Return `one` and the candidates that do not differ significantly from it, in the given order."""
-        return [name for name in order if name == one or not self._differ(one, name, metric)]
 
     def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:
         names, ends = (
@@ -266,6 +274,10 @@ class _Writer:
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
                 text += f"; a deformation below {self.length(limit)} RMS would not be stated"
+            problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict == "none")
+            for problem in filter(None, problems):
+                whose = [c for c in chosen if c.deformation.limit_problem == problem]
+                text += f"; {problem if whose == chosen else f'for {self.name_list(whose)} {problem}'}"
             sentences.append(text)
         return ". ".join(sentences)
 

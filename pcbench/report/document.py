@@ -40,7 +40,7 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
     inputs = comparison.inputs
     values = {
         "schema": SCHEMA,
-        "reference": {**_file(None if inputs is None else inputs.reference), **asdict(comparison.reference)},
+        "reference": _reference(comparison),
         "settings": comparison.settings.plain(),
         "provenance": provenance(comparison.settings.seed),
         "candidates": [
@@ -91,6 +91,16 @@ def _file(file: InputFile | None) -> dict[str, Any]:
     return {"path": None, "sha256": None, "warnings": []} if file is None else asdict(file)
 
 
+def _reference(comparison: SourcedComparison) -> dict[str, Any]:
+    reference = comparison.reference
+    file_values = _file(None if comparison.inputs is None else comparison.inputs.reference)
+    return {
+        **file_values,
+        **{field.name: getattr(reference, field.name) for field in fields(reference)},
+        "warnings": [*file_values["warnings"], *reference.warnings],
+    }
+
+
 def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
     file_values = _file(file)
     return {
@@ -128,11 +138,14 @@ def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
     }
     for kind, both in m.spreads.items():
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            metrics["spreads"][kind][direction]["percentiles"] = both[direction].percentiles
+            values = metrics["spreads"][kind][direction]
+            values["percentiles"] = both[direction].percentiles
+            values.setdefault("bias", None)  # unsigned distances have a mean instead
     if m.d2_samples:
         metrics["d2_mse"]["sample"] = {direction: sample._asdict() for direction, sample in m.d2_samples.items()}
     for name, values in maps["maps"].items():
         values["percentiles"] = deviation.spreads[name].percentiles
+        values.setdefault("bias", None)
     if deviation.m3c2 is not None:
         maps["m3c2"].update(_m3c2(deviation.m3c2))
     distances, plane = deviation.spreads["distance"], deviation.spreads.get("plane_distance")

@@ -30,6 +30,7 @@ def warnings(comparison: SourcedComparison) -> list[str]:
     inputs = comparison.inputs
     if inputs is not None:
         found.update({text: [] for text in inputs.reference.warnings})
+    found.update({str(notice): [] for notice in comparison.reference.warnings})
     for candidate in comparison:
         if inputs is not None:
             found.update({text: [] for text in inputs.candidates[candidate.name].warnings})

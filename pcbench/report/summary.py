@@ -1,4 +1,4 @@
-"""The main metrics of a comparison: about a dozen rows for one or two candidates, one row per candidate for more."""
+"""The main metrics of a comparison: at most 16 rows for one or two candidates, one row per candidate for more."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcbench.report.table import Line, across
 from pcbench.report.words import UNKNOWN, columns, number, rounding_limit, shorten_name
 
 MAX_SIDE_BY_SIDE = 2  # candidates in one table with a column each
-_MAX_ROWS = 12
+_MAX_ROWS = 16
 _GAP = 2  # blanks between columns
 _MIN_NAME_COLUMNS = 16
 
@@ -52,13 +52,13 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
         (optional if headline.optional else always).append(Line(headline.label, row.cells(text)))
     methods = {c.registration.method.partition(":")[0] for c in candidates}
     how = "registration" if len(methods) > 1 else methods.pop()
-    fits = [(show(c.registration.rmse), f"{c.registration.overlap:.1%}") for c in candidates]
     rows = [
         Line(
             "points measured",
             [(f"{c.points_in_region:,}", f"{_reference_point_count(comparison):,}") for c in candidates],
         ),
-        Line(f"{how}: rmse, overlap", fits),
+        Line(f"{how}: rmse", [(show(c.registration.rmse), "") for c in candidates]),
+        Line(f"{how}: overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates]),
         *always,
         Line("deformation", [(c.deformation.label, "") for c in candidates]),
     ]
@@ -67,8 +67,8 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
         results = [c.deformation.assuming_pose() for c in candidates]
         amplitudes = [None if result.verdict == "undecided" else result.amplitude for result in results]
         sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
-        cells = [(show(size), show(limit)) for size, limit in zip(sizes, limits, strict=True)]
-        rows.append(Line("  RMS, detectable RMS", cells))
+        rows.append(Line("  RMS", [(show(size), "") for size in sizes]))
+        rows.append(Line("  detectable RMS", [(show(limit), "") for limit in limits]))
     return rows + optional[: _MAX_ROWS - len(rows)]
 
 

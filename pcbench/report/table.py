@@ -52,7 +52,7 @@ class Line(NamedTuple):
 
     Attributes:
         label: name of the metric.
-        cells: (c→r, r→c) for each candidate; the second is empty if one number covers both directions.
+        cells: (c→r, r→c) for each candidate; the second is empty if a number has no direction.
     """
 
     label: str
@@ -66,7 +66,8 @@ def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator
     yield Line("points", [(f"{c.points:,}", "") for c in candidates])
     yield Line("points in region", [(f"{c.points_in_region:,}", "") for c in candidates])
     yield Line("registration", [(r.method.partition(":")[0], "") for r in registered])
-    yield Line("  rmse, overlap", [(number(r.rmse), f"{r.overlap:.1%}") for r in registered])
+    yield Line("  rmse", [(number(r.rmse), "") for r in registered])
+    yield Line("  overlap", [(f"{r.overlap:.1%}", "") for r in registered])
     section = ""
     for row in across(candidates, lambda quantity: bool(quantity.label)):
         first = row.first

@@ -147,3 +147,23 @@ def test_two_clouds_from_photographs_share_errors():
         assert both.sentence("a", "m").startswith(one.sentence("a", "m"))
         assert "photographs" not in one.sentence("a", "m")
         assert both.further_warnings == one.further_warnings
+
+
+@pytest.mark.parametrize(
+    ("scene", "noise", "reason"), [("facade", 0.01, "vertical"), ("ground", 0.6, "noisy"), ("ground", 0.01, "")]
+)
+def test_a_missing_size_limit_has_a_reason(scene, noise, reason):
+    """A façade shows no vertical displacements, and noise can hide them."""
+
+    def sample(seed):
+        xy = np.random.default_rng(seed).uniform(-20, 20, (4_000, 2))
+        if scene == "facade":
+            return np.column_stack([xy[:, 0], 0.01 * np.sin(xy[:, 0]), xy[:, 1]])
+        return np.column_stack([xy, 0.3 * np.sin(xy).sum(axis=1)])
+
+    candidate = sample(2) + np.random.default_rng(3).normal(0, noise, (4_000, 3))
+    _, result = deform(sample(1), candidate, "none")
+    assert result.verdict == "none"
+    assert (result.size_limit is None) == bool(reason) == bool(result.limit_problem)
+    assert reason in result.limit_problem
+    assert result.limit_problem in check_text(result.sentence("a"))

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import oracles
@@ -11,7 +12,7 @@ import pytest
 import shapes
 from optional import import_or_skip
 from shapes import UTM_WHOLE as UTM
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench import Cloud, Settings, Sphere, compare
 from pcbench.errors import RegistrationError
@@ -20,7 +21,9 @@ from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.registration import IcpSettings, advice
 from pcbench.report import document, to_json
+from pcbench.report.notes import warnings
 from pcbench.report.plot import Drawn
+from pcbench.report.table import rows
 
 NO_REGISTRATION = Settings(register="none")
 
@@ -81,6 +84,47 @@ def test_deviation_of_the_shifted_plane_is_signed_upwards():
         deviation = compare(plane, plane + [0, 0, shift], NO_REGISTRATION).candidates[0].deviation
         np.testing.assert_allclose(deviation.scalars["plane_distance"], shift)
         np.testing.assert_allclose(deviation.scalars["distance"], 0.25)
+
+
+def facade(n, seed):
+    """Sample a wall in the plane y = 0 with a noise of 1 cm along its normal."""
+    rng = np.random.default_rng(seed)
+    return np.c_[rng.uniform(0, 10, n), rng.normal(0, 0.01, n), rng.uniform(0, 6, n)]
+
+
+def test_a_facade_without_normals_has_an_arbitrary_sign(tmp_path):
+    reference, shift = facade(3000, seed=1), np.array([0.0, 0.05, 0.0])
+    candidates = {"a": facade(2000, seed=2) + shift, "b": facade(2000, seed=3) + shift}
+    comparison = compare(reference, candidates, NO_REGISTRATION)
+    (notice,) = comparison.reference.warnings
+    assert notice.code == "arbitrary-sign"
+    check_text(notice.text)
+    assert warnings(comparison).count(notice.text) == 1  # not once per candidate
+    assert document(comparison)["reference"]["warnings"] == [notice.text]
+    assert abs(comparison["a"].deviation.spreads["plane_distance"].median) < 0.05
+
+    outwards = Cloud(reference, normals=np.tile([0.0, 1.0, 0.0], (len(reference), 1)))
+    oriented = compare(outwards, candidates, NO_REGISTRATION)
+    assert oriented.reference.warnings == ()
+    assert oriented["a"].deviation.spreads["plane_distance"].bias == pytest.approx(0.05, abs=0.002)
+
+
+@pytest.mark.parametrize(("scene", "warns"), [("city", False), ("terrain", False), ("facade on terrain", True)])
+def test_the_sign_is_arbitrary_on_mostly_vertical_surfaces_only(scene, warns):
+    ground = shapes.terrain(2000, seed=1)[0]
+    reference = {
+        "city": shapes.city(4000, noise=0.01, seed=1)[0],
+        "terrain": ground,
+        "facade on terrain": np.concatenate([ground, facade(3000, seed=1) + [50.0, 0.0, 0.0]]),
+    }[scene]
+    found = compare(reference, reference[::2] + 0.01, NO_REGISTRATION).reference.warnings
+    assert [notice.code for notice in found] == ["arbitrary-sign"] * warns
+
+
+def test_the_sign_is_judged_inside_the_region():
+    points = np.concatenate([shapes.terrain(2000, seed=1)[0], facade(3000, seed=1) + [50.0, 0.0, 0.0]])
+    ground = replace(NO_REGISTRATION, crop=Box([0.0, 0.0, -50.0], [40.0, 40.0, 50.0]))
+    assert compare(points, points[::2], ground).reference.warnings == ()
 
 
 def test_every_metric_equals_brute_force(pair):
@@ -320,6 +364,28 @@ def test_a_mesh_may_be_the_reference():
     np.testing.assert_allclose(scalars["mesh_distance"], 0.1, rtol=1e-12)
     np.testing.assert_allclose(scalars["plane_distance"], 0.1, rtol=1e-12)
     assert comparison.candidates[0].metrics.d2_mse[CANDIDATE_TO_REFERENCE].value == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("closed", "name"), [(True, "bias"), (False, "mean")])
+def test_only_signed_distances_have_a_bias(closed, name):
+    """The distances to an open mesh are never negative."""
+    from pcbench.geometry.mesh import Mesh
+
+    corners = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
+    mesh = Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])[: 4 if closed else 3])
+    candidate = np.random.default_rng(1).uniform([1, 1, -0.1], [3, 3, 0.1], (500, 3))
+    comparison = compare(mesh, candidate, NO_REGISTRATION)
+    values = document(comparison)["candidates"][0]
+    found = values["deviation"]["maps"]["mesh_distance"]
+    assert found[name] == pytest.approx(comparison.candidates[0].deviation.scalars["mesh_distance"].mean())
+    assert (found["bias"] is None) == (not closed)
+    assert ("mean" in found) == (not closed)
+    assert values["deviation"]["maps"]["plane_distance"]["bias"] is not None
+    nearest = values["metrics"]["spreads"]["distance"][CANDIDATE_TO_REFERENCE]
+    assert nearest["bias"] is None
+    assert nearest["mean"] == pytest.approx(comparison.candidates[0].metrics.mean_distance.accuracy.value)
+    variants = {row.variant for row in rows(comparison) if row.metric == "mesh_distance"}
+    assert {"bias", "mean"} & variants == {name}
 
 
 def test_a_cloud_merged_with_itself_keeps_its_spacing():

@@ -1,4 +1,4 @@
-"""Output of `compare`: at most a dozen rows, fitted to the terminal, and where to find the rest."""
+"""Output of `compare`: at most 16 rows, fitted to the terminal, and where to find the rest."""
 
 import shutil
 from dataclasses import replace
@@ -10,7 +10,11 @@ import shapes
 from wording import check_text
 
 from pcbench import Cloud, Settings, compare, write_cloud
+from pcbench.measure.quantities import quantities
+from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 from pcbench.report import print_comparison
+from pcbench.report.summary import main_lines
+from pcbench.report.table import lines
 
 LONG_NAME = "reconstruction_of_the_whole_site_with_default_settings_2024-05-"
 
@@ -77,7 +81,7 @@ def print_candidates(six_candidates, monkeypatch, capsys):
 )
 def test_one_or_two_candidates_are_columns(print_candidates, names, columns):
     above, table, below, out = print_candidates(*names, columns=columns)
-    assert len(table) == 2 + 12
+    assert len(table) == 2 + 14
     assert max(map(len, out.splitlines())) <= columns
     assert table[1].split() == ["lengths", "in", "m", *["c→r", "r→c"] * len(names)]
     assert [line[:16] for line in table].count("  sampling floor") == 2
@@ -150,7 +154,22 @@ def test_requested_metrics_are_among_the_rows(run_compare):
     assert [line.split("  ")[0] for line in table[-2:]] == ["F-score at 0.5", "F-score at 2"]
     _, table, _, _ = run_compare("a", options=["--map", "m3c2"])
     assert any(line.startswith("map m3c2: ") for line in table)
-    assert len(table) <= 2 + 12
+    assert len(table) <= 2 + 16
+
+
+def test_numbers_below_r_to_c_are_of_that_direction():
+    """Two numbers that are no pair of directions have their own rows."""
+    reference = shapes.terrain(1500, seed=1)[0]
+    comparison = compare(reference, {"a": reference + 0.01}, Settings(register="none", maps=("m3c2",)))
+    second = {"points measured", "precision, recall"}
+    for q in quantities(comparison.candidates[0]):
+        if q.column == 1:
+            assert q.direction in (REFERENCE_TO_CANDIDATE, "a_to_b")
+            second |= {q.label.strip(), q.headline.label.strip() if q.headline else ""}
+    for line in (*main_lines(comparison), *filter(None, lines(comparison))):
+        assert line.label.strip() in second or not any(right for _, right in line.cells), line.label
+    labels = {line.label.strip() for line in lines(comparison) if line is not None}
+    assert {"map m3c2: bias", "significant share", "rmse", "overlap", "detectable RMS"} <= labels
 
 
 def test_the_folder_with_all_results_is_named(run_compare):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from pcbench.measure.intervals import Interval
@@ -11,6 +11,7 @@ from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import RATIO, Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.ranking import leaders
 from pcbench.report.summary import main_thresholds
 from pcbench.report.table import Across, across, lines
 from pcbench.report.words import UNKNOWN, number, rounding_limit
@@ -44,6 +45,11 @@ class MetricRow:
     is_detail: bool = False
     is_column: bool = False
 
+    @property
+    def is_directed(self) -> bool:
+        """Whether the row has values r→c beside those c→r."""
+        return any(second.text for _, second in self.cells)
+
 
 def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
     """Return the metrics of the summary, one row per metric with both directions of each candidate."""
@@ -51,10 +57,8 @@ def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
     reference_points = f"{comparison.reference.points_in_region:,}"
     rows = [
         _plain_row("points measured", [(f"{c.points_in_region:,}", reference_points) for c in candidates]),
-        _plain_row(
-            "registration RMSE, overlap",
-            [(number(c.registration.rmse), f"{c.registration.overlap:.1%}") for c in candidates],
-        ),
+        _plain_row("registration RMSE", [(number(c.registration.rmse), "") for c in candidates]),
+        _plain_row("overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates]),
     ]
     best, intervals = _Best(comparison), [_intervals(candidate) for candidate in candidates]
     least = rounding_limit(comparison)
@@ -130,18 +134,19 @@ class _Best:
             }
             if len(values) < 2:
                 continue
-            first = min(values, key=lambda k: values[k])
-            quantity = row.pairs[first][direction]
+            order = sorted(values, key=lambda k: values[k])
+            quantity = row.pairs[order[0]][direction]
             assert quantity is not None
-            tied = {k for k in values if k == first or self._is_tied(quantity, first, k)}
+            tied = leaders(order, self._test_of(quantity))
             if len(tied) < len(values):  # without a significant difference none is best
                 winners |= {(k, direction) for k in tied}
         return winners
 
-    def _is_tied(self, quantity: Quantity, first: int, other: int) -> bool:
+    def _test_of(self, quantity: Quantity) -> Callable[[int, int], bool]:
+        """Return the function that says whether two candidates differ significantly in a quantity."""
         # Differences are tested between mean squares; their roots have the same order.
         metric = quantity.difference or f"{quantity.metric.replace('_rms', '_mse')}/{quantity.direction}"
-        return (metric, frozenset((self.names[first], self.names[other]))) in self.tied
+        return lambda a, b: (metric, frozenset((self.names[a], self.names[b]))) not in self.tied
 
 
 def _intervals(candidate: Candidate) -> dict[tuple[str, str, float | None], Interval]:
