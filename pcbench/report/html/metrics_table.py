@@ -91,7 +91,7 @@ def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
 
         cells = [(cell(k, 0), cell(k, 1)) for k in range(len(candidates))]
         is_detail = headline.label.startswith("  ") and row.first.threshold is None
-        rows.append(MetricRow(headline.label.strip(), cells, is_detail, headline.rank))
+        rows.append(MetricRow(headline.label.strip(), cells, is_detail, _rank(row)))
     return [*rows, _plain_row("deformation", [(c.deformation.label, "") for c in candidates], rank=3)]
 
 
@@ -116,14 +116,22 @@ def _split(text: str) -> ValueCell:
 
 
 def columns_of(rows: Iterable[MetricRow]) -> list[MetricColumn]:
-    """Return the columns of main rows if each candidate has a row: first those with floors, then by their rank."""
+    """Return the columns of main rows if each candidate has a row, by their rank, with their floors."""
     columns: list[MetricColumn] = []
     for row in rows:
-        if row.is_detail and columns:
+        if row.rank is None:
+            continue
+        if row.is_detail:
             columns[-1] = MetricColumn(columns[-1].row, [(first.text, second.text) for first, second in row.cells])
-        elif row.rank is not None:
+        else:
             columns.append(MetricColumn(row))
-    return sorted(columns, key=lambda column: (not column.floors, column.row.rank))
+    return sorted(columns, key=lambda column: column.row.rank or 0)
+
+
+def _rank(row: Across) -> int | None:
+    """Return the lower rank of both directions; None if the row becomes no column."""
+    headlines = [q.headline for pair in row.pairs for q in pair if q is not None and q.headline is not None]
+    return min((headline.rank for headline in headlines if headline.rank is not None), default=None)
 
 
 def _plain_row(label: str, cells: Iterable[tuple[str, str]], rank: int) -> MetricRow:
