@@ -231,3 +231,23 @@ def test_hostile_names_run_no_script(browser, comparison, tmp_path):
     assert browser.run("document.querySelectorAll('img').length") == 0
     assert browser.problems == [] and len(browser.requests) == 1
     assert len(shown_colors(browser)) > 20
+
+
+def test_collapsed_sections_are_printed_and_nothing_is_cut(browser, comparison, tmp_path):
+    """A browser prints a page of 740 px on a sheet of A4, and shrinks wider ones a little."""
+    many = tuple(replace(comparison["a"], name=f"candidate {k}") for k in range(5))
+    write_page(tmp_path / "page.html", replace(comparison, candidates=many, differences=()), "/a/long/path" * 20)
+    browser.open(tmp_path / "page.html", width=740)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        sizes = browser.run(
+            "[...document.querySelectorAll('main details:not(.panel *) table')].map((e) => e.offsetHeight)"
+        )
+        assert sizes and min(sizes) > 50
+        assert browser.run("document.querySelectorAll('.verdict')[4].offsetHeight") > 30
+        right = browser.run(
+            "Math.max(...[...document.querySelectorAll('main td, main code')].map((e) => e.getBoundingClientRect().right))"
+        )
+        assert right <= 1.15 * 740
+    finally:
+        browser.call("Emulation.setEmulatedMedia", media="")
