@@ -245,9 +245,8 @@ def test_collapsed_sections_are_printed_and_nothing_is_cut(browser, comparison, 
         )
         assert sizes and min(sizes) > 50
         assert browser.run("document.querySelectorAll('.verdict')[4].offsetHeight") > 30
-        right = browser.run(
-            "Math.max(...[...document.querySelectorAll('main td, main code')].map((e) => e.getBoundingClientRect().right))"
-        )
-        assert right <= 1.15 * 740
+        cells = "[...document.querySelectorAll('main td, main code')]"
+        ends = browser.run(f"{cells}.map((cell) => cell.getBoundingClientRect().right)")
+        assert max(ends) <= 1.15 * 740
     finally:
         browser.call("Emulation.setEmulatedMedia", media="")

@@ -67,6 +67,28 @@ def test_the_reference_is_beside_the_candidate(beside):
     assert beside.problems == []
 
 
+def test_the_legend_is_that_of_the_panes(browser, comparison, tmp_path):
+    """The fifth cloud is far off: it has no pane, so its wide range is neither used nor explained."""
+    a, far = comparison["a"], comparison["b"]
+    scalars = {key: 50 * values for key, values in far.deviation.scalars.items()}
+    far = replace(far, name="far", deviation=replace(far.deviation, scalars=scalars))
+    many = (*(replace(a, name=f"near {k}") for k in range(4)), far)
+    write_page(tmp_path / "page.html", replace(comparison, candidates=many, differences=()))
+    browser.open(tmp_path / "page.html")
+    near = float(browser.run("byId('legend-high').value"))
+    for k in range(1, 5):
+        switch(browser, f"view-{k}")
+    assert float(browser.run("byId('legend-high').value")) > 10 * near
+    assert (
+        browser.run("byId('legend-note').textContent")
+        == "the range of far: up to the 95th percentile, of this candidate only"
+    )
+    switch(browser, "side-by-side")
+    assert browser.run(LABELS) == [f"near {k}" for k in range(4)]
+    assert float(browser.run("byId('legend-high').value")) == near
+    assert "shared by 4 of 5 candidates" in browser.run("byId('legend-note').textContent")
+
+
 def test_an_empty_view_says_that_no_cloud_is_selected(browser, path):
     browser.open(path)
     switch(browser, browser.run("document.querySelector('.cloud input:checked').id"))
@@ -253,6 +275,17 @@ def test_without_these_values_z_is_up_and_there_are_no_cameras(browser, comparis
     assert browser.run("pcbenchReport.camera.yaw") == -0.6 and browser.problems == []
 
 
+# The share of a pane's width or height that the scene fills.
+SPAN = """(() => {
+  const { scene, camera, page } = pcbenchReport;
+  const { width, height } = page.panes[0];
+  const spots = scene.corners.map((at) => camera.project(at, width, height));
+  const [x, y] = [0, 1].map((k) => spots.map((spot) => spot[k]));
+  const span = (values) => Math.max(...values) - Math.min(...values);
+  return Math.max(span(x) / width, span(y) / height);
+})()"""
+
+
 @pytest.mark.parametrize("side", [[1, 0], [-0.6, 0.8]])
 def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_path, monkeypatch, side):
     """Cameras south-west of the scene look north-east and down: so does the view, which shows them when asked."""
@@ -269,6 +302,9 @@ def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_pat
     width, height = browser.run("[byId('canvas').clientWidth, byId('canvas').clientHeight]")
     pixels = np.array([pixel_of(browser, center) for center in centers])
     assert (pixels >= 0).all() and (pixels <= [width, height]).all()
+    switch(browser, "side-by-side")  # distant cameras would make the panes nearly empty
+    assert browser.run(SPAN) > 0.5
+    switch(browser, "side-by-side")
     switch(browser, "cameras")
     assert WHITE not in shown_colors(browser)
     press_key(browser, "r")

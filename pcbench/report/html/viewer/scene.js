@@ -97,15 +97,18 @@ class Scene {
     return view.layer.head.scalars.findIndex((scalar) => scalar.key === this.key && scalar.of === view.of);
   }
 
-  // Return the legend of the chosen scalar: {low, high, signed, note}, or null.
+  // Return the legend of the chosen scalar: {low, high, signed, note}, or null. The widest range of the drawn views
+  // applies to all of them.
   legend() {
-    const shown = this.views.filter((view) => view.on && this.scalarOf(view) >= 0);
-    if (!shown.length) return null;
-    const scalars = shown.map((view) => view.layer.head.scalars[this.scalarOf(view)]);
-    const widest = scalars.reduce((a, b) => (b.high > a.high ? b : a));
-    const { signed } = widest;
+    const drawn = drawnViews(this).filter((view) => this.scalarOf(view) >= 0);
+    if (!drawn.length) return null;
+    const coloring = (view) => view.layer.head.scalars[this.scalarOf(view)];
+    const widest = drawn.reduce((a, b) => (coloring(b).high > coloring(a).high ? b : a));
+    const { low, high, signed, note } = coloring(widest);
     const set = this.limits.get(this.key);
-    return set ? { ...set, signed, note: "limits set here" } : { low: widest.low, high: widest.high, signed, note: widest.note };
+    if (set) return { ...set, signed, note: "limits set here" };
+    const isShared = drawn.every((view) => coloring(view).high === high);
+    return { low, high, signed, note: isShared ? note : `the range of ${labelOf(widest)}: ${note}` };
   }
 
   // Return the diameter of a layer's points at depth 1, and its bounds, in pixels: points cover their spacing.
