@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -250,3 +251,18 @@ def test_collapsed_sections_are_printed_and_nothing_is_cut(browser, comparison, 
         assert max(ends) <= 1.15 * 740
     finally:
         browser.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_buttons_cover_no_values_on_a_phone(browser, path):
+    browser.open(path, width=380, height=800)
+    rows = browser.run(
+        """[...document.querySelectorAll('.places tbody tr')].map((row) => {
+          const boxes = [...row.children].slice(1).map((cell) => cell.getBoundingClientRect());
+          return boxes.map(({ left, right }) => [left, right, row.querySelector("button").getBoundingClientRect().right]);
+        })"""
+    )
+    assert len(rows) > 3
+    for row in rows:
+        for (_, right, _), (left, _, _) in pairwise(row):
+            assert right <= left + 0.5
+        assert row[0][2] <= 385  # the button is in view

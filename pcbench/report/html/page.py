@@ -181,7 +181,7 @@ def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
             "p-value": _p_value(bend.p_value),
             "RMS beyond affine": UNKNOWN if size is None else
             f"{length(size.rms, unit)} [{size.ci[0]:.3g}, {size.ci[1]:.3g}]",
-            "stated above": length(bend.size_limit, unit),
+            "detectable from": length(bend.size_limit, unit),
             "noise": UNKNOWN if bend.noise is None else length(bend.noise.sigma, unit),
             "independent pairs": UNKNOWN if bend.noise is None else f"{bend.noise.n_eff:,.0f} of {bend.pairs or 0:,}",
         }  # fmt: skip
