@@ -258,7 +258,8 @@ def test_buttons_cover_no_values_on_a_phone(browser, path):
     rows = browser.run(
         """[...document.querySelectorAll('.places tbody tr')].map((row) => {
           const boxes = [...row.children].slice(1).map((cell) => cell.getBoundingClientRect());
-          return boxes.map(({ left, right }) => [left, right, row.querySelector("button").getBoundingClientRect().right]);
+          const end = row.querySelector("button").getBoundingClientRect().right;
+          return boxes.map(({ left, right }) => [left, right, end]);
         })"""
     )
     assert len(rows) > 3
