@@ -1,5 +1,7 @@
 """Selections of rows."""
 
+from itertools import pairwise
+
 import pytest
 
 from pcbench.geometry.arrays import even_rows
@@ -11,5 +13,5 @@ def test_even_rows_are_different_and_span_all(count, most):
     assert len(rows) == min(count, most) == len(set(rows)) and rows == sorted(rows)
     if len(rows) > 1:
         assert (rows[0], rows[-1]) == (0, count - 1)
-        steps = {later - earlier for earlier, later in zip(rows, rows[1:], strict=False)}
+        steps = {later - earlier for earlier, later in pairwise(rows)}
         assert max(steps) - min(steps) <= 1

@@ -19,11 +19,12 @@ from pcbench.measure.deviation import DeviationMap
 from pcbench.report import folder as report_folder
 from pcbench.report.html import layers as html_layers
 from pcbench.report.html import page
-from pcbench.report.html.metrics_table import main_rows
+from pcbench.report.html.metrics_table import columns_of, main_rows
 from pcbench.report.html.packing import UNKNOWN_CODE, CodeGrid, levels, morton_order, scalar_codes
 from pcbench.report.html.places import worst_places
 from pcbench.report.inputs import InputFile, Inputs
 from pcbench.report.viewing import ViewingCameras
+from pcbench.report.words import number
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +224,21 @@ def test_sixty_candidates_have_a_row_each_and_fit_the_budget(comparison):
     assert len(text) < 6e6
     assert unescape(text).count('<th scope="row">candidate 59</th>') >= 1
     assert "and 53 more" in text
+
+
+def test_five_candidates_keep_their_floors_and_the_main_columns_come_first(comparison):
+    many = tuple(replace(comparison.candidates[k % 2], name=f"candidate {k}") for k in range(5))
+    changed = replace(comparison, candidates=many, differences=())
+    columns = columns_of(main_rows(changed))
+    labels = [column.row.label.split(" at ")[0] for column in columns]
+    assert labels[:4] == ["RMS off the surface (D2)", "mean distance", "F-score", "deformation"]
+    assert labels[-2:] == ["points measured", "registration RMSE, overlap"]
+    assert [column.has_directions for column in columns[:4]] == [True, True, False, False]
+    floor = changed["candidate 1"].metrics.mean_distance.accuracy.floor
+    assert columns[1].floors[1][0] == number(floor)
+    text = page(changed, PROVENANCE)
+    assert f"floor {number(floor)}" in text and "Floor: the sampling floor" in " ".join(Page(text).words)
+    assert Page(text).unbalanced == Page(page(comparison, PROVENANCE)).unbalanced
 
 
 def test_a_page_that_fails_does_not_cost_the_report(comparison, monkeypatch, tmp_path):

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -231,3 +232,38 @@ def test_hostile_names_run_no_script(browser, comparison, tmp_path):
     assert browser.run("document.querySelectorAll('img').length") == 0
     assert browser.problems == [] and len(browser.requests) == 1
     assert len(shown_colors(browser)) > 20
+
+
+def test_collapsed_sections_are_printed_and_nothing_is_cut(browser, comparison, tmp_path):
+    """A browser prints a page of 740 px on a sheet of A4, and shrinks wider ones a little."""
+    many = tuple(replace(comparison["a"], name=f"candidate {k}") for k in range(5))
+    write_page(tmp_path / "page.html", replace(comparison, candidates=many, differences=()), "/a/long/path" * 20)
+    browser.open(tmp_path / "page.html", width=740)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        sizes = browser.run(
+            "[...document.querySelectorAll('main details:not(.panel *) table')].map((e) => e.offsetHeight)"
+        )
+        assert sizes and min(sizes) > 50
+        assert browser.run("document.querySelectorAll('.verdict')[4].offsetHeight") > 30
+        cells = "[...document.querySelectorAll('main td, main code')]"
+        ends = browser.run(f"{cells}.map((cell) => cell.getBoundingClientRect().right)")
+        assert max(ends) <= 1.15 * 740
+    finally:
+        browser.call("Emulation.setEmulatedMedia", media="")
+
+
+def test_buttons_cover_no_values_on_a_phone(browser, path):
+    browser.open(path, width=380, height=800)
+    rows = browser.run(
+        """[...document.querySelectorAll('.places tbody tr')].map((row) => {
+          const boxes = [...row.children].slice(1).map((cell) => cell.getBoundingClientRect());
+          const end = row.querySelector("button").getBoundingClientRect().right;
+          return boxes.map(({ left, right }) => [left, right, end]);
+        })"""
+    )
+    assert len(rows) > 3
+    for row in rows:
+        for (_, right, _), (left, _, _) in pairwise(row):
+            assert right <= left + 0.5
+        assert row[0][2] <= 385  # the button is in view

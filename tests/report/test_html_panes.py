@@ -67,6 +67,28 @@ def test_the_reference_is_beside_the_candidate(beside):
     assert beside.problems == []
 
 
+def test_the_legend_is_that_of_the_panes(browser, comparison, tmp_path):
+    """The fifth cloud is far off: it has no pane, so its wide range is neither used nor explained."""
+    a, far = comparison["a"], comparison["b"]
+    scalars = {key: 50 * values for key, values in far.deviation.scalars.items()}
+    far = replace(far, name="far", deviation=replace(far.deviation, scalars=scalars))
+    many = (*(replace(a, name=f"near {k}") for k in range(4)), far)
+    write_page(tmp_path / "page.html", replace(comparison, candidates=many, differences=()))
+    browser.open(tmp_path / "page.html")
+    near = float(browser.run("byId('legend-high').value"))
+    for k in range(1, 5):
+        switch(browser, f"view-{k}")
+    assert float(browser.run("byId('legend-high').value")) > 10 * near
+    assert (
+        browser.run("byId('legend-note').textContent")
+        == "the range of far: up to the 95th percentile, of this candidate only"
+    )
+    switch(browser, "side-by-side")
+    assert browser.run(LABELS) == [f"near {k}" for k in range(4)]
+    assert float(browser.run("byId('legend-high').value")) == near
+    assert "shared by 4 of 5 candidates" in browser.run("byId('legend-note').textContent")
+
+
 def test_an_empty_view_says_that_no_cloud_is_selected(browser, path):
     browser.open(path)
     switch(browser, browser.run("document.querySelector('.cloud input:checked').id"))
@@ -97,9 +119,7 @@ def test_one_camera_moves_all_panes(beside, comparison):
 
 def test_all_that_was_in_view_stays_in_view(beside):
     assert beside.run(
-        """pcbenchReport.page.panes.every((pane) => [0, 1, 2, 3, 4, 5, 6, 7].every((k) => {
-          const { low, high } = pcbenchReport.scene.core;
-          const at = low.map((x, axis) => ((k >> axis) & 1 ? high[axis] : x));
+        """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.corners.every((at) => {
           const [x, y] = pcbenchReport.camera.project(at, pane.width, pane.height);
           return x >= 0 && y >= 0 && x <= pane.width && y <= pane.height;
         }))"""
@@ -194,7 +214,7 @@ def test_a_click_shows_a_tile(beside, comparison):
     beside.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     shown = beside.run("pcbenchReport.scene.data.tiles")
     at, size = np.array(shown["at"][:3]), shown["size"]
-    assert shown["names"][shown["of"][0]] == "b" and shown["axes"] == [0, 1]  # its bump
+    assert shown["names"][shown["of"][0]] == "b" and shown["sides"] == [[1, 0, 0], [0, 1, 0]]  # its bump
     map_ = comparison["b"].deviation
     inside = (np.abs(map_.points[:, :2] - at[:2]) <= size / 2).all(axis=1)
     median = np.median(map_.scalars["plane_distance"][inside])
@@ -255,6 +275,17 @@ def test_without_these_values_z_is_up_and_there_are_no_cameras(browser, comparis
     assert browser.run("pcbenchReport.camera.yaw") == -0.6 and browser.problems == []
 
 
+# The share of a pane's width or height that the scene fills.
+SPAN = """(() => {
+  const { scene, camera, page } = pcbenchReport;
+  const { width, height } = page.panes[0];
+  const spots = scene.corners.map((at) => camera.project(at, width, height));
+  const [x, y] = [0, 1].map((k) => spots.map((spot) => spot[k]));
+  const span = (values) => Math.max(...values) - Math.min(...values);
+  return Math.max(span(x) / width, span(y) / height);
+})()"""
+
+
 @pytest.mark.parametrize("side", [[1, 0], [-0.6, 0.8]])
 def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_path, monkeypatch, side):
     """Cameras south-west of the scene look north-east and down: so does the view, which shows them when asked."""
@@ -271,6 +302,9 @@ def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_pat
     width, height = browser.run("[byId('canvas').clientWidth, byId('canvas').clientHeight]")
     pixels = np.array([pixel_of(browser, center) for center in centers])
     assert (pixels >= 0).all() and (pixels <= [width, height]).all()
+    switch(browser, "side-by-side")  # distant cameras would make the panes nearly empty
+    assert browser.run(SPAN) > 0.5
+    switch(browser, "side-by-side")
     switch(browser, "cameras")
     assert WHITE not in shown_colors(browser)
     press_key(browser, "r")
@@ -321,3 +355,52 @@ def test_names_with_markup_are_only_text(browser, comparison, tmp_path):
     assert browser.run(LABELS) == ["reference", name]
     assert browser.run("document.querySelectorAll('img').length") == 0
     assert browser.problems == []
+
+
+@pytest.fixture(scope="module")
+def facade():
+    """Compare a wall of 20 x 8 m that runs to the north-east with a copy that has a bump."""
+    rng = np.random.default_rng(0)
+    along, height = rng.uniform(0, 20, 8000), rng.uniform(0, 8, 8000)
+    turn = np.radians(30)
+
+    def wall(depth):
+        across = rng.normal(0, 0.004, len(along)) + depth
+        x, y = along * np.cos(turn) - across * np.sin(turn), along * np.sin(turn) + across * np.cos(turn)
+        return Cloud(np.column_stack([x, y, height]) + [446_123, 5_380_456, 410], unit="m")
+
+    bump = -0.3 * np.exp(-((along - 15) ** 2 + (height - 5) ** 2) / 2)
+    return compare(wall(0.0), {"a": wall(bump)}, Settings(register="none", crop="none"))
+
+
+def test_a_wall_is_seen_from_its_front_and_fills_the_view(browser, facade, tmp_path):
+    write_page(tmp_path / "page.html", facade)
+    browser.open(tmp_path / "page.html")
+
+    def is_seen_from_its_front():
+        ahead = browser.run(AHEAD)
+        assert np.allclose(ahead, [-np.sin(np.radians(30)), np.cos(np.radians(30)), 0], atol=0.06)
+        points = facade["a"].deviation.points[::20]
+        x, y = np.transpose([pixel_of(browser, point) for point in points])
+        size = browser.run("[byId('canvas').clientWidth, byId('canvas').clientHeight]")
+        assert (x > 0).all() and (x < size[0]).all() and (y > 0).all() and (y < size[1]).all()
+        assert max(np.ptp(x) / size[0], np.ptp(y) / size[1]) > 0.9
+
+    is_seen_from_its_front()
+    press_key(browser, "s")
+    assert abs(browser.run(AHEAD)[2]) < 0.1
+    press_key(browser, "f")
+    is_seen_from_its_front()
+
+
+def test_a_tile_of_a_wall_is_outlined_on_the_wall(browser, facade, tmp_path):
+    write_page(tmp_path / "page.html", facade)
+    browser.open(tmp_path / "page.html")
+    browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
+    browser.run("byId('tile-0').click()")
+    ends = np.reshape(browser.run("[...tileLines(pcbenchReport.scene)]"), (-1, 3))
+    ends += browser.run("pcbenchReport.scene.center")
+    normal = np.array([-np.sin(np.radians(30)), np.cos(np.radians(30)), 0])
+    assert np.ptp(ends @ normal) < 0.01 and np.ptp(ends[:, 2]) == pytest.approx(2)
+    deepest = facade["a"].deviation.points[np.argmax(facade["a"].deviation.scalars["distance"])]
+    assert np.abs(ends.mean(axis=0) - deepest).max() < 2

@@ -12,6 +12,8 @@ from pcbench.measure.deviation import DeviationMap
 from pcbench.report.html import layers as html_layers
 from pcbench.report.html import page
 from pcbench.report.html.tiles import tile_maps
+from pcbench.report.plot.views import scene_axes
+from pcbench.report.viewing import ViewingCameras
 
 
 @pytest.fixture(scope="module")
@@ -93,12 +95,65 @@ def test_small_and_empty_clouds_have_no_tiles(comparison):
     assert list(tile_maps(with_deviation(comparison, none)).maps) == ["b"]
 
 
-def test_four_candidates_have_maps(comparison):
-    many = tuple(replace(comparison.candidates[k % 2], name=f"candidate {k}") for k in range(6))
-    changed = replace(comparison, candidates=many, differences=())
+def test_the_four_candidates_with_the_worst_tiles_have_maps(comparison):
+    near, bumped = comparison
+    many = [replace(near, name=f"candidate {k}") for k in range(5)] + [replace(bumped, name="bumped")]
+    changed = replace(comparison, candidates=tuple(many), differences=())
     maps = tile_maps(changed)
-    assert list(maps.maps) == [f"candidate {k}" for k in range(4)] and maps.omitted == 2
-    assert "The maps show the first 4 candidates." in words_of(page(changed, PROVENANCE))
+    assert list(maps.maps) == ["candidate 0", "candidate 1", "candidate 2", "bumped"] and maps.omitted == 2
+    assert maps.tiles[0].candidate == "bumped"
+    assert "The maps show the 4 of 6 candidates with the worst tiles." in words_of(page(changed, PROVENANCE))
+
+
+def test_equal_clouds_have_no_worst_tiles(comparison):
+    map_ = comparison["a"].deviation
+    zeros = {key: np.zeros(len(map_.points)) for key in map_.scalars}
+    same = replace(comparison["a"], deviation=DeviationMap(map_.points, map_.rows, zeros))
+    alone = replace(comparison, candidates=(same,), differences=())
+    maps = tile_maps(alone)
+    assert maps.ranked == 0 and len(maps.tiles) > 4
+    said = words_of(page(alone, PROVENANCE))
+    assert "All distances are within rounding, so no tile is worse than others." in said
+    assert f"All {len(maps.tiles)} tiles" in said
+
+
+def test_numbers_on_tiles_are_readable(comparison):
+    def luminance(color):
+        return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) @ [0.299, 0.587, 0.114]
+
+    for tile in tile_maps(comparison).tiles:
+        assert abs(luminance(tile.color) - {"#000": 0, "#fff": 255}[tile.ink]) > 110
+
+
+@pytest.mark.parametrize("angle_deg", [30, 90, 160])
+def test_a_wall_is_mapped_along_its_own_axes(angle_deg):
+    rng = np.random.default_rng(3)
+    along, height = rng.uniform(0, 20, 20_000), rng.uniform(0, 8, 20_000)
+    turn = np.radians(angle_deg)
+    rows = np.array([[np.cos(turn), np.sin(turn), 0], [0, 0, 1], [np.sin(turn), -np.cos(turn), 0]])
+    flat = np.column_stack([along, height, rng.normal(0, 0.01, len(along))])
+    wall = flat @ rows + [446_123, 5_380_456, 410]
+    flat[(along > 14) & (height > 6), 2] += 0.2
+    found = compare(wall, {"a": flat @ rows + [446_123, 5_380_456, 410]}, Settings(register="none", crop="none"))
+    maps = tile_maps(found, axes=scene_axes(wall))
+    assert maps.axes == ("along", "height") and maps.size == "2"
+    assert len(maps.tiles) >= 40  # not only those along a diagonal
+    worst = found["a"].deviation.points[found["a"].deviation.scalars["distance"] > 0.15].mean(axis=0)
+    place = np.reshape(maps.data()["at"], (-1, 3))[0]
+    assert np.abs(place - worst).max() < 3
+
+
+def test_the_axes_of_tilted_cameras_are_used(comparison):
+    """Clouds of photographs, whose y axis points down, are mapped from above and not along y."""
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    cameras = ViewingCameras(np.zeros((1, 3)), np.array([[0.0, 0.8, 0.6]]), np.array([0.0, -1, 0]))
+    turned = tuple(
+        replace(c, deviation=replace(c.deviation, points=c.deviation.points @ turn.T)) for c in comparison.candidates
+    )
+    axes = scene_axes(turned[0].deviation.points, cameras)
+    maps = tile_maps(replace(comparison, candidates=turned), axes=axes)
+    assert maps.axes == ("right", "forward") and not axes.is_wall
+    assert len(maps.tiles) == len(tile_maps(comparison).tiles)
 
 
 def test_names_with_markup_are_text(comparison):

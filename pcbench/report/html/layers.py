@@ -13,6 +13,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray, even_rows
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, scalar_codes
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.plot.views import COORDINATES, SceneAxes
 
 MAX_POINTS = 500_000  # of a cloud
 MAX_BYTES = 2_800_000  # of all clouds before base64, which adds a third
@@ -56,16 +57,17 @@ class Layer:
     rows: IntArray
 
 
-def layers(comparison: SourcedComparison, given: float | None = None) -> list[Layer]:
+def layers(comparison: SourcedComparison, given: float | None = None, axes: SceneAxes = COORDINATES) -> list[Layer]:
     """Return the layers of a comparison, candidates first.
 
     Args:
         comparison: the comparison.
         given: the end of the colour ranges, if the user sets it.
+        axes: the axes along which the scene is framed.
     """
     sources = [source for source in _sources(comparison, given) if len(source.points)]
     limits = _point_limits([len(s.points) for s in sources], [len(s.scalars) for s in sources])
-    return [_layer(source, limit) for source, limit in zip(sources, limits, strict=True)]
+    return [_layer(source, limit, axes.rows) for source, limit in zip(sources, limits, strict=True)]
 
 
 def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_Source]:
@@ -100,7 +102,7 @@ def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:
     return limits
 
 
-def _layer(source: _Source, limit: int) -> Layer:
+def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
     points, scalars = source.points, source.scalars
     near = np.flatnonzero(_near_core(points))
     far = np.zeros(len(near), dtype=bool)
@@ -124,7 +126,7 @@ def _layer(source: _Source, limit: int) -> Layer:
         "beyond_shown": int(far[kept].sum()),
         "low": grid.low.tolist(),
         "step": grid.step.tolist(),
-        "core": np.percentile(sample, [1, 99], axis=0).tolist(),
+        "core": np.percentile(sample @ axes.T, [1, 99], axis=0).tolist(),
         "spacing": _shown_spacing(points[rows]),
         "scalars": [
             {

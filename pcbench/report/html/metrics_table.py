@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pcbench.measure.intervals import Interval
 from pcbench.measure.quantities import quantities
@@ -37,18 +37,31 @@ class MetricRow:
         label: name of the metric.
         cells: (c→r, r→c) for each candidate.
         is_detail: whether it belongs to the row above and is grey, such as a floor.
-        is_column: whether it becomes a column if each candidate has a row.
+        rank: place among the columns if each candidate has a row; None: no column.
     """
 
     label: str
     cells: list[tuple[ValueCell, ValueCell]]
     is_detail: bool = False
-    is_column: bool = False
+    rank: int | None = None
+
+
+@dataclass(frozen=True)
+class MetricColumn:
+    """A metric where each candidate has a row.
+
+    Attributes:
+        row: the metric.
+        floors: sampling floor of each value (c→r, r→c) of each candidate; empty if there is none.
+    """
+
+    row: MetricRow
+    floors: list[tuple[str, str]] = field(default_factory=list)
 
     @property
-    def is_directed(self) -> bool:
-        """Whether the row has values r→c beside those c→r."""
-        return any(second.text for _, second in self.cells)
+    def has_directions(self) -> bool:
+        """Whether the metric has a value in both directions."""
+        return any(second.text for _, second in self.row.cells)
 
 
 def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
@@ -56,9 +69,9 @@ def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
     candidates, thresholds = comparison.candidates, main_thresholds(comparison)
     reference_points = f"{comparison.reference.points_in_region:,}"
     rows = [
-        _plain_row("points measured", [(f"{c.points_in_region:,}", reference_points) for c in candidates]),
-        _plain_row("registration RMSE", [(number(c.registration.rmse), "") for c in candidates]),
-        _plain_row("overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates]),
+        _plain_row("points measured", [(f"{c.points_in_region:,}", reference_points) for c in candidates], rank=20),
+        _plain_row("registration RMSE", [(number(c.registration.rmse), "") for c in candidates], rank=21),
+        _plain_row("overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates], rank=22),
     ]
     best, intervals = _Best(comparison), [_intervals(candidate) for candidate in candidates]
     least = rounding_limit(comparison)
@@ -76,8 +89,8 @@ def main_rows(comparison: SourcedComparison) -> list[MetricRow]:
 
         cells = [(cell(k, 0), cell(k, 1)) for k in range(len(candidates))]
         is_detail = headline.label.startswith("  ") and row.first.threshold is None
-        rows.append(MetricRow(headline.label.strip(), cells, is_detail, bool(headline.column)))
-    return [*rows, _plain_row("deformation", [(c.deformation.label, "") for c in candidates])]
+        rows.append(MetricRow(headline.label.strip(), cells, is_detail, _rank(row)))
+    return [*rows, _plain_row("deformation", [(c.deformation.label, "") for c in candidates], rank=3)]
 
 
 def all_rows(comparison: SourcedComparison) -> list[MetricRow | None]:
@@ -100,13 +113,27 @@ def _split(text: str) -> ValueCell:
     return ValueCell(value, interval.removesuffix("]").replace(", ", " – "))
 
 
-def columns_of(rows: Iterable[MetricRow]) -> list[MetricRow]:
-    """Return the rows that become columns if each candidate has a row."""
-    return [row for row in rows if row.is_column and not row.is_detail]
+def columns_of(rows: Iterable[MetricRow]) -> list[MetricColumn]:
+    """Return the columns of main rows if each candidate has a row, by their rank, with their floors."""
+    columns: list[MetricColumn] = []
+    for row in rows:
+        if row.rank is None:
+            continue
+        if row.is_detail:
+            columns[-1] = MetricColumn(columns[-1].row, [(first.text, second.text) for first, second in row.cells])
+        else:
+            columns.append(MetricColumn(row))
+    return sorted(columns, key=lambda column: column.row.rank or 0)
 
 
-def _plain_row(label: str, cells: Iterable[tuple[str, str]]) -> MetricRow:
-    return MetricRow(label, [(ValueCell(first), ValueCell(second)) for first, second in cells], is_column=True)
+def _rank(row: Across) -> int | None:
+    """Return the lower rank of both directions; None if the row becomes no column."""
+    headlines = [q.headline for pair in row.pairs for q in pair if q is not None and q.headline is not None]
+    return min((headline.rank for headline in headlines if headline.rank is not None), default=None)
+
+
+def _plain_row(label: str, cells: Iterable[tuple[str, str]], rank: int) -> MetricRow:
+    return MetricRow(label, [(ValueCell(first), ValueCell(second)) for first, second in cells], rank=rank)
 
 
 class _Best:

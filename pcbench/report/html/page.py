@@ -21,6 +21,7 @@ from pcbench.report.html.template import Opening, Origin, one_line_each, render,
 from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import bend_sentence, details, remarks, warnings
+from pcbench.report.plot.views import SceneAxes, scene_axes
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import UNKNOWN, join_words, length, printable, title
 
@@ -45,9 +46,10 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         provenance: version, commit, command and time, see `pcbench.report.document.provenance`.
         color_range: the end of the colour ranges, if the user sets it.
     """
-    clouds, places = layers(comparison, color_range), worst_places(comparison)
-    tiles = tile_maps(comparison, color_range)
-    view = _view(comparison, clouds, places, tiles)
+    axes = scene_axes(comparison.candidates[0].completeness.points, comparison.cameras)
+    clouds, places = layers(comparison, color_range, axes), worst_places(comparison)
+    tiles = tile_maps(comparison, color_range, axes)
+    view = _view(comparison, axes, clouds, places, tiles)
     main = main_rows(comparison)
     opening = Opening(
         "Point cloud comparison",
@@ -118,11 +120,13 @@ def _scalar_labels(clouds: list[Layer]) -> list[tuple[str, str]]:
 
 
 def _view(
-    comparison: SourcedComparison, clouds: list[Layer], places: list[Place], tiles: TileMaps | None
+    comparison: SourcedComparison, axes: SceneAxes, clouds: list[Layer], places: list[Place], tiles: TileMaps | None
 ) -> dict[str, Any]:
     """Return what the 3D view reads besides the points."""
     return {
         "unit": comparison.reference.unit or "",
+        "axes": axes.rows.tolist(),
+        "isWall": axes.is_wall,
         "layers": [layer.head for layer in clouds],
         "sequential": SEQUENTIAL.tolist(),
         "diverging": DIVERGING.tolist(),
@@ -177,7 +181,7 @@ def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
             "p-value": _p_value(bend.p_value),
             "RMS beyond affine": UNKNOWN if size is None else
             f"{length(size.rms, unit)} [{size.ci[0]:.3g}, {size.ci[1]:.3g}]",
-            "stated above": length(bend.size_limit, unit),
+            "detectable from": length(bend.size_limit, unit),
             "noise": UNKNOWN if bend.noise is None else length(bend.noise.sigma, unit),
             "independent pairs": UNKNOWN if bend.noise is None else f"{bend.noise.n_eff:,.0f} of {bend.pairs or 0:,}",
         }  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +15,8 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.tiles import MIN_TILE_POINTS, TileDeviations, TileGrid, deviations_by_tile
 from pcbench.report.colors import Range, ranges
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.plot.views import round_length
-from pcbench.report.words import length, printable
+from pcbench.report.plot.views import COORDINATES, SceneAxes, round_length
+from pcbench.report.words import length, printable, rounding_limit
 
 TILE = 30  # edge of a tile on a map, in SVG units
 _MIN_TILES_ALONG = 5  # the longer side has 5 to 15 tiles of a round size
@@ -28,6 +29,8 @@ _QUANTITIES = {  # the preferred scalars, best first
 _MAX_CANDIDATES = 4  # further maps would make the page long
 _MAX_RANKED = 9  # tiles with a number on the maps, which head the table
 _KEY_COLORS = 9  # of the colour bar
+_LUMINANCE = 0.299, 0.587, 0.114  # weights of red, green and blue
+_LIGHT = 140  # luminance of a ground with dark numbers
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Tile:
         found: its statistics.
         column, row: its place on the map, from the left and from the top.
         color: colour of the median.
+        ink: colour of a number on it.
         place: its centre along the axes of the grid, in words.
         median, nmad, p95: the statistics in words.
     """
@@ -48,6 +52,7 @@ class Tile:
     column: int
     row: int
     color: str
+    ink: str
     place: tuple[str, str]
     median: str
     nmad: str
@@ -69,28 +74,33 @@ class TileMaps:
     """The tiles of a comparison.
 
     Attributes:
+        scene: the axes of the scene.
+        origin: (3,) position along these axes from which the grid counts.
         grid: the grid, the same for all candidates.
         quantity: the distances that are summarised, in words.
-        tiles: the tiles of all candidates, largest 95th percentile first.
+        tiles: the tiles of the candidates with a map, largest 95th percentile first.
         candidates: names of the candidates that have a map.
         omitted: number of candidates without a map.
+        ranked: number of tiles with a number on the maps, which head the table.
         sparse: number of points in tiles with too few points, or outside the grid.
         scale: colour range of the medians.
         unit: unit of lengths, if known.
     """
 
+    scene: SceneAxes
+    origin: FloatArray
     grid: TileGrid
     quantity: str
     tiles: list[Tile]
     candidates: list[str]
     omitted: int
+    ranked: int
     sparse: int
     scale: Range
     unit: str | None
 
     tile = TILE
     min_points = MIN_TILE_POINTS
-    ranked = _MAX_RANKED
 
     @property
     def view_box(self) -> str:
@@ -108,9 +118,10 @@ class TileMaps:
         }
 
     @property
-    def axes(self) -> str:
+    def axes(self) -> tuple[str, str]:
         """Names of the two axes."""
-        return "".join("xyz"[axis] for axis in self.grid.axes)
+        first, second = self.grid.axes
+        return self.scene.names[first], self.scene.names[second]
 
     @property
     def size(self) -> str:
@@ -130,42 +141,57 @@ class TileMaps:
     def data(self) -> dict[str, Any]:
         """Return what the 3D view reads: the centres of the tiles as [x, y, z, ...], and the candidate of each."""
         return {
-            "axes": self.grid.axes,
+            "sides": [self.scene.rows[axis].tolist() for axis in self.grid.axes],
             "size": self.grid.size,
             "names": self.candidates,
             "of": [self.candidates.index(tile.candidate) for tile in self.tiles],
-            "at": [float(f"{x:.9g}") for tile in self.tiles for x in tile.found.at],
+            "at": [float(f"{x:.9g}") for tile in self.tiles for x in self._position(tile).tolist()],
         }
 
+    def _position(self, tile: Tile) -> FloatArray:
+        """Return the centre (3,) of a tile in the coordinates of the clouds."""
+        position: FloatArray = (self.origin + tile.found.at) @ self.scene.rows
+        return position
 
-def tile_maps(comparison: SourcedComparison, given: float | None = None) -> TileMaps | None:
+
+def tile_maps(
+    comparison: SourcedComparison, given: float | None = None, axes: SceneAxes = COORDINATES
+) -> TileMaps | None:
     """Return the tiles of a comparison; None if no tile has enough points.
 
     Args:
         comparison: the comparison.
         given: the end of the colour range, if the user sets it.
+        axes: the axes of the scene; a wall is mapped along its own.
     """
-    shown = [c for c in comparison if len(c.deviation.points)][:_MAX_CANDIDATES]
-    grid = _grid(shown)
+    shown = [c for c in comparison if len(c.deviation.points)]
+    places = {c.name: c.deviation.points @ axes.rows.T for c in shown}
+    grid, origin = _grid(places, axes)
     if grid is None:
         return None
     key = next(key for key in _QUANTITIES if key == "distance" or all(_knows(c, key) for c in shown))
-    found = {c.name: deviations_by_tile(grid, c.deviation.points, c.deviation.scalars[key]) for c in shown}
-    if not any(found.values()):
+    by_name = {c.name: deviations_by_tile(grid, places[c.name] - origin, c.deviation.scalars[key]) for c in shown}
+    largest_first = sorted(filter(by_name.get, by_name), key=lambda name: -by_name[name][0].p95)
+    if not largest_first:
         return None
-    signed = any(bool((c.deviation.scalars[key] < 0).any()) for c in shown)
+    found = {name: tiles for name, tiles in by_name.items() if name in largest_first[:_MAX_CANDIDATES]}
+    signed = any(bool((c.deviation.scalars[key] < 0).any()) for c in shown if c.name in found)
     largest = max(abs(tile.median) for tiles in found.values() for tile in tiles)
     spacing = comparison.reference.spacing_median
     scale = ranges({"": largest}, spacing=spacing, signed=signed, given=given)[""]
     unit = comparison.reference.unit
     tiles = [_tile(name, tile, grid, scale, unit) for name, tiles in found.items() for tile in tiles]
-    known = sum(int(np.isfinite(c.deviation.scalars[key]).sum()) for c in shown)
+    known = sum(int(np.isfinite(c.deviation.scalars[key]).sum()) for c in shown if c.name in found)
+    least = rounding_limit(comparison)
     return TileMaps(
+        axes,
+        origin,
         grid,
         _QUANTITIES[key],
         sorted(tiles, key=lambda tile: -tile.found.p95),
         list(found),
-        len(comparison) - len(shown),
+        len(largest_first) - len(found),
+        min(_MAX_RANKED, sum(tile.found.p95 > least for tile in tiles)),
         known - sum(tile.found.count for tile in tiles),
         scale,
         unit,
@@ -176,18 +202,27 @@ def _knows(candidate: Candidate, key: str) -> bool:
     return key in candidate.deviation.scalars and bool(np.isfinite(candidate.deviation.scalars[key]).any())
 
 
-def _grid(candidates: list[Candidate]) -> TileGrid | None:
-    """Return a grid of a round tile size over the clouds; None if they have no extent."""
-    if not candidates:
-        return None
-    corners = [robust_bounds(candidate.deviation.points) for candidate in candidates]
+def _grid(places: Mapping[str, FloatArray], axes: SceneAxes) -> tuple[TileGrid | None, FloatArray]:
+    """Return a grid of a round tile size, and the origin (3,) from which it counts; no grid if there is no extent.
+
+    Args:
+        places: positions (N, 3) of the points of each cloud along the axes.
+        axes: the axes.
+    """
+    origin = np.zeros(3)
+    if not places:
+        return None, origin
+    corners = [robust_bounds(points) for points in places.values()]
     low = np.min([corner for corner, _ in corners], axis=0)
     high = np.max([corner for _, corner in corners], axis=0)
     longest = float((high - low).max())
     if not longest > 0:
-        return None
-    margin = _MARGIN_SHARE * longest
-    return TileGrid.covering(low - margin, high + margin, round_length(longest / _MIN_TILES_ALONG))
+        return None, origin
+    low, high = low - _MARGIN_SHARE * longest, high + _MARGIN_SHARE * longest
+    if axes.is_wall:  # counts from its left end, and has tiles along its length and its height
+        origin[0] = low[0]
+        high[2] = low[2]
+    return TileGrid.covering(low - origin, high - origin, round_length(longest / _MIN_TILES_ALONG)), origin
 
 
 def _tile(name: str, found: TileDeviations, grid: TileGrid, scale: Range, unit: str | None) -> Tile:
@@ -200,11 +235,17 @@ def _tile(name: str, found: TileDeviations, grid: TileGrid, scale: Range, unit: 
         column,
         grid.shape[1] - 1 - above,
         _css(scale, np.array([found.median]))[0],
+        _ink(scale, found.median),
         (first, second),
         length(found.median, unit),
         length(found.nmad, unit),
         length(found.p95, unit),
     )
+
+
+def _ink(scale: Range, value: float) -> str:
+    """Return black or white, whichever is readable on the colour of a value."""
+    return "#000" if scale.colors(np.array([value]))[0] @ np.array(_LUMINANCE) > _LIGHT else "#fff"
 
 
 def _css(scale: Range, values: FloatArray) -> list[str]:

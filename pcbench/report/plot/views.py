@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,15 +173,9 @@ def suitable_views(
         has_north: whether the second axis points north, as in a known coordinate system.
         cameras: the cameras that photographed the scene, in the coordinates of the points.
     """
-    deviations = points - np.median(points, axis=0)
-    variances, axes = np.linalg.eigh(deviations.T @ deviations / len(points))  # ascending
     sides = _sides(cameras)
-    x, y, z = axes[:, 0]
-    if variances[0] <= _MAX_FLATNESS**2 * variances[1] and abs(z) < np.sin(np.pi / 4):
-        sign = -1 if y > 0 or (y == 0 and x > 0) else 1  # towards the south, from where maps are read
-        normal = sign * np.array([x, y]) / np.hypot(x, y)
-        if sides is not None and sides.mean(axis=0) @ normal < -_MIN_BEHIND_SHARE:
-            normal = -normal
+    normal = _wall_normal(points, sides)
+    if normal is not None:
         return _front_views(normal, _WALL_HEIGHT)
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
     width, depth, height = high - low
@@ -202,6 +197,60 @@ def suitable_views(
         for title, (x, y) in zip(titles, directions, strict=True)
     ]
     return tuple(views) if is_slender else (_ABOVE, *views)
+
+
+class SceneAxes(NamedTuple):
+    """The axes along which a scene is mapped and cut.
+
+    Attributes:
+        rows: the axes as rows of a rotation (3, 3).
+        names: their names.
+        is_wall: whether the scene is a wall; its axes are right, up and towards the viewer of its front.
+    """
+
+    rows: FloatArray
+    names: tuple[str, str, str]
+    is_wall: bool = False
+
+
+COORDINATES = SceneAxes(np.eye(3), ("x", "y", "z"))
+
+
+def scene_axes(points: FloatArray, cameras: ViewingCameras | None = None) -> SceneAxes:
+    """Return the axes that suit points (N, 3): those of a wall, or else of the coordinates, upright by the cameras.
+
+    Args:
+        points: the points.
+        cameras: the cameras that photographed the scene, in the coordinates of the points.
+    """
+    rotation = np.eye(3)
+    if cameras is not None and not cameras.is_upright:
+        rotation = cameras.upright_rotation()
+        cameras = cameras.rotated(rotation)
+    normal = _wall_normal(thin_out(points) @ rotation.T, _sides(cameras)) if len(points) else None
+    if normal is not None:
+        front = _front_views(normal, _WALL_HEIGHT)[0]
+        return SceneAxes(front.axes @ rotation, ("along", "height", "towards the viewer"), is_wall=True)
+    is_rotated = cameras is not None and cameras.is_rotated
+    return SceneAxes(rotation, ("right", "forward", "up") if is_rotated else ("x", "y", "z"))
+
+
+def _wall_normal(points: FloatArray, sides: FloatArray | None) -> FloatArray | None:
+    """Return the horizontal unit vector (2,) from a wall towards the viewer of its front; None if there is no wall.
+
+    Args:
+        points: (N, 3) points whose third axis is up.
+        sides: horizontal directions (M, 2) towards the cameras, if known.
+    """
+    deviations = points - np.median(points, axis=0)
+    variances, axes = np.linalg.eigh(deviations.T @ deviations / len(points))  # ascending
+    x, y, z = axes[:, 0]
+    if variances[0] > _MAX_FLATNESS**2 * variances[1] or abs(z) > np.sin(np.pi / 4) or not variances[1] > 0:
+        return None
+    sign = -1 if y > 0 or (y == 0 and x > 0) else 1  # towards the south, from where maps are read
+    normal: FloatArray = sign * np.array([x, y]) / np.hypot(x, y)
+    is_seen_from_behind = sides is not None and sides.mean(axis=0) @ normal < -_MIN_BEHIND_SHARE
+    return -normal if is_seen_from_behind else normal
 
 
 def oblique_view(cameras: ViewingCameras | None) -> Viewpoint:

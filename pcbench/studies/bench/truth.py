@@ -144,9 +144,9 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
         cloud = read_cloud(reference, on_warning=warn)
     if "visible" in cloud.attributes:
         seen = np.asarray(cloud.attributes["visible"]) != 0
-        return Truth(cloud, cameras, *_visibility_if_any(seen, "the reference's attribute `visible`"), surface)
+        return Truth(cloud, cameras, *_visibility_if_any(seen, "the reference's attribute 'visible'"), surface)
     if surface is None:
-        return Truth(cloud, cameras, None, "the reference has no attribute `visible`, and there is no mesh")
+        return Truth(cloud, cameras, None, "the reference has no attribute 'visible', and there is no mesh")
     if not cameras:
         return Truth(cloud, cameras, None, "the scene has no cameras", surface)
     how = f"seen by at least {MIN_VISIBLE_VIEWS} of {len(cameras)} cameras, by ray casting against {mesh or reference}"

@@ -12,6 +12,7 @@ class Camera {
     this.target = [0, 0, 0];
     this.distance = 1;
     this.home = HOME;
+    this.front = 0; // the yaw that looks at the front of the scene
     this.yaw = HOME.yaw; // about the up axis; 0 looks along the second axis of the basis: north if z is up
     this.pitch = HOME.pitch; // above the horizon
     this.sceneRadius = 1;
@@ -31,11 +32,18 @@ class Camera {
     Object.assign(this, this.home);
   }
 
-  // Move so that a box just fills the view.
-  fit({ low, high }, aspect) {
-    const corners = Array.from({ length: 8 }, (_, k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]));
+  // Begin in front of a wall, whose last axis points towards the viewer.
+  startBefore(axes) {
+    const [east, north] = this.basis.map((axis) => dot(axis, axes[2]));
+    this.home = { yaw: Math.atan2(-east, -north), pitch: 0.05 };
+    this.front = this.home.yaw;
+    Object.assign(this, this.home);
+  }
+
+  // Move so that positions just fill the view.
+  fit(corners, aspect) {
     const slope = Math.tan(FIELD_OF_VIEW / 2);
-    this.target = low.map((l, k) => (l + high[k]) / 2);
+    this.target = [0, 1, 2].map((axis) => average(corners.map((at) => at[axis])));
     const rounds = 8;
     for (let round = 0; round <= rounds; round++) {
       const { right, up, ahead } = this.axes();
@@ -43,7 +51,7 @@ class Camera {
       const [across, above, depth] = [right, up, ahead].map(along);
       const needed = corners.map((_, k) => Math.max(Math.abs(across[k]) / aspect, Math.abs(above[k])) / slope - depth[k]);
       this.distance = 1.04 * Math.max(...needed);
-      if (round === rounds) return; // with the last distance, the whole box is in view
+      if (round === rounds) return; // with the last distance, the all positions are in view
       // Centre the picture: perspective makes the near side larger.
       const seen = (values) => values.map((value, k) => value / (this.distance + depth[k]));
       const middle = (values) => ((Math.min(...values) + Math.max(...values)) / 2) * this.distance;

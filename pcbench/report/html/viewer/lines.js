@@ -51,14 +51,12 @@ function cameraLines(scene) {
   return lines;
 }
 
-// The square of a tile, at the height of its points.
+// The square of a tile, in the middle of its points.
 function tileLines(scene) {
-  const { axes, size } = scene.data.tiles;
+  const { sides, size } = scene.data.tiles;
   const center = scene.local(scene.tile.at);
-  const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map((signs) => {
-    const corner = [...center];
-    axes.forEach((axis, k) => (corner[axis] += (signs[k] * size) / 2));
-    return corner;
-  });
+  const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map((signs) =>
+    center.map((x, axis) => x + ((signs[0] * sides[0][axis] + signs[1] * sides[1][axis]) * size) / 2),
+  );
   return corners.flatMap((corner, k) => [...corner, ...corners[(k + 1) % 4]]);
 }

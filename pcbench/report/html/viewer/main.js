@@ -10,7 +10,8 @@ async function start() {
   const camera = new Camera(scene.up);
   camera.sceneRadius = scene.radius;
   camera.reach = Math.max(3 * scene.radius, ...scene.cameraCenters().map((at) => 1.1 * Math.hypot(...at)));
-  if (data.cameras) camera.startAlong(data.cameras.directions);
+  if (data.isWall) camera.startBefore(data.axes);
+  else if (data.cameras) camera.startAlong(data.cameras.directions);
   const report = { scene, camera, renderer: null, page: null, firstPictureMs: null, allPointsMs: null };
   window.pcbenchReport = report;
   report.ready = open(report);
@@ -143,6 +144,7 @@ class ViewPage {
   async setSideBySide(on) {
     const { scene } = this;
     scene.sideBySide = on;
+    if (scene.showsCameras) this.fit(); // cameras are far away: each pane would be nearly empty
     byId("view").classList.toggle("split", on);
     const [first, ...others] = scene.views.filter((view) => view.on);
     if (on && first && !others.length) scene.beside(first).on = true;
@@ -302,7 +304,7 @@ class ViewPage {
   // Act on a key of the view and return whether it has a meaning.
   key(key) {
     const { camera, scene } = this;
-    const sides = { t: [0, Math.PI / 2], f: [0, 0.05], s: [-Math.PI / 2, 0.05] };
+    const sides = { t: [camera.front, Math.PI / 2], f: [camera.front, 0.05], s: [camera.front - Math.PI / 2, 0.05] };
     if (sides[key]) {
       [camera.yaw, camera.pitch] = sides[key];
       this.fit();

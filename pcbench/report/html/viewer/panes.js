@@ -3,12 +3,17 @@
 const MAX_PANES = 4;
 const PANE_GAP = 2; // in CSS pixels
 
+// Return the visible views that are drawn: side by side the first ones, references first.
+function drawnViews(scene) {
+  const shown = scene.visible();
+  if (!scene.sideBySide) return shown;
+  return [...shown.filter((view) => !view.name), ...shown.filter((view) => view.name)].slice(0, MAX_PANES);
+}
+
 // Divide a canvas of a size in pixels; return panes {views, x, y, width, height}, counted from the upper left corner.
 function panesOf(scene, width, height) {
-  const shown = scene.visible();
-  const references = shown.filter((view) => !view.name);
-  const ordered = [...references, ...shown.filter((view) => view.name)];
-  const groups = scene.sideBySide && shown.length > 1 ? ordered.slice(0, MAX_PANES).map((view) => [view]) : [shown];
+  const shown = drawnViews(scene);
+  const groups = scene.sideBySide && shown.length > 1 ? shown.map((view) => [view]) : [shown];
   const { columns, rows } = gridOf(groups.length, width, height);
   const gap = Math.round(PANE_GAP * scene.pixelRatio);
   const edges = (count, length) => Array.from({ length: count + 1 }, (_, k) => Math.round((k / count) * (length + gap)));

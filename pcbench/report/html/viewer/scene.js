@@ -32,12 +32,15 @@ class Scene {
   frame() {
     const heads = this.data.layers;
     const ends = (end, pick, of) => [0, 1, 2].map((k) => pick(...heads.map((head) => of(head, end)[k])));
-    const core = (head, end) => head.core[end];
+    const core = (head, end) => head.core[end]; // along the scene's axes
     const whole = (head, end) => head.low.map((low, k) => low + end * 65535 * head.step[k]);
     const [low, high] = [ends(0, Math.min, core), ends(1, Math.max, core)];
-    this.center = low.map((l, k) => (l + high[k]) / 2);
-    this.radius = Math.hypot(...low.map((l, k) => high[k] - l)) / 2 || 1;
-    this.core = { low: low.map((l, k) => l - this.center[k]), high: high.map((h, k) => h - this.center[k]) };
+    const half = low.map((l, k) => (high[k] - l) / 2);
+    this.radius = Math.hypot(...half) || 1;
+    const { axes } = this.data;
+    const along = (at) => [0, 1, 2].map((k) => at.reduce((sum, x, axis) => sum + x * axes[axis][k], 0));
+    this.center = along(low.map((l, k) => l + half[k]));
+    this.corners = Array.from({ length: 8 }, (_, c) => along(half.map((h, k) => ((c >> k) & 1 ? h : -h))));
     const local = (at) => at.map((x, k) => x - this.center[k]);
     const margin = 1e-6 * this.radius;
     this.box = {
@@ -54,12 +57,9 @@ class Scene {
     return candidates.find((view) => view.layer.head.total === most) || this.views[0];
   }
 
-  // Return the box {low, high} to fit into the view: the core of the points, with the cameras if they are shown.
+  // Return the positions to fit into the view: the corners of the scene, with the cameras if they are shown in it.
   framed() {
-    if (!this.showsCameras) return this.core;
-    const centers = this.cameraCenters();
-    const end = (pick, ends) => ends.map((x, axis) => pick(x, ...centers.map((at) => at[axis])));
-    return { low: end(Math.min, this.core.low), high: end(Math.max, this.core.high) };
+    return this.showsCameras && !this.sideBySide ? [...this.corners, ...this.cameraCenters()] : this.corners;
   }
 
   // Return the positions of the cameras, relative to the scene's centre.
@@ -97,15 +97,18 @@ class Scene {
     return view.layer.head.scalars.findIndex((scalar) => scalar.key === this.key && scalar.of === view.of);
   }
 
-  // Return the legend of the chosen scalar: {low, high, signed, note}, or null.
+  // Return the legend of the chosen scalar: {low, high, signed, note}, or null. The widest range of the drawn views
+  // applies to all of them.
   legend() {
-    const shown = this.views.filter((view) => view.on && this.scalarOf(view) >= 0);
-    if (!shown.length) return null;
-    const scalars = shown.map((view) => view.layer.head.scalars[this.scalarOf(view)]);
-    const widest = scalars.reduce((a, b) => (b.high > a.high ? b : a));
-    const { signed } = widest;
+    const drawn = drawnViews(this).filter((view) => this.scalarOf(view) >= 0);
+    if (!drawn.length) return null;
+    const coloring = (view) => view.layer.head.scalars[this.scalarOf(view)];
+    const widest = drawn.reduce((a, b) => (coloring(b).high > coloring(a).high ? b : a));
+    const { low, high, signed, note } = coloring(widest);
     const set = this.limits.get(this.key);
-    return set ? { ...set, signed, note: "limits set here" } : { low: widest.low, high: widest.high, signed, note: widest.note };
+    if (set) return { ...set, signed, note: "limits set here" };
+    const isShared = drawn.every((view) => coloring(view).high === high);
+    return { low, high, signed, note: isShared ? note : `the range of ${labelOf(widest)}: ${note}` };
   }
 
   // Return the diameter of a layer's points at depth 1, and its bounds, in pixels: points cover their spacing.
