@@ -232,7 +232,7 @@ def test_five_candidates_keep_their_floors_and_the_main_columns_come_first(compa
     columns = columns_of(main_rows(changed))
     labels = [column.row.label.split(" at ")[0] for column in columns]
     assert labels[:4] == ["RMS off the surface (D2)", "mean distance", "F-score", "deformation"]
-    assert labels[-2:] == ["points measured", "registration RMSE, overlap"]
+    assert labels[-3:] == ["points measured", "registration RMSE", "overlap"]
     assert [column.has_directions for column in columns[:4]] == [True, True, False, False]
     floor = changed["candidate 1"].metrics.mean_distance.accuracy.floor
     assert columns[1].floors[1][0] == number(floor)
