@@ -17,6 +17,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 FDR = 0.05
 # Minimum weight of smooth surface in a tested cell, and its minimum share: vegetation always changes.
 _MIN_SMOOTH_WEIGHT, _MIN_SMOOTH_SHARE = 3.0, 0.1
+_ADJACENT = 1.5  # largest distance of the mean positions of adjacent cells, in edges of a cell
 _MIN_TESTED = 30  # cells needed for an empirical null distribution
 # Quantiles of the cells at which the null distribution is fitted, with their standard normal deviates. The median alone
 # misses the heavy tails of scans; a fifth of the cells may have moved.
@@ -129,8 +130,23 @@ def local_changes(
         fdr=FDR,
         largest=float(length[farthest]) if changed.any() else None,
         at=(x, y, z) if changed.any() else None,
+        largest_group=_largest_group(geometry.means[changed], _ADJACENT * sums.side),
     )
     return changed, np.where(tested, length, np.nan), found
+
+
+def _largest_group(places: FloatArray, reach: float) -> int:
+    """Return the size of the largest group of places (K, 3) that are linked by steps of at most `reach`."""
+    left, largest = places, 0
+    while len(left) > largest:
+        front, left, size = [left[0]], left[1:], 1
+        while front:
+            is_near = np.square(left - front.pop()).sum(axis=1) <= reach**2
+            front.extend(left[is_near])
+            size += int(np.count_nonzero(is_near))
+            left = left[~is_near]
+        largest = max(largest, size)
+    return largest
 
 
 def _null_scale(statistic: FloatArray, freedom: IntArray) -> float:

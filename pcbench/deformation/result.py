@@ -32,7 +32,9 @@ _KINDS_IN_WORDS = {
 }
 _MIN_VERTICAL_SHARE = 0.1  # of the tiles that constrain vertical displacements: below it, the surfaces hardly show them
 _LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
-_MOVED_SIGMAS = 5.0  # standard deviations of a pair's noise above which a changed tile is reported
+# A changed tile is reported beyond this many standard deviations of a pair's noise, or as one of this many adjacent
+# tiles. Of 120 random halves of street, vehicle and terrestrial scans, none has more than four adjacent ones.
+_MOVED_SIGMAS, _MIN_MOVED_GROUP = 5.0, 5
 Interval = tuple[float, float]  # lower and upper end, 95 %
 
 
@@ -191,6 +193,7 @@ class LocalChanges:
         fdr: false discovery rate of the tests.
         largest: length of the largest change, in the clouds' unit; None if there is none.
         at: position of the largest change.
+        largest_group: number of changed cells in the largest group of adjacent ones.
     """
 
     tiles_tested: int
@@ -198,6 +201,7 @@ class LocalChanges:
     fdr: float
     largest: float | None = None
     at: tuple[float, float, float] | None = None
+    largest_group: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,19 +409,19 @@ class Deformation:
 
     @property
     def has_moved_part(self) -> bool:
-        """Return whether a part of the scene moved by itself, far beyond the noise."""
+        """Return whether parts of the scene changed by themselves: far beyond the noise, or many adjacent tiles."""
         return bool(self._parts_that_moved(""))
 
     def _parts_that_moved(self, unit: str) -> str:
         local, noise = self.local, self.noise
         if local is None or local.largest is None or local.at is None or noise is None:
             return ""
-        if local.largest < _MOVED_SIGMAS * noise.sigma:
+        if local.largest < _MOVED_SIGMAS * noise.sigma and local.largest_group < _MIN_MOVED_GROUP:
             return ""
         place = ", ".join(f"{x:.1f}" for x in local.at)
         return (
-            f"; a part of the scene moved by itself: {local.largest:.3g}{unit} at ({place}), {local.tiles_changed} of"
-            f" {local.tiles_tested} tiles changed"
+            f"; parts changed: {local.tiles_changed} of {local.tiles_tested} tiles, up to {local.largest:.3g}{unit} at"
+            f" ({place})"
         )
 
     def shifted(self, origin: FloatArray) -> Deformation:

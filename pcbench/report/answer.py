@@ -268,6 +268,8 @@ class _Writer:
             if not chosen:
                 continue
             text = f"{join_words([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
+            if verdict == "none" and any(c.deformation.has_moved_part for c in chosen):
+                text += " as a whole"
             if verdict == "non-affine":
                 text += " beyond any affine motion"
             limits = [c.deformation.size_limit for c in chosen]
@@ -285,8 +287,8 @@ class _Writer:
         result, notes = candidate.deformation, []
         if result.amplitude is not None and _verdict(candidate) == "non-affine":
             notes.append(f"{self.length(result.amplitude.rms)} RMS")
-        if result.has_moved_part:
-            notes.append("a part moved separately")
+        if result.has_moved_part and (local := result.local) is not None:
+            notes.append(f"{local.tiles_changed} of {local.tiles_tested} tiles changed")
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
     def _differ(self, a: str, b: str, metric: str) -> bool:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from bent_clouds import add_dome, add_noise, sample_city, verdict, warning_codes
 from data_folder import data_folder
-from deformation_cases import BENDS, NULLS, PARTS, correlated_noise, turned_city
+from deformation_cases import BENDS, NULLS, PARTS, correlated_noise, subsidence, turned_city
 from scipy.spatial.distance import cdist
 from wording import check_text
 
 from pcbench import Cloud, read_cloud
 from pcbench.deformation import Side, deform, residual_deformation
 from pcbench.deformation.blocks import noise_sizes, smooth
-from pcbench.deformation.field import _null_scale
+from pcbench.deformation.field import _largest_group, _null_scale
 from pcbench.deformation.sums import kernel_sums
 from pcbench.errors import Notice
 from pcbench.geometry.neighbors import Index
@@ -53,6 +53,27 @@ def test_subsidence_is_reported_with_its_size_and_place():
     assert f" {result.local.largest:.3g} m at (" in check_text(result.sentence("b.ply", "m"))
     translated = result.shifted(np.array([1000.0, 0, 0]))
     assert translated.local.at[0] == pytest.approx(result.local.at[0] + 1000)
+
+
+def test_a_small_change_of_many_adjacent_tiles_is_reported():
+    """A shallow depression stays below five standard deviations of a pair's noise, but many adjacent tiles show it."""
+    result = deform_pair(subsidence(0.15), 43)
+    assert result.verdict == "none"
+    assert result.local.largest_group >= 8
+    sigma, local = result.noise.sigma, replace(result.local, largest=2 * result.noise.sigma)
+    for largest, group, is_reported in ((2, 5, True), (2, 4, False), (6, 1, True)):
+        changes = replace(local, largest=largest * sigma, largest_group=group)
+        assert replace(result, local=changes).has_moved_part == is_reported
+    check_text(replace(result, local=local).sentence("b.ply", "m"))
+
+
+def test_groups_of_adjacent_tiles():
+    x, y = np.meshgrid(np.arange(6.0), np.arange(6.0))
+    places = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    assert _largest_group(places, 1.5) == 36
+    assert _largest_group(places[::2] * [3.0, 1.0, 1.0], 1.5) == 6  # three columns, far apart
+    assert _largest_group(places[:1], 1.5) == 1
+    assert _largest_group(places[:0], 1.5) == 0
 
 
 def test_offset_strips_are_reported():
@@ -166,4 +187,5 @@ def test_few_tiles_of_an_undeformed_street_scan_change():
         order = np.random.default_rng(seed).permutation(len(scan))
         local = deform(scan.select(order[::2]), scan.select(order[1::2]), "icp")[1].local
         changed, tested = changed + local.tiles_changed, tested + local.tiles_tested
+        assert local.largest_group < 5  # more would be reported as a changed part
     assert changed <= 0.06 * tested  # 4.4 %; 12 % if the median alone gives the scale of the noise
