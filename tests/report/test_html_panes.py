@@ -117,15 +117,20 @@ def test_one_camera_moves_all_panes(beside, comparison):
     assert all(picture_hash(beside, pane) != pictures[pane] for pane in (0, 1))
 
 
-def test_all_that_was_in_view_stays_in_view(beside):
-    assert beside.run(
-        """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.corners.every((at) => {
-          const [x, y] = pcbenchReport.camera.project(at, pane.width, pane.height);
-          return x >= 0 && y >= 0 && x <= pane.width && y <= pane.height;
-        }))"""
-    )
+ALL_IN_VIEW = """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.corners.every((at) => {
+  const [x, y] = pcbenchReport.camera.project(at, pane.width, pane.height);
+  return x >= 0 && y >= 0 && x <= pane.width && y <= pane.height;
+}))"""
+
+
+@pytest.mark.parametrize("key", [None, "r", "t", "f", "s"])
+def test_all_that_was_in_view_stays_in_view(beside, key):
+    if key:
+        press_key(beside, key)
+    assert beside.run(ALL_IN_VIEW)
     distance = beside.run("pcbenchReport.camera.distance")
     switch(beside, "side-by-side")
+    assert beside.run(ALL_IN_VIEW)
     switch(beside, "side-by-side")
     assert beside.run("pcbenchReport.camera.distance") == pytest.approx(distance)
 
@@ -267,9 +272,8 @@ def test_the_camera_turns_about_the_upward_axis(browser, comparison, tmp_path, m
     assert browser.problems == []
 
 
-@pytest.mark.parametrize("values", [{}, {"up": None, "cameras": None}])
-def test_without_these_values_z_is_up_and_there_are_no_cameras(browser, comparison, tmp_path, monkeypatch, values):
-    opened_with(browser, comparison, tmp_path, monkeypatch, **values)
+def test_without_cameras_z_is_up(browser, path):
+    browser.open(path)
     assert browser.run("byId('cameras')") is None
     assert browser.run("pcbenchReport.scene.up") == [0, 0, 1]
     assert browser.run("pcbenchReport.camera.yaw") == -0.6 and browser.problems == []
@@ -286,6 +290,18 @@ SPAN = """(() => {
 })()"""
 
 
+def test_distant_cameras_are_in_view(browser, comparison, tmp_path, monkeypatch):
+    looking = np.array([0, 0.8, -0.6])
+    centers = comparison["a"].deviation.points.mean(axis=0) - 3000 * looking + np.arange(5)[:, None] * [10, 0, 0]
+    cameras = {"centers": centers.ravel().tolist(), "directions": np.tile(looking, 5).tolist()}
+    opened_with(browser, comparison, tmp_path, monkeypatch, up=[0, 0, 1], cameras=cameras)
+    switch(browser, "cameras")
+    browser.run("pcbenchReport.page.draw()")
+    width, height = browser.run("[byId('canvas').clientWidth, byId('canvas').clientHeight]")
+    pixels = np.array([pixel_of(browser, center) for center in centers])
+    assert (pixels >= 0).all() and (pixels <= [width, height]).all()
+
+
 @pytest.mark.parametrize("side", [[1, 0], [-0.6, 0.8]])
 def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_path, monkeypatch, side):
     """Cameras south-west of the scene look north-east and down: so does the view, which shows them when asked."""
@@ -293,7 +309,7 @@ def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_pat
     looking = np.array([*side, -0.5]) / np.hypot(1, 0.5)
     centers = middle - 60 * looking + np.linspace(-10, 10, 5)[:, None] * [-side[1], side[0], 0]
     cameras = {"centers": centers.ravel().tolist(), "directions": np.tile(looking, 5).tolist()}
-    opened_with(browser, comparison, tmp_path, monkeypatch, up=None, cameras=cameras)
+    opened_with(browser, comparison, tmp_path, monkeypatch, up=[0, 0, 1], cameras=cameras)
     assert np.allclose(browser.run(AHEAD), looking)
     plainly(browser, "plane_distance")
     assert browser.run("byId('cameras').checked") is False and WHITE not in shown_colors(browser)
@@ -309,6 +325,8 @@ def test_the_view_begins_on_the_side_of_the_cameras(browser, comparison, tmp_pat
     assert WHITE not in shown_colors(browser)
     press_key(browser, "r")
     assert np.allclose(browser.run(AHEAD), looking)
+    press_key(browser, "f")  # the front is the side of the cameras
+    assert np.allclose(np.array(browser.run(AHEAD))[:2] / np.hypot(*browser.run(AHEAD)[:2]), side / np.hypot(*side))
     assert browser.problems == []
 
 
@@ -320,7 +338,7 @@ def test_cameras_all_around_only_tell_whether_the_view_is_from_above(
     looking = np.stack([np.cos(angles), np.sin(angles), np.full(12, -0.7 * height)], axis=1)
     centers = comparison["a"].deviation.points.mean(axis=0) - 50 * looking
     cameras = {"centers": centers.ravel().tolist(), "directions": looking.ravel().tolist()}
-    opened_with(browser, comparison, tmp_path, monkeypatch, cameras=cameras)
+    opened_with(browser, comparison, tmp_path, monkeypatch, up=[0, 0, 1], cameras=cameras)
     assert np.sign(browser.run("pcbenchReport.camera.pitch")) == height
     assert browser.run("pcbenchReport.camera.yaw") == -0.6
 

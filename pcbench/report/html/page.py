@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, even_rows
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.answer import answer
@@ -81,7 +81,7 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         data=script_json(view),
         tiles=tiles,
         has_arrows=bool(view["arrows"]),
-        has_cameras=bool(view.get("cameras")),
+        has_cameras=bool(view["cameras"]),
         scalar_labels=_scalar_labels(clouds),
     )
 
@@ -142,7 +142,7 @@ def _cameras(cameras: ViewingCameras | None) -> dict[str, Any]:
     """Return the upward direction, and centres and viewing directions of some cameras as [x, y, z, ...], if known."""
     if cameras is None:
         return {"up": None, "cameras": None}
-    rows = np.unique(np.linspace(0, len(cameras.centers) - 1, _MAX_CAMERAS).astype(np.int64))
+    rows = even_rows(len(cameras.centers), _MAX_CAMERAS)
     centers, directions = (_digits(vectors[rows]) for vectors in (cameras.centers, cameras.directions))
     return {
         "up": None if cameras.up is None else _digits(cameras.up),
@@ -155,7 +155,7 @@ def _arrows(candidate: Candidate) -> dict[str, Any] | None:
     field, result = candidate.deformation.field, candidate.deformation.assuming_pose()
     if field is None or result.verdict in ("none", "undecided") or not len(field.places):
         return None
-    rows = np.linspace(0, len(field.places) - 1, min(len(field.places), _MAX_ARROWS)).astype(np.int64)
+    rows = even_rows(len(field.places), _MAX_ARROWS)
     moved = field.displacements[rows]
     known = np.isfinite(moved).all(axis=1)
     if not known.any():

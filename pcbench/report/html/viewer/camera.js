@@ -25,10 +25,11 @@ class Camera {
     const [east, north, above] = this.basis.map((axis) => dot(axis, mean));
     const level = Math.hypot(east, north);
     const steepest = above > 0 ? -HOME.pitch : HOME.pitch;
-    this.home =
-      level < LEAST_HEADING
-        ? { yaw: HOME.yaw, pitch: steepest }
-        : { yaw: Math.atan2(east, north), pitch: clamp(Math.atan2(-above, level), -HOME.pitch, HOME.pitch) };
+    if (level < LEAST_HEADING) this.home = { yaw: HOME.yaw, pitch: steepest };
+    else {
+      this.front = Math.atan2(east, north);
+      this.home = { yaw: this.front, pitch: clamp(Math.atan2(-above, level), -HOME.pitch, HOME.pitch) };
+    }
     Object.assign(this, this.home);
   }
 
@@ -89,7 +90,8 @@ class Camera {
   }
 
   zoom(factor) {
-    this.distance = clamp(this.distance * factor, 1e-5 * this.sceneRadius, 50 * this.sceneRadius);
+    const farthest = Math.max(50 * this.sceneRadius, 3 * this.reach); // cameras may be far from the scene
+    this.distance = clamp(this.distance * factor, 1e-5 * this.sceneRadius, farthest);
   }
 
   // Distances of the clipping planes, which enclose the scene.

@@ -11,7 +11,7 @@ async function start() {
   camera.sceneRadius = scene.radius;
   camera.reach = Math.max(3 * scene.radius, ...scene.cameraCenters().map((at) => 1.1 * Math.hypot(...at)));
   if (data.isWall) camera.startBefore(data.axes);
-  else if (data.cameras) camera.startAlong(data.cameras.directions);
+  else if (data.cameras && data.up) camera.startAlong(data.cameras.directions);
   const report = { scene, camera, renderer: null, page: null, firstPictureMs: null, allPointsMs: null };
   window.pcbenchReport = report;
   report.ready = open(report);
@@ -130,7 +130,7 @@ class ViewPage {
     this.panes = panesOf(scene, canvas.width, canvas.height);
     // Narrower panes show the same width of the scene as one pane would.
     const widening = Math.max(1, canvas.width / canvas.height / aspectOf(this.panes[0]));
-    camera.zoom(widening / this.widening);
+    if (widening !== this.widening) camera.zoom(widening / this.widening);
     this.widening = widening;
   }
 
@@ -298,7 +298,8 @@ class ViewPage {
 
   fit() {
     this.layOut();
-    this.camera.fit(this.scene.framed(), aspectOf(this.panes[0]));
+    this.camera.fit(this.scene.framed(), this.canvas.width / this.canvas.height);
+    this.camera.zoom(this.widening);
   }
 
   // Act on a key of the view and return whether it has a meaning.
