@@ -92,7 +92,7 @@ def test_small_and_empty_clouds_have_no_tiles(comparison):
     assert "Tile by tile" not in text and Page(text).view["tiles"] is None
     map_ = comparison["a"].deviation
     none = DeviationMap(map_.points[:0], map_.rows[:0], {key: values[:0] for key, values in map_.scalars.items()})
-    assert list(tile_maps(with_deviation(comparison, none)).maps) == ["b"]
+    assert tile_maps(with_deviation(comparison, none)).candidates == ["b"]
 
 
 def test_the_four_candidates_with_the_worst_tiles_have_maps(comparison):
@@ -100,7 +100,7 @@ def test_the_four_candidates_with_the_worst_tiles_have_maps(comparison):
     many = [replace(near, name=f"candidate {k}") for k in range(5)] + [replace(bumped, name="bumped")]
     changed = replace(comparison, candidates=tuple(many), differences=())
     maps = tile_maps(changed)
-    assert list(maps.maps) == ["candidate 0", "candidate 1", "candidate 2", "bumped"] and maps.omitted == 2
+    assert maps.candidates == ["candidate 0", "candidate 1", "candidate 2", "bumped"] and maps.omitted == 2
     assert maps.tiles[0].candidate == "bumped"
     assert "The maps show the 4 of 6 candidates with the worst tiles." in words_of(page(changed, PROVENANCE))
 
@@ -166,7 +166,14 @@ def test_names_with_markup_are_text(comparison):
 def test_the_same_tiles_have_the_same_colors(comparison):
     same = replace(comparison["b"], name="same")
     maps = tile_maps(replace(comparison, candidates=(comparison["b"], same), differences=()))
-    first, second = maps.maps.values()
+    (_, first), (_, second) = maps.maps
     colors = [{tile.found.tile: tile.color for _, tile in tiles} for tiles in (first, second)]
     assert colors[0] == colors[1] and len(set(colors[0].values())) > 3
     assert max(abs(tile.found.median) for tile in maps.tiles) == pytest.approx(maps.scale.high)
+
+
+def test_names_that_print_alike_have_maps_of_their_own(comparison):
+    alike = tuple(replace(c, name=f"a{mark}") for c, mark in zip(comparison, "\u202a\u202b", strict=False))
+    maps = tile_maps(replace(comparison, candidates=alike, differences=()))
+    assert [name for name, _ in maps.maps] == ["a?", "a?"]
+    assert sum(len(tiles) for _, tiles in maps.maps) == len(maps.tiles)

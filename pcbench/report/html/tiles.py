@@ -110,12 +110,12 @@ class TileMaps:
         return " ".join(str(TILE * x) for x in (min(columns), min(rows), *size))
 
     @property
-    def maps(self) -> dict[str, list[tuple[int, Tile]]]:
-        """The tiles of each candidate, by its printed name, with their places in `tiles`."""
+    def maps(self) -> list[tuple[str, list[tuple[int, Tile]]]]:
+        """The candidates' printed names, which need not differ, and their tiles with their places in `tiles`."""
         numbered = list(enumerate(self.tiles))
-        return {
-            printable(name): [(k, tile) for k, tile in numbered if tile.candidate == name] for name in self.candidates
-        }
+        return [
+            (printable(name), [(k, tile) for k, tile in numbered if tile.candidate == name]) for name in self.candidates
+        ]
 
     @property
     def axes(self) -> tuple[str, str]:
