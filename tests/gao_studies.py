@@ -9,8 +9,6 @@ from pcbench.deformation import Amplitude, Bin, Deformation, Growth, Trend
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
 from pcbench.report import to_json
-from pcbench.report.article import markdown
-from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
     TRUTH,
@@ -81,5 +79,4 @@ def write_study(folder, results):
     """Write the files of a study and return their folder."""
     folder.mkdir(exist_ok=True)
     (folder / "experiment.json").write_text(to_json(document(results)))
-    (folder / "gao.md").write_text(markdown(article(results, None)))
     return folder

@@ -103,7 +103,7 @@ def stress(
     from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
     from pcbench.studies.stress.results import StressSettings
     from pcbench.studies.stress.study import GivenClouds, run_stress
-    from pcbench.studies.stress.words import answer, caveats
+    from pcbench.studies.stress.words import answer, warnings
 
     clouds = None
     if reconstructors and reference is not None:
@@ -136,7 +136,7 @@ def stress(
         else:
             outcome = run_stress(out, settings, clouds, figures=not no_figures, step=step)
     if not quiet:
-        for sentence in (*answer(outcome.study), *caveats(outcome.study)):
+        for sentence in (*answer(outcome.study), *warnings(outcome.study)):
             click.echo(sentence)
         click.echo()
         click.echo(outcome.table)

@@ -73,7 +73,7 @@ def tradeoff(
     from pcbench.io.meshes import holds_mesh, read_mesh
     from pcbench.studies.tradeoff.results import TradeoffSettings, document
     from pcbench.studies.tradeoff.study import run_tradeoff
-    from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, verdict_sentences
+    from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
 
     changes = {
         "tolerance": share("--tolerance", tolerance),
@@ -101,7 +101,7 @@ def tradeoff(
     if not quiet and not output.on_stdout:
         for sentence in answer(outcome.study):
             click.echo(sentence)
-        for line in caveats(outcome.study):
+        for line in warnings(outcome.study):
             click.echo(line)
         click.echo()
         click.echo(outcome.table)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from pcbench.children import Limits, run_module
 from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import require
+from pcbench.io.files import read_json_object
 from pcbench.opengl import OFF_SCREEN_ENVIRONMENT, NoFiguresError
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.manifest import check_figures_folder, complete_replacement, record_files
@@ -41,14 +42,19 @@ class Drawer(NamedTuple):
         function: `module:function` of a function that takes the folder and `Figures` and returns `dict[str, Picture]`.
             Only the drawing process imports it, so that drawing libraries are loaded only there.
         documents: file names, one of which identifies a folder of this kind.
+        schema: schema of the document, if folders of other kinds have a document of the same name.
     """
 
     function: str
     documents: tuple[str, ...]
+    schema: str | None = None
 
     def fits(self, folder: Path) -> bool:
         """Return whether a folder is of this kind."""
-        return any((folder / name).is_file() for name in self.documents)
+        files = [folder / name for name in self.documents]
+        if self.schema is None:
+            return any(file.is_file() for file in files)
+        return any(read_json_object(file).get("schema") == self.schema for file in files)
 
 
 class Drawn(NamedTuple):

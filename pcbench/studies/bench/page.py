@@ -9,7 +9,7 @@ from typing import Any
 from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
 from pcbench.report.words import join_words
 from pcbench.studies.bench.pareto import Configuration, choice_text, configurations, front_configurations
-from pcbench.studies.bench.table import LABELS, bench_table, legend, run_lines, threshold_table, threshold_text
+from pcbench.studies.bench.table import LABELS, bench_table, legend, threshold_table, threshold_text, warnings
 
 _CAPTIONS = {
     "speed": "Accuracy against wall time: F-score, where higher is better, and Chamfer distance, where lower is better",
@@ -36,7 +36,7 @@ def article(doc: dict[str, Any], figures: Sequence[str] = ()) -> Article:
         kind="Reconstructors side by side",
         title=f"{join_words(methods, 4)} on {scene.name or scene}, against {reference.name}",
         answer=list(_answer(doc)),
-        warnings=[*run_lines(doc), *doc["notes"]],
+        warnings=warnings(doc),
         setup=[],
         sections=sections,
     )

@@ -98,7 +98,7 @@ def print_bench(doc: dict[str, Any]) -> None:
         cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
         rows.append([*map(Text, line.head), *cells, Text("*" if line.on_front else "")])
     print_table(header, rows, left={*range(len(_HEAD)), len(header) - 1})
-    lines = (*legend(doc), *(f"note: {note}" for note in doc["notes"]), *run_lines(doc))
+    lines = (*legend(doc), *(f"note: {note}" for note in doc["notes"]), *_run_lines(doc))
     print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *lines, sep="\n")
 
 
@@ -151,7 +151,12 @@ def legend(doc: dict[str, Any]) -> Iterator[str]:
         yield f"of seen: recall over the {share:.1%} of the reference that the cameras saw ({how})"
 
 
-def run_lines(doc: dict[str, Any]) -> Iterator[str]:
+def warnings(doc: dict[str, Any]) -> list[str]:
+    """Return what not to trust: failures and doubtful registrations of runs, and notes on the whole bench."""
+    return [*_run_lines(doc), *doc["notes"]]
+
+
+def _run_lines(doc: dict[str, Any]) -> Iterator[str]:
     """Yield why runs failed, and doubts about their registrations; one line for all seeds with the same text."""
     seeds_by_note: dict[tuple[str, str], list[str]] = {}
     for row in doc["rows"]:

@@ -14,10 +14,10 @@ from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import TRUTH, GaoStudy, SceneResult, read_study, references
+from pcbench.studies.gao.results import DOCUMENT, SCHEMA, TRUTH, GaoStudy, SceneResult, read_study, references
 
 # Draws the pictures of an experiment's folder.
-PICTURES = Drawer(f"{__name__}:pictures", ("gao.md",))
+PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,), SCHEMA)
 
 _UNKNOWN_UNIT = "units of the cameras"
 _CAMERAS_ALONE = "effect of solved cameras alone"

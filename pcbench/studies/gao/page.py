@@ -8,7 +8,7 @@ from pathlib import PurePath
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Link, Links, Paragraph
 from pcbench.report.html import PAGE
 from pcbench.studies.gao.results import GaoStudy
-from pcbench.studies.gao.sentences import answer, caveats
+from pcbench.studies.gao.sentences import answer, warnings
 from pcbench.studies.gao.table import (
     INJECTED,
     LEGEND,
@@ -21,7 +21,7 @@ from pcbench.studies.gao.table import (
 )
 from pcbench.studies.views.page import score_blocks, view_pictures
 from pcbench.studies.views.scores import ViewStudy
-from pcbench.studies.views.table import doubts
+from pcbench.studies.views.table import warnings as views_warnings
 
 _CAPTIONS = {
     "directions": "Accuracy and completeness of each cloud against both references",
@@ -78,7 +78,7 @@ def article(
         kind="Gao et al. 2025",
         title="The paper, reproduced",
         answer=list(answer(study)),
-        warnings=[*failures(study), *caveats(study), *(() if views is None else doubts(views))],
+        warnings=[*failures(study), *warnings(study), *(() if views is None else views_warnings(views))],
         setup=[],
         sections=sections,
     )

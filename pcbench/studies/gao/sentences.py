@@ -26,7 +26,7 @@ def sentences(study: GaoStudy) -> Iterator[str]:
     """
     yield from failures(study)
     yield from answer(study)
-    yield from caveats(study)
+    yield from warnings(study)
 
 
 def answer(study: GaoStudy) -> Iterator[str]:
@@ -323,7 +323,7 @@ def _injection_sentences(study: GaoStudy) -> Iterator[str]:
     )
 
 
-def caveats(study: GaoStudy) -> Iterator[str]:
+def warnings(study: GaoStudy) -> Iterator[str]:
     """Yield sentences on the limits of the results."""
     if any(scene.views is not None for scene in study.scenes):
         yield "Images that were held out of the training of splats were still used by sparse and mvs."

@@ -26,11 +26,11 @@ from pcbench.studies.stress.table import (
 )
 from pcbench.studies.stress.words import (
     answer,
-    caveats,
     metric_sentences,
     reconstruction_sentences,
     registration_sentences,
     verdict_sentences,
+    warnings,
 )
 from pcbench.studies.stress.worst import failure_title
 
@@ -81,7 +81,7 @@ def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
     ]
     if study.worst:
         sections.append(ArticleSection("The worst silent failures", list(_worst_blocks(study, figures))))
-    return Article("Stress test", title, list(answer(study)), list(caveats(study)), [_setup(study)], sections)
+    return Article("Stress test", title, list(answer(study)), list(warnings(study)), [_setup(study)], sections)
 
 
 def _blocks(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[Block]:

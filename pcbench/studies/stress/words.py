@@ -61,7 +61,7 @@ _NOMINAL_COVERAGE = 0.95
 
 def sentences(study: StressStudy) -> tuple[str, ...]:
     """Return all conclusions as sentences, those on registration first."""
-    parts = (registration_sentences, metric_sentences, verdict_sentences, reconstruction_sentences, caveats)
+    parts = (registration_sentences, metric_sentences, verdict_sentences, reconstruction_sentences, warnings)
     return tuple(sentence for part in parts for sentence in part(study))
 
 
@@ -133,7 +133,7 @@ def reconstruction_sentences(study: StressStudy) -> Iterator[str]:
         yield from case_sentences(study, row)
 
 
-def caveats(study: StressStudy) -> Iterator[str]:
+def warnings(study: StressStudy) -> Iterator[str]:
     """Yield what was not run, and what limits the results."""
     if study.settings.quick:
         yield "These are the results of the quick plan: few levels and seeds; without --quick the limits are finer."

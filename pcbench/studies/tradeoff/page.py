@@ -8,7 +8,7 @@ from pathlib import PurePath
 from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
 from pcbench.studies.tradeoff.results import Tradeoff
 from pcbench.studies.tradeoff.table import LEGEND, error_rows, table_rows
-from pcbench.studies.tradeoff.words import answer, bias_sentences, caveats, percent, verdict_sentences
+from pcbench.studies.tradeoff.words import answer, bias_sentences, percent, verdict_sentences, warnings
 
 _CAPTIONS = {
     "errors": "Error of each metric beside CPU seconds",
@@ -45,7 +45,7 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         kind="Trade-off between cost and accuracy",
         title=f"What cheaper comparisons cost, at a tolerance of {percent(study.settings.tolerance)}",
         answer=list(answer(study)),
-        warnings=list(caveats(study)),
+        warnings=list(warnings(study)),
         setup=[setup],
         sections=sections,
     )

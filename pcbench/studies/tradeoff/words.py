@@ -124,8 +124,8 @@ def verdict_sentences(study: Tradeoff) -> Iterator[str]:
     yield f"{text}; it changes with {join_words(changed)}." if changed else f"{text}."
 
 
-def caveats(study: Tradeoff) -> Iterator[str]:
-    """Yield doubts about the times, what was left out, and what failed."""
+def warnings(study: Tradeoff) -> Iterator[str]:
+    """Yield what not to trust: uncertain times, what was left out, and what failed."""
     if study.exact.cpu_spread > _MAX_CPU_SPREAD:
         yield (
             f"CPU seconds of the exact comparison differ by {percent(study.exact.cpu_spread)} between rounds: smaller"

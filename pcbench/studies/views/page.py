@@ -8,7 +8,7 @@ from pathlib import Path
 from pcbench.measure.wording import pluralize
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure
 from pcbench.studies.views.scores import ViewStudy
-from pcbench.studies.views.table import answer, doubts, legend, table
+from pcbench.studies.views.table import answer, legend, table, warnings
 
 
 def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
@@ -26,7 +26,7 @@ def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
         kind="Rendered views",
         title=f"Rendered views of {scenes[0] if len(scenes) == 1 else pluralize(len(scenes), 'scene')}",
         answer=list(answer(study)),
-        warnings=doubts(study),
+        warnings=warnings(study),
         setup=[],
         sections=sections,
     )

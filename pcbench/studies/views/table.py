@@ -81,7 +81,7 @@ def _psnr_text(scene: ScoredScene) -> str:
 
 def sentences(study: ViewStudy) -> list[str]:
     """Return the notes on the table."""
-    return [*legend(study), *(f"note: {text}" for text in doubts(study))]
+    return [*legend(study), *(f"note: {text}" for text in warnings(study))]
 
 
 def legend(study: ViewStudy) -> list[str]:
@@ -95,7 +95,7 @@ def legend(study: ViewStudy) -> list[str]:
     return lines
 
 
-def doubts(study: ViewStudy) -> list[str]:
+def warnings(study: ViewStudy) -> list[str]:
     """Return what was not held out, and what could not be measured."""
     lines = []
     if bare := [scene.views.scene for scene in study.scenes if not scene.select(test=True)]:

@@ -16,13 +16,13 @@ from pcbench.studies.stress.results import (
 )
 from pcbench.studies.stress.words import (
     answer,
-    caveats,
     metric_sentences,
     percent,
     rate_text,
     registration_sentences,
     sentences,
     verdict_sentences,
+    warnings,
 )
 
 
@@ -137,7 +137,7 @@ def test_the_answer_is_of_our_methods_alone():
 
 def test_what_was_left_out_is_named_with_its_reason():
     left = (MissingMethod("Open3D plane", "no wheel"), MissingMethod("robust ICP", "no wheel"))
-    assert list(caveats(study(missing=left, settings=StressSettings(quick=True)))) == [
+    assert list(warnings(study(missing=left, settings=StressSettings(quick=True)))) == [
         "These are the results of the quick plan: few levels and seeds; without --quick the limits are finer.",
         "Other libraries state no doubt about a pose: it counts as doubtful if the method has not converged or matches"
         " too few points.",

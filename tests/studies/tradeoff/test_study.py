@@ -19,7 +19,7 @@ from pcbench.studies.tradeoff.metrics import CORRECTABLE, MEANS
 from pcbench.studies.tradeoff.recommend import recommend
 from pcbench.studies.tradeoff.results import TradeoffSettings, read_study
 from pcbench.studies.tradeoff.study import make_pair, run_tradeoff
-from pcbench.studies.tradeoff.words import caveats
+from pcbench.studies.tradeoff.words import warnings
 
 LEVELS = (0.25,)
 
@@ -148,7 +148,7 @@ def test_an_exact_value_of_zero_has_no_relative_error():
     )
     assert recommend(cheap, [MEANS]).corrected
     assert recommend(replace(cheap, rows=[replace(row, corrected={}) for row in cheap.rows]), [MEANS]).row is None
-    check_text("\n".join(line for line in caveats(study) if "exact value" in line))
+    check_text("\n".join(line for line in warnings(study) if "exact value" in line))
 
 
 def test_an_exact_comparison_that_fails_ends_the_study_at_once(monkeypatch):
