@@ -61,12 +61,14 @@ class Range:
         high: value of the last colour.
         note: how the range was chosen, and which candidates share it.
         signed: whether the range is symmetric about zero, with a diverging colour map.
+        is_closed: whether no value is beyond the range; else its bar ends in arrows.
     """
 
     low: float
     high: float
     note: str = ""
     signed: bool = False
+    is_closed: bool = False
 
     @property
     def table(self) -> FloatArray:
@@ -79,6 +81,26 @@ class Range:
         anchors = np.arange(len(self.table))
         channels = [np.interp(position, anchors, channel) for channel in self.table.T]
         colors: NDArray[np.uint8] = np.rint(np.stack(channels, axis=1)).astype(np.uint8)
+        return colors
+
+
+@dataclass(frozen=True, eq=False)
+class Classes:
+    """Colours of the few values of an integer attribute.
+
+    Attributes:
+        values: (K,) values, ascending.
+        names: names of the values, for a legend.
+        table: (K, 3) colours, 0 to 255.
+    """
+
+    values: FloatArray
+    names: tuple[str, ...]
+    table: FloatArray
+
+    def colors(self, values: FloatArray) -> NDArray[np.uint8]:
+        """Return the RGB colours (N, 3) of values (N,), each of which is one of `self.values`."""
+        colors: NDArray[np.uint8] = self.table.astype(np.uint8)[np.searchsorted(self.values, values)]
         return colors
 
 

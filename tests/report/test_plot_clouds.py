@@ -11,7 +11,8 @@ from pcbench import Cloud
 from pcbench.errors import MissingExtra
 from pcbench.geometry.transform import Similarity
 from pcbench.report import Figures
-from pcbench.report.plot.clouds import draw_cloud
+from pcbench.report.plot.classes import classes_of
+from pcbench.report.plot.clouds import _range, draw_cloud
 from pcbench.report.viewing import ViewingCameras
 
 import_or_skip("matplotlib")
@@ -110,6 +111,51 @@ def test_attributes_of_all_ranges_are_drawn(values, ticks, tmp_path):
     assert ">value<" in text
     for tick in ticks:
         assert f">{tick}<" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "legend"),
+    [
+        ("classification", np.arange(400, dtype=np.uint8) % 2 + 1, ["1 unclassified", "2 ground"]),
+        ("classification", np.where(np.arange(400) % 3, 6.0, np.nan), ["6 building"]),
+        ("classification", np.arange(400, dtype=np.uint8) % 12 + 60, [str(code) for code in range(60, 72)]),
+        ("return number", np.arange(400, dtype=np.uint8) % 4 - 1, ["0", "1", "2", "255"]),
+    ],
+)
+def test_few_integers_have_discrete_colors_with_a_legend(name, values, legend, tmp_path):
+    cloud = Cloud(np.random.default_rng(0).uniform(0, 9, (400, 3)), attributes={name: values})
+    draw_cloud("cloud", cloud, tmp_path / "a.svg", Figures(), scalar=name)
+    text = (tmp_path / "a.svg").read_text()
+    assert all(f">{entry}<" in text for entry in (name, *legend))
+    draw_cloud("cloud", cloud, tmp_path / "a.svg", Figures(range=9.0), scalar=name)
+    assert "range set by the user" in (tmp_path / "a.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("values", "is_classified"),
+    [(np.arange(400) % 12, True), (np.arange(400) % 13, False), (np.arange(400) % 3 / 2, False)],
+)
+def test_many_values_and_fractions_have_a_continuous_range(values, is_classified):
+    found = classes_of("value", values.astype(float), is_integer=values.dtype.kind == "i")
+    assert (found is not None) == is_classified
+    assert classes_of("value", values.astype(float), is_integer=False) is None
+    if found is not None:
+        assert len(np.unique(found.colors(values), axis=0)) == 12
+
+
+@pytest.mark.parametrize(
+    ("values", "note"),
+    [
+        (np.linspace(0, 1, 400), "up to the 95th percentile"),
+        (np.repeat([0.0, 2.0], 200), ""),
+        (np.linspace(9, 10, 400), "inner 99 %"),
+    ],
+)
+def test_only_values_beyond_the_range_are_noted(values, note):
+    scale = _range(values, None)
+    assert (scale.note, scale.is_closed) == (note, not note)
+    assert _range(values, 20.0).is_closed
+    assert not _range(values, 0.5).is_closed
 
 
 @pytest.mark.parametrize("points", [[[1.0, 2, 3]], [[k, 0, 0] for k in range(9)], [[2.0, 2, 1e6]] * 30])

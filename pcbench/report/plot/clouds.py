@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,6 +17,7 @@ from pcbench.measure.wording import pluralize
 from pcbench.report.colors import Range, height_range, ranges_of
 from pcbench.report.figures import Figures
 from pcbench.report.plot import maps
+from pcbench.report.plot.classes import classes_of
 from pcbench.report.plot.panels import drawing_style
 from pcbench.report.read import UNKNOWN_UNIT
 from pcbench.report.viewing import ViewingCameras
@@ -62,7 +64,9 @@ def draw_cloud(
             label = maps.label_of(scalar) + (f" [{unit}]" if scalar in maps.LABELS else "")
             title = f"{name} ({pluralize(int(np.isfinite(values).sum()), 'point')})"
             scenery = maps.Scenery(cloud.points, frame, look)
-            scale = _range(values, look.range)
+            is_integer = np.issubdtype(cloud.attributes[scalar].dtype, np.integer)
+            classes = classes_of(scalar, values, is_integer=is_integer) if look.range is None else None
+            scale = classes or _range(values, look.range)
             maps.draw_coloured_cloud(cloud, values, title, scale, label, unit, scenery, picture, look)
         with atomic_write(path) as file:
             file.write(picture.read_bytes())
@@ -87,9 +91,12 @@ def _range(values: FloatArray, given: float | None) -> Range:
     """Return the colour range of an attribute: that of distances, or the inner 99 % of values far from zero."""
     known = values[np.isfinite(values)]
     if not known.any():
-        return Range(0.0, given or 1.0, "all values are 0")
+        return Range(0.0, given or 1.0, "all values are 0", is_closed=True)
     low, high = np.percentile(known, [0.5, 99.5])
     if given is None and low > _MIN_ZERO_RATIO * high:
-        scale = height_range(known)
-        return Range(scale.low, scale.high, "inner 99 %")
-    return ranges_of({"": values}, given=given)[""]
+        scale = replace(height_range(known), note="inner 99 %")
+    else:
+        scale = ranges_of({"": values}, given=given)[""]
+    if scale.low <= known.min() and known.max() <= scale.high:
+        scale = replace(scale, note="" if given is None else scale.note, is_closed=True)
+    return scale

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import Range, has_colors, height_range
+from pcbench.report.colors import Classes, Range, has_colors, height_range
 from pcbench.report.figures import Figures, rgb
 from pcbench.report.plot.panels import Image, compose, join_title
 from pcbench.report.plot.splats import Backdrop, splat
@@ -85,8 +85,8 @@ class Scenery:
 
 
 def draw_coloured_cloud(
-    cloud: Cloud, values: FloatArray, title: str, scale: Range, label: str, unit: str, scenery: Scenery, path: Path,
-    look: Figures,
+    cloud: Cloud, values: FloatArray, title: str, scale: Range | Classes, label: str, unit: str, scenery: Scenery,
+    path: Path, look: Figures,
 ) -> bool:  # fmt: skip
     """Draw a cloud coloured by a scalar; it has a separate frame if most of it is outside the shared one.
 
@@ -94,8 +94,8 @@ def draw_coloured_cloud(
         cloud: the cloud.
         values: (N,) the scalar, NaN if unknown.
         title: title of the picture.
-        scale: the colour range.
-        label: label of the colour bar.
+        scale: the colour range, or the colours of few values.
+        label: label of the colour bar or the legend.
         unit: unit of lengths.
         scenery: the reference behind the cloud, in the common frame.
         path: the file to write.

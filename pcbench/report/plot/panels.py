@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.report.colors import Range
+from pcbench.report.colors import Classes, Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.outputs import METADATA
 from pcbench.report.plot.views import Frame, Viewpoint, round_length
@@ -28,6 +28,7 @@ _VIEW_GAP = 0.14
 _SCALE_BAR_MARGIN, _TITLE_MARGIN = 0.42, 0.78
 _BAR_WIDTH = 0.16
 _MIN_BAR_HEIGHT, _MAX_BAR_HEIGHT = 1.9, 4.2
+_LEGEND_ROW = 0.23
 _TITLE_LETTER_WIDTH = 0.092  # mean of the title's letters
 _MAX_SCALE_BAR_SHARE = 0.22  # of the widest view
 
@@ -43,7 +44,7 @@ def compose(
     path: Path,
     look: Figures,
     *,
-    scale: Range | None = None,
+    scale: Range | Classes | None = None,
     label: str = "",
     over: Over | None = None,
 ) -> None:
@@ -56,8 +57,8 @@ def compose(
         unit: unit of lengths, for the scale bar.
         path: the file to write.
         look: appearance of the picture.
-        scale: range of the colour bar; None: no colour bar.
-        label: label of the colour bar.
+        scale: range of the colour bar, or colours of the legend; None: neither.
+        label: label of the colour bar or the legend.
         over: draws over a view. It gets the axes, the viewpoint, a function that maps window positions (N, 2) to the
             picture in inches, and the inches per unit of length.
     """
@@ -67,11 +68,12 @@ def compose(
     drawn = frame.sizes * inches
     panels = np.maximum(drawn[:, 0], _MIN_VIEW_WIDTH)
     height = max(float(drawn[:, 1].max()), _MIN_BAR_HEIGHT if scale is not None else 0.5)
-    bar = (
-        None
-        if scale is None
-        else _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR_HEIGHT - 0.5, _MAX_BAR_HEIGHT)))
-    )
+    bar: _Bar | _Legend | None = None
+    if isinstance(scale, Classes):
+        bar = _Legend(scale, printable(label))
+        height = max(height, bar.height)
+    elif scale is not None:
+        bar = _Bar.of(scale, label, float(np.clip(height - 0.5, _MIN_BAR_HEIGHT - 0.5, _MAX_BAR_HEIGHT)))
     views, space = float(panels.sum()) + _VIEW_GAP * (len(frame.views) + 1), bar.space if bar is not None else 0.0
     width, total_height = (
         max(views + space, _TITLE_LETTER_WIDTH * len(title) + 2 * _VIEW_GAP),
@@ -206,7 +208,8 @@ class _Bar(NamedTuple):
         """Draw the bar, with an arrow at each end that stands for values beyond it."""
         from matplotlib.patches import Polygon
 
-        scale, tip, center = self.scale, 0.14, left + 0.5 * _BAR_WIDTH
+        scale, center = self.scale, left + 0.5 * _BAR_WIDTH
+        tip = 0.0 if scale.is_closed else 0.14
         low, high, right = middle - 0.5 * self.height, middle + 0.5 * self.height, left + _BAR_WIDTH
         steps = scale.colors(np.linspace(scale.high, scale.low, 256))[:, None]
         axis.imshow(steps, extent=(left, right, low, high), aspect="auto", interpolation="nearest")
@@ -225,6 +228,37 @@ class _Bar(NamedTuple):
         upright: dict[str, Any] = {"rotation": 90, "color": color, "ha": "left", "va": "center", "parse_math": False}
         axis.text(left + self.label_at, middle, "\n".join(self.label), fontsize=10.5, **upright)
         axis.text(left + self.note_at, middle, "\n".join(self.note), fontsize=8, alpha=0.8, **upright)
+
+
+class _Legend(NamedTuple):
+    """A legend of few values, in inches."""
+
+    classes: Classes
+    label: str
+
+    @property
+    def height(self) -> float:
+        """Height of the label and all rows."""
+        return _LEGEND_ROW * (len(self.classes.names) + 1.5)
+
+    @property
+    def space(self) -> float:
+        """Width of the legend with its texts."""
+        return max(0.34 + 0.08 * max(map(len, self.classes.names)), 0.09 * len(self.label)) + 0.15
+
+    def draw(self, axis: Any, left: float, middle: float, color: str) -> None:
+        """Draw the label, then a box with its name for each value."""
+        from matplotlib.patches import Rectangle
+
+        text: dict[str, Any] = {"color": color, "va": "center", "parse_math": False}
+        y = middle + 0.5 * self.height - 0.5 * _LEGEND_ROW
+        axis.text(left, y, self.label, fontsize=10.5, **text)
+        y -= 0.25 * _LEGEND_ROW
+        for name, fill in zip(self.classes.names, self.classes.table / 255, strict=True):
+            y -= _LEGEND_ROW
+            box = Rectangle((left, y - 0.07), 0.22, 0.14, facecolor=fill, edgecolor=color, linewidth=0.6)
+            axis.add_patch(box)
+            axis.text(left + 0.32, y, name, fontsize=9.5, **text)
 
 
 def _lines(text: str, letters: float) -> list[str]:
