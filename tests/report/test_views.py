@@ -8,7 +8,7 @@ from pcbench import Cloud
 from pcbench.report.plot.maps import frame
 from pcbench.report.plot.sections import Section
 from pcbench.report.plot.splats import Backdrop, splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, oblique_view, round_length, suitable_views
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, log_ticks, oblique_view, round_length, suitable_views
 from pcbench.report.viewing import ViewingCameras
 
 BACKGROUND = np.array([10, 20, 30], np.uint8)
@@ -104,6 +104,19 @@ def test_a_wall_is_seen_along_its_normal(angle_deg):
 )
 def test_scale_bars_have_round_lengths(max_length, length):
     assert round_length(max_length) == pytest.approx(length)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "values"),
+    [
+        (0.0239, 0.045, [0.025, 0.03, 0.035, 0.04, 0.045]),
+        (0.003, 0.06, [0.005, 0.01, 0.02, 0.05]),
+        (0.0008, 30, [0.001, 0.01, 0.1, 1, 10]),
+        (1.0, 1.01, [1.0, 1.002, 1.004, 1.006, 1.008, 1.01]),
+    ],
+)
+def test_logarithmic_axes_have_few_round_ticks(low, high, values):
+    assert log_ticks(low, high) == pytest.approx(values)
 
 
 def test_a_point_is_drawn_as_a_round_dot_at_its_position():
