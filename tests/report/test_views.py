@@ -1,14 +1,19 @@
 """Frames and windows of pictures, and points drawn as images."""
 
+import re
+
 import numpy as np
 import pytest
 from camera_rigs import nadir, random_rotation, ring, rotated, sector, walk
+from optional import import_or_skip
 
 from pcbench import Cloud
+from pcbench.report.colors import Range
+from pcbench.report.figures import Figures
 from pcbench.report.plot.maps import frame
-from pcbench.report.plot.sections import Section
+from pcbench.report.plot.sections import Section, draw_section
 from pcbench.report.plot.splats import Backdrop, splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, oblique_view, round_length, suitable_views
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, log_ticks, oblique_view, round_length, suitable_views
 from pcbench.report.viewing import ViewingCameras
 
 BACKGROUND = np.array([10, 20, 30], np.uint8)
@@ -104,6 +109,19 @@ def test_a_wall_is_seen_along_its_normal(angle_deg):
 )
 def test_scale_bars_have_round_lengths(max_length, length):
     assert round_length(max_length) == pytest.approx(length)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "values"),
+    [
+        (0.0239, 0.045, [0.025, 0.03, 0.035, 0.04, 0.045]),
+        (0.003, 0.06, [0.005, 0.01, 0.02, 0.05]),
+        (0.0008, 30, [0.001, 0.01, 0.1, 1, 10]),
+        (1.0, 1.01, [1.0, 1.002, 1.004, 1.006, 1.008, 1.01]),
+    ],
+)
+def test_logarithmic_axes_have_few_round_ticks(low, high, values):
+    assert log_ticks(low, high) == pytest.approx(values)
 
 
 def test_a_point_is_drawn_as_a_round_dot_at_its_position():
@@ -212,6 +230,35 @@ def test_a_section_at_the_border_stays_inside_the_scene():
     assert (ends > -6).all() and (ends < 106).all()
     assert found.ends[0] < 0 < found.ends[1]
     assert found.length > 20
+
+
+@pytest.mark.parametrize("angle_deg", [0, 30, 100])
+def test_a_section_of_a_wall_is_perpendicular_to_it(angle_deg, tmp_path, monkeypatch):
+    import_or_skip("matplotlib")
+    angle = np.radians(angle_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    flat = np.random.default_rng(0).uniform([0, 0, 0], [20, 0.02, 8], (40_000, 3))
+    off = np.where((np.abs(flat[:, [0, 2]] - [14, 5]) < 1).all(axis=1), 0.3, 0.0)
+    reference, points = (
+        flat @ turn.T + [446_123, 5_380_456, 410] for flat in (flat, flat + [[0, 1, 0]] * off[:, None])
+    )
+    found, choose = [], Section.through_worst_place
+
+    def spy(*arguments):
+        found.append((choose(*arguments), *arguments))
+        return found[-1][0]
+
+    monkeypatch.setattr(Section, "through_worst_place", spy)
+    path, scale = tmp_path / "section.svg", Range(0.0, 0.3)
+    assert draw_section(points, off, reference, 0.03, "a", scale, "distance [m]", "m", path, Figures())
+    section, turned = found[0][:2]
+    depths = section.positions(turned[section.rows])[:, 1]
+    assert np.ptp(depths) == pytest.approx(0.31, abs=0.02)  # the whole depth of the wall and of the bump
+    assert section.length > 4
+    text = path.read_text(encoding="utf-8")
+    assert "the section, from the front" in text and "towards the viewer [m]" in text
+    center = np.array([float(x.replace(",", "")) for x in re.findall(r"[xyz] = ([\d,.]+?)(?=[, ]+[yz\[])", text)])
+    assert np.abs(center - (turn @ [14, 0.2, 5] + [446_123, 5_380_456, 410])).max() < 1.2
 
 
 def test_clouds_that_are_too_sparse_have_no_section():

@@ -11,6 +11,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import SERIES
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.plot.views import log_ticks
 
 WIDTH, HEIGHT = 520, 260  # of a chart, in SVG units
 _LEFT, _RIGHT, _TOP, _BOTTOM = 36, 12, 26, 40
@@ -86,11 +87,8 @@ class _LogAxis:
         return _LEFT + (WIDTH - _LEFT - _RIGHT) * share
 
     def ticks(self) -> list[Tick]:
-        """Return marks at 1, 2 and 5 times powers of ten, or only at the powers if the range is wide."""
-        decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-        factors = (1, 2, 5) if len(decades) <= 4 else (1,)
-        values = [factor * 10.0**decade for decade in decades for factor in factors]
-        return [Tick(self.at(v), f"{v:g}") for v in values if self.low <= v <= self.high]
+        """Return marks at round values."""
+        return [Tick(self.at(value), f"{value:g}") for value in log_ticks(self.low, self.high)]
 
 
 def _histogram(

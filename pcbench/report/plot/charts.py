@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import even_rows
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.views import log_ticks
 from pcbench.report.read import Report
 from pcbench.report.words import printable
 
@@ -32,7 +33,7 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
-    from matplotlib.ticker import StrMethodFormatter
+    from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
     values = [np.sort(np.asarray(c.deviation.attributes["distance"], dtype=np.float64)) for c in report.candidates]
     positive = [v[v > 0] for v in values if (v > 0).any()]
@@ -68,12 +69,14 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
         handles.append(Line2D([], [], color=dark, linewidth=1.2, linestyle=":", label="spacing of the reference"))
     for axis in (density, cumulative):
         axis.set_xscale("log")
+        if report.spacing_median > 0:
+            axis.axvline(report.spacing_median, color=dark, linewidth=1.2, linestyle=":")
+        axis.set_xticks(log_ticks(*axis.get_xlim()))
         axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())  # it labels a narrow axis, and the labels overlap
         axis.set_xlabel(f"distance to the nearest point [{report.unit}]")
         axis.grid(True, which="major", alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
-        if report.spacing_median > 0:
-            axis.axvline(report.spacing_median, color=dark, linewidth=1.2, linestyle=":")
     density.set_ylabel("points per bin [%]")
     density.set_ylim(bottom=0)
     density.set_title("candidate to reference", fontsize=11)

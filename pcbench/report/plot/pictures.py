@@ -133,7 +133,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
         def draw(path: Path) -> bool:
             return draw_section(
                 clouds[name].points, values[name], reference, report.spacing_median, name, scales[name], label,
-                report.unit, path, look, report.rotation,
+                report.unit, path, look, report.rotation, report.cameras,
             )  # fmt: skip
 
         return Picture(draw, "no place has enough points for a section")

@@ -1,4 +1,7 @@
-"""A vertical section through the place of the largest deviations, with both clouds in it."""
+"""A section through the place of the largest deviations, with both clouds in it.
+
+It is vertical, or perpendicular to a wall: a wall that lies on its back is cut like a town.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ from pcbench.geometry.voxels import cells
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
-from pcbench.report.plot.views import AxisBox, thin_out
+from pcbench.report.plot.views import AxisBox, scene_axes, thin_out
+from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import printable
 
 _CELLS_ALONG = 40  # cells along the scene's diagonal in which deviations are compared
@@ -29,6 +33,7 @@ _MIN_SLICE_POINTS, _MIN_OWN_POINTS = (
     40,
 )  # of both clouds and of the candidate; with fewer the slice is made thicker
 _DIRECTIONS_DEG = (0, 45, 90, 135)
+_WALL_DIRECTIONS_DEG = (0, 90)  # horizontal and vertical
 _EXAGGERATIONS = (1, 2, 5, 10, 20)
 _MIN_HEIGHT_RATIO = 0.12  # of the drawn height to the length, before heights are exaggerated
 _SECTION_INCHES, _MARGIN_INCHES = 9.2, 1.4  # length of the drawn section, and space above and below it
@@ -36,11 +41,11 @@ _REFERENCE_GREY, _LINE_COLOR = "#8f959c", "#ff7f2a"
 
 
 class Section(NamedTuple):
-    """A vertical slice of both clouds.
+    """A slice of both clouds along their third axis, which is up, or normal to a wall.
 
     Attributes:
         center: (3,) the place.
-        direction: (2,) horizontal direction along the section.
+        direction: (2,) direction along the section in the plane of the first two axes.
         ends: (2,) positions of its ends along it, from the place.
         thickness: thickness of the slice.
         rows: (M,) rows of the candidate's points in it.
@@ -60,12 +65,17 @@ class Section(NamedTuple):
         return float(self.ends[1] - self.ends[0])
 
     def positions(self, points: FloatArray) -> FloatArray:
-        """Return positions (N, 2) of points (N, 3) in the section: along it from the place, and height."""
+        """Return positions (N, 2) of points (N, 3) in the section: along it, and along the third axis."""
         return np.column_stack([(points[:, :2] - self.center[:2]) @ self.direction, points[:, 2]])
 
     @classmethod
     def through_worst_place(
-        cls, points: FloatArray, values: FloatArray, reference: FloatArray, spacing: float
+        cls,
+        points: FloatArray,
+        values: FloatArray,
+        reference: FloatArray,
+        spacing: float,
+        directions_deg: Sequence[float] = _DIRECTIONS_DEG,
     ) -> Section | None:
         """Return the section through the cell with the largest median deviation; None if no cell has enough points.
 
@@ -74,6 +84,7 @@ class Section(NamedTuple):
             values: (N,) deviations.
             reference: (K, 3) points of the reference.
             spacing: spacing of the reference.
+            directions_deg: angles of the sections to choose from, anticlockwise from the first axis.
         """
         box = AxisBox.around(reference)
         diagonal = float(np.linalg.norm(box.high - box.low))
@@ -96,7 +107,7 @@ class Section(NamedTuple):
         near = [_rows_around(cloud, center, length) for cloud in (points, reference)]
         while True:
             slices = [
-                cls._slice(center, angle, box, length, thickness, points, reference, near) for angle in _DIRECTIONS_DEG
+                cls._slice(center, angle, box, length, thickness, points, reference, near) for angle in directions_deg
             ]
             best = max(slices, key=lambda found: len(found.rows) + len(found.reference_rows))
             if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS and len(best.rows) >= _MIN_OWN_POINTS:
@@ -148,6 +159,7 @@ def _rows_around(points: FloatArray, center: FloatArray, length: float) -> NDArr
 def draw_section(
     points: FloatArray, values: FloatArray, reference: FloatArray, spacing: float, title: str, scale: Range,
     label: str, unit: str, path: Path, look: Figures, rotation: Similarity | None = None,
+    cameras: ViewingCameras | None = None,
 ) -> bool:  # fmt: skip
     """Draw the section through the place of the largest deviations, beside its position on a map.
 
@@ -163,6 +175,7 @@ def draw_section(
         path: the file to write.
         look: appearance of the picture.
         rotation: rotation from the clouds' coordinates to those of the points, for the coordinates in the picture.
+        cameras: the cameras that photographed the scene, in the coordinates of the points.
 
     Returns:
         Whether there was enough to draw.
@@ -172,9 +185,15 @@ def draw_section(
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.figure import Figure
 
-    found = Section.through_worst_place(points, values, reference, spacing)
+    axes = scene_axes(reference, cameras)
+    turned = axes.rows if axes.is_wall else np.eye(3)
+    origin = np.array([0, 0, np.median(reference @ turned[2])]) if axes.is_wall else np.zeros(3)
+    points, reference = points @ turned.T - origin, reference @ turned.T - origin
+    directions = _WALL_DIRECTIONS_DEG if axes.is_wall else _DIRECTIONS_DEG
+    found = Section.through_worst_place(points, values, reference, spacing, directions)
     if found is None:
         return False
+    height_name = axes.names[2] if axes.is_wall else "height"
     ours, theirs = found.positions(points[found.rows]), found.positions(reference[found.reference_rows])
     low, high = np.percentile(np.concatenate([ours[:, 1], theirs[:, 1]]), [0.2, 99.8])
     margin = max(0.08 * (high - low), 0.01 * found.length)
@@ -193,10 +212,14 @@ def draw_section(
     order = np.argsort(np.abs(values[found.rows]))  # large deviations on top
     along.scatter(ours[order, 0], ours[order, 1], s=14, c=scale.colors(values[found.rows][order]) / 255, linewidths=0)
     along.set(xlim=tuple(found.ends), ylim=(low, high), aspect=factor, facecolor=ground)
-    place = found.center[:2] if rotation is None else rotation.inverse().apply(found.center[None])[0]
+    place = (found.center + origin) @ turned
+    if rotation is not None:
+        place = rotation.inverse().apply(place[None])[0]
+    elif not axes.is_wall:
+        place = place[:2]
     at = ", ".join(f"{axis} = {value:,.1f}" for axis, value in zip("xyz", place, strict=False)).replace("-", "−")
     along.set_xlabel(f"along the section, from A; 0 is at {at} [{unit}]")
-    along.set_ylabel(f"height [{unit}]" + (f"\n× {factor}" if factor > 1 else ""))
+    along.set_ylabel(f"{height_name} [{unit}]" + (f"\n× {factor}" if factor > 1 else ""))
     everything = thin_out(reference)
     box = AxisBox.around(reference)
     above.scatter(everything[:, 0], everything[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
@@ -207,7 +230,7 @@ def draw_section(
     above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
     above.set_xticks([])
     above.set_yticks([])
-    above.set_title("the section, from above", fontsize=10, color=color)
+    above.set_title(f"the section, from {'the front' if axes.is_wall else 'above'}", fontsize=10, color=color)
     for axis in (along, above):
         axis.tick_params(colors=color)
         axis.xaxis.label.set_color(color)
