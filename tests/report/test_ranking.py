@@ -1,4 +1,4 @@
-"""Which candidates count as best: the tied ones in the order of values, and none beyond a significant difference."""
+"""The candidates that count as best: the tied ones in order of value, and none beyond a significant difference."""
 
 from dataclasses import replace
 
