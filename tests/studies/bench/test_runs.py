@@ -89,8 +89,9 @@ def test_each_run_is_a_row(bench_folder, run):
     assert (folder / "cloud.ply").is_file()
     assert not (folder / "plugin").exists()
     assert {p.name for p in Path("out/figures").iterdir()} == {"speed.png", "accuracy_completeness.png"}
-    with Path("out/bench.md").open() as file:
-        assert sum(line.startswith("| Good") for line in file) == 2 + 2 * 2  # and one per threshold
+    lines = Path("out/bench.md").read_text().splitlines()
+    assert sum(line.startswith("| Good") for line in lines) == 2 + 2 * 2  # and one per threshold
+    assert sum(line.endswith(("(./figures/speed.png)", "(./figures/accuracy_completeness.png)")) for line in lines) == 2
     page = check_page_of_study(Path("out/report.html").read_text(encoding="utf-8"))
     *tables, inputs = page.tables
     assert tables == markdown_tables(Path("out/bench.md").read_text())
