@@ -119,7 +119,7 @@ def test_one_camera_moves_all_panes(beside, comparison):
 
 def test_all_that_was_in_view_stays_in_view(beside):
     assert beside.run(
-        """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.corners.every((at) => {
+        """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.outline.every((at) => {
           const [x, y] = pcbenchReport.camera.project(at, pane.width, pane.height);
           return x >= 0 && y >= 0 && x <= pane.width && y <= pane.height;
         }))"""
@@ -279,7 +279,7 @@ def test_without_these_values_z_is_up_and_there_are_no_cameras(browser, comparis
 SPAN = """(() => {
   const { scene, camera, page } = pcbenchReport;
   const { width, height } = page.panes[0];
-  const spots = scene.corners.map((at) => camera.project(at, width, height));
+  const spots = scene.outline.map((at) => camera.project(at, width, height));
   const [x, y] = [0, 1].map((k) => spots.map((spot) => spot[k]));
   const span = (values) => Math.max(...values) - Math.min(...values);
   return Math.max(span(x) / width, span(y) / height);
