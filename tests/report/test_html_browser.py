@@ -181,6 +181,17 @@ def test_a_clipped_point_cannot_be_picked(opened, comparison):
     assert opened.run(f"pcbenchReport.page.pick({x}, {y})") is not None
 
 
+@pytest.mark.parametrize("key", ["r", "f", "s", "t"])
+def test_the_scene_fills_the_view(opened, comparison, key):
+    press_key(opened, key)
+    points = comparison["a"].deviation.points[::10]
+    size = opened.run("[byId('canvas').clientWidth, byId('canvas').clientHeight]")
+    shares = np.array([pixel_of(opened, point) for point in points]) / size
+    assert ((shares > 0) & (shares < 1)).all(axis=1).mean() > 0.97
+    low, high = np.percentile(shares, [1, 99], axis=0)
+    assert 0.75 < max(high - low) < 1
+
+
 def test_keys_choose_clouds_and_turn_the_view(opened):
     before = opened.run("pcbenchReport.camera.yaw")
     for key in ("ArrowRight", "2"):

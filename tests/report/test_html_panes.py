@@ -117,7 +117,7 @@ def test_one_camera_moves_all_panes(beside, comparison):
     assert all(picture_hash(beside, pane) != pictures[pane] for pane in (0, 1))
 
 
-ALL_IN_VIEW = """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.corners.every((at) => {
+ALL_IN_VIEW = """pcbenchReport.page.panes.every((pane) => pcbenchReport.scene.outline.every((at) => {
   const [x, y] = pcbenchReport.camera.project(at, pane.width, pane.height);
   return x >= 0 && y >= 0 && x <= pane.width && y <= pane.height;
 }))"""
@@ -283,7 +283,7 @@ def test_without_cameras_z_is_up(browser, path):
 SPAN = """(() => {
   const { scene, camera, page } = pcbenchReport;
   const { width, height } = page.panes[0];
-  const spots = scene.corners.map((at) => camera.project(at, width, height));
+  const spots = scene.outline.map((at) => camera.project(at, width, height));
   const [x, y] = [0, 1].map((k) => spots.map((spot) => spot[k]));
   const span = (values) => Math.max(...values) - Math.min(...values);
   return Math.max(span(x) / width, span(y) / height);

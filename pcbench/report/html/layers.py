@@ -23,6 +23,7 @@ _CORE_RANKS = 0.1, 99.9  # percentiles of the coordinates; points far outside wo
 _CORE_GROWTH = 2.0  # box lengths beyond these percentiles that are still shown
 _OVERSAMPLING = 2  # points sorted for each point kept: sorting all points of a large cloud would take long
 _SPACING_SAMPLE = 20_000
+_DIRECTIONS = 100  # in which the outermost points are found
 
 
 class _Scalar(NamedTuple):
@@ -117,6 +118,7 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
     tables = [levels(_finite(s.values[rows]), s.scale.high, signed=s.scale.signed) for s in scalars]
     packed = [scalar_codes(s.values[rows], table) for s, table in zip(scalars, tables, strict=True)]
     sample = points[rows[:: max(1, len(rows) // _SPACING_SAMPLE)]]
+    core = np.percentile(sample @ axes.T, [1, 99], axis=0)
     head = {
         "name": source.name,
         "total": len(points),
@@ -126,7 +128,8 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
         "beyond_shown": int(far[kept].sum()),
         "low": grid.low.tolist(),
         "step": grid.step.tolist(),
-        "core": np.percentile(sample @ axes.T, [1, 99], axis=0).tolist(),
+        "core": core.tolist(),
+        "extremes": _extremes(sample[((sample @ axes.T - core[0]) * (core[1] - sample @ axes.T) >= 0).all(axis=1)]),
         "spacing": _shown_spacing(points[rows]),
         "scalars": [
             {
@@ -178,6 +181,19 @@ def _evenly_in_space(points: FloatArray, rows: IntArray, count: int) -> IntArray
 def _evenly(rows: IntArray, count: int) -> IntArray:
     """Return at most `count` rows at even steps."""
     return rows[even_rows(len(rows), max(count, 0))]
+
+
+def _extremes(points: FloatArray) -> list[list[float]]:
+    """Return the outermost of points (N, 3) in many directions, which the view must contain."""
+    if not len(points):
+        return []
+    k = np.arange(_DIRECTIONS) + 0.5  # on a spiral from pole to pole
+    height, angle = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    level = np.sqrt(1 - height**2)
+    directions = np.stack([level * np.cos(angle), level * np.sin(angle), height])
+    rows = np.unique(((points - points[0]) @ directions).argmax(axis=0))
+    found: list[list[float]] = points[rows].tolist()
+    return found
 
 
 def _finite(values: FloatArray) -> FloatArray:

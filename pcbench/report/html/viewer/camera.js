@@ -42,17 +42,17 @@ class Camera {
   }
 
   // Move so that positions just fill the view.
-  fit(corners, aspect) {
+  fit(points, aspect) {
     const slope = Math.tan(FIELD_OF_VIEW / 2);
-    this.target = [0, 1, 2].map((axis) => average(corners.map((at) => at[axis])));
+    this.target = [0, 1, 2].map((axis) => average(points.map((at) => at[axis])));
     const rounds = 8;
     for (let round = 0; round <= rounds; round++) {
       const { right, up, ahead } = this.axes();
-      const along = (axis) => corners.map((at) => dot(at, axis) - dot(this.target, axis));
+      const along = (axis) => points.map((at) => dot(at, axis) - dot(this.target, axis));
       const [across, above, depth] = [right, up, ahead].map(along);
-      const needed = corners.map((_, k) => Math.max(Math.abs(across[k]) / aspect, Math.abs(above[k])) / slope - depth[k]);
+      const needed = points.map((_, k) => Math.max(Math.abs(across[k]) / aspect, Math.abs(above[k])) / slope - depth[k]);
       this.distance = 1.04 * Math.max(...needed);
-      if (round === rounds) return; // with the last distance, the all positions are in view
+      if (round === rounds) return; // with the last distance, all of them are in view
       // Centre the picture: perspective makes the near side larger.
       const seen = (values) => values.map((value, k) => value / (this.distance + depth[k]));
       const middle = (values) => ((Math.min(...values) + Math.max(...values)) / 2) * this.distance;

@@ -40,8 +40,9 @@ class Scene {
     const { axes } = this.data;
     const along = (at) => [0, 1, 2].map((k) => at.reduce((sum, x, axis) => sum + x * axes[axis][k], 0));
     this.center = along(low.map((l, k) => l + half[k]));
-    this.corners = Array.from({ length: 8 }, (_, c) => along(half.map((h, k) => ((c >> k) & 1 ? h : -h))));
     const local = (at) => at.map((x, k) => x - this.center[k]);
+    const extremes = heads.flatMap((head) => head.extremes).map(local);
+    this.outline = extremes.length ? extremes : [[0, 0, 0]];
     const margin = 1e-6 * this.radius;
     this.box = {
       low: local(ends(0, Math.min, whole)).map((x) => x - margin),
@@ -57,9 +58,9 @@ class Scene {
     return candidates.find((view) => view.layer.head.total === most) || this.views[0];
   }
 
-  // Return the positions to fit into the view: the corners of the scene, with the cameras if they are shown in it.
+  // Return the positions to fit into the view: the outermost points, with the cameras if they are shown in it.
   framed() {
-    return this.showsCameras && !this.sideBySide ? [...this.corners, ...this.cameraCenters()] : this.corners;
+    return this.showsCameras && !this.sideBySide ? [...this.outline, ...this.cameraCenters()] : this.outline;
   }
 
   // Return the positions of the cameras, relative to the scene's centre.
