@@ -24,7 +24,10 @@ from pcbench.errors import InputError, MissingExtra, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
 from pcbench.report.article import Article
+from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, Origin, article_page, write_page
+from pcbench.report.plot import Picture
+from pcbench.report.plot.panels import drawing_style, save
 from pcbench.scratch import lock_output
 
 if TYPE_CHECKING:
@@ -192,6 +195,25 @@ def save_charts(out: Path, charts: Iterable[tuple[str, Any]]) -> list[str]:
             figure.savefig(file, format="png")
         names.append(f"{name}.png")
     return names
+
+
+def chart_pictures(charts: Callable[[], Iterable[tuple[str, Any]]], look: Figures) -> dict[str, Picture]:
+    """Return matplotlib figures by name as pictures for `pcbench plot`.
+
+    Args:
+        charts: function that creates the figures, in the appearance `look`.
+        look: appearance of the pictures.
+    """
+
+    def picture(figure: Any) -> Picture:
+        def draw(path: Path) -> bool:
+            save(figure, path)
+            return True
+
+        return Picture(draw)
+
+    with drawing_style(look):
+        return {name: picture(figure) for name, figure in charts()}
 
 
 def delete_former_charts(out: Path, names: Iterable[str]) -> None:
