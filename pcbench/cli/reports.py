@@ -317,8 +317,9 @@ def plot(
 
     The pictures of a report are written into PATH/figures, all or those of NAMES. NAMES of a report are, for example,
     reference, distribution, and for a candidate a a_distance and a_completeness; of a bench, speed and
-    accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth. An extension
-    selects the format, as in distribution.svg. Options replace the recorded appearance.
+    accuracy_completeness; of views, SCENE_METHOD; of `experiment gao`, rings, directions and growth; of `experiment
+    bend`, bend; of stress and tradeoff, the names of the charts. An extension selects the format, as in
+    distribution.svg. Options replace the recorded appearance.
 
     A cloud is drawn in its own colours, by height if it has none, or by an attribute (--scalar), into a file in the
     working directory (--out selects another). No display is needed.
@@ -370,15 +371,20 @@ def _plot_report(
     from pcbench.report.plot import REPORT, draw, drawing_seconds
     from pcbench.scratch import lock_output
     from pcbench.studies.bench.charts import CHARTS
+    from pcbench.studies.bend.figure import PICTURES as BEND
     from pcbench.studies.gao.figures import PICTURES as GAO
-    from pcbench.studies.views.pictures import PICTURES
+    from pcbench.studies.stress.charts import PICTURES as STRESS
+    from pcbench.studies.tradeoff.charts import PICTURES as TRADEOFF
+    from pcbench.studies.views.pictures import PICTURES as VIEWS
 
     complete_replacement(report)
-    drawer = next((drawer for drawer in (REPORT, CHARTS, PICTURES, GAO) if drawer.fits(report)), None)
+    kinds = (REPORT, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF)  # both experiments have an experiment.json
+    drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(
             f"{report}: expected a file with a cloud, or the folder of a report (with comparison.json), a bench"
-            " (bench.json), views (scores.json) or `experiment gao` (gao.md)"
+            " (bench.json), views (scores.json), an experiment (experiment.json), stress (stress.json) or tradeoff"
+            " (tradeoff.json)"
         )
     click.get_current_context().with_resource(lock_output(report))
     style = recorded_figures(report / "settings.json").with_changes(background, color_range, figure_format)

@@ -26,8 +26,10 @@ from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
 from pcbench.report.article import Article, markdown
+from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, Origin, article_page, write_page
-from pcbench.report.plot import Drawn
+from pcbench.report.plot import Drawn, Picture
+from pcbench.report.plot.panels import drawing_style, save
 from pcbench.scratch import lock_output
 
 if TYPE_CHECKING:
@@ -211,6 +213,25 @@ def save_charts(out: Path, charts: Iterable[tuple[str, Any]]) -> list[Path]:
         with atomic_write(files[-1]) as file:
             figure.savefig(file, format="png")
     return files
+
+
+def chart_pictures(charts: Callable[[], Iterable[tuple[str, Any]]], look: Figures) -> dict[str, Picture]:
+    """Return matplotlib figures by name as pictures for `pcbench plot`.
+
+    Args:
+        charts: function that creates the figures, in the appearance `look`.
+        look: appearance of the pictures.
+    """
+
+    def picture(figure: Any) -> Picture:
+        def draw(path: Path) -> bool:
+            save(figure, path)
+            return True
+
+        return Picture(draw)
+
+    with drawing_style(look):
+        return {name: picture(figure) for name, figure in charts()}
 
 
 def delete_former_charts(out: Path, files: Iterable[Path]) -> None:

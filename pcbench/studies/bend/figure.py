@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import mode
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ import numpy as np
 from pcbench.extras import require
 from pcbench.io.files import atomic_write
 from pcbench.report.colors import ranges, robust_maximum
-from pcbench.studies.bend.results import BendStudy, SolutionResult, measured_bends
+from pcbench.report.figures import Figures
+from pcbench.report.plot import Drawer, Picture
+from pcbench.report.plot.panels import save
+from pcbench.studies.bend.results import DOCUMENT, BendStudy, SolutionResult, measured_bends, read_study
 
 _COLORS = (
     "#000000",
@@ -33,15 +37,30 @@ _SMALL_BEND_SHARE = 0.1
 _MAX_ZOOM_SHARE = 0.5  # of the largest displacement drawn: small deformations have a separate panel below it
 
 
+# Draws the picture of an experiment's folder.
+PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+
+
+def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
+    """Return the picture of a folder that `pcbench experiment bend` wrote."""
+    study = read_study(folder)
+
+    def draw(path: Path) -> bool:
+        draw_bend(study, path)
+        return True
+
+    return {"bend": Picture(draw)}
+
+
 def draw_bend(study: BendStudy, path: Path) -> None:
-    """Draw the results of an experiment as a PNG.
+    """Draw the results of an experiment.
 
     It shows vertical displacement against distance with the band of noise, the deformation against the error of the
     intrinsics, and one map per solution.
 
     Args:
         study: results to draw.
-        path: PNG file to write.
+        path: file to write; its extension is the format.
 
     Raises:
         MissingExtra: matplotlib is not installed.
@@ -95,8 +114,11 @@ def draw_bend(study: BendStudy, path: Path) -> None:
         bar.set_label(f"vertical displacement [{unit}]")
         lower.supxlabel(f"x [{unit}]", fontsize=9)
         lower.supylabel(f"y [{unit}]", fontsize=9)
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png")
+    with TemporaryDirectory() as folder:
+        picture = Path(folder) / path.name
+        save(figure, picture)
+        with atomic_write(path) as file:
+            file.write(picture.read_bytes())
 
 
 def _highest(rows: Sequence[SolutionResult]) -> float:

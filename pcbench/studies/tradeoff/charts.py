@@ -8,7 +8,9 @@ from typing import Any
 
 from pcbench.extras import require
 from pcbench.report.colors import SERIES
-from pcbench.studies.folder import delete_former_charts, save_charts
+from pcbench.report.figures import Figures
+from pcbench.report.plot import Drawer, Picture
+from pcbench.studies.folder import chart_pictures, delete_former_charts, save_charts
 from pcbench.studies.stress.canvas import GREY, canvas, legend, plain_log_ticks
 from pcbench.studies.tradeoff.approximations import (
     BOTH,
@@ -26,7 +28,7 @@ from pcbench.studies.tradeoff.approximations import (
 )
 from pcbench.studies.tradeoff.errors import front
 from pcbench.studies.tradeoff.metrics import NAMES, TITLES
-from pcbench.studies.tradeoff.results import Tradeoff, TradeoffRow
+from pcbench.studies.tradeoff.results import DOCUMENT, Tradeoff, TradeoffRow, read_study
 from pcbench.studies.tradeoff.words import SEARCHED
 
 _COLORS = dict(zip((RANDOM, VOXEL, DISK, FLOAT32, SEARCH, NORMALS, ICP, DECIMATION), (*SERIES, "#000000"), strict=True))
@@ -36,6 +38,16 @@ _COLUMNS = 3
 _LINEAR_PERCENT = 10  # biases below it are drawn on a linear scale, larger ones on a logarithmic one
 _BIAS_TICKS = (-100.0, -50.0, -20.0, -10.0, -5.0, 0.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 _LEAST_ERROR = 1e-5  # 0.001 %: smaller errors are drawn there
+
+
+# Draws the charts of a study's folder.
+PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+
+
+def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
+    """Return the charts of a folder that `pcbench tradeoff` wrote."""
+    study = read_study(folder)
+    return chart_pictures(lambda: _charts(study), look)
 
 
 def draw_charts(study: Tradeoff, folder: Path) -> list[Path]:

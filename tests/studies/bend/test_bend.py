@@ -275,6 +275,15 @@ def test_picture_is_drawn(study, tmp_path):
         assert np.asarray(image.convert("L")).std() > 10
 
 
+def test_plot_draws_the_picture_again(study, run, tmp_path):
+    import_or_skip("matplotlib")
+    (tmp_path / "experiment.json").write_text(to_json(document(study)))
+    for extension, start in ((".png", b"\x89PNG"), (".svg", b"<?xml")):
+        picture = tmp_path / "figures" / f"bend{extension}"
+        assert run("plot", tmp_path, f"bend{extension}")[:2] == (0, f"{picture}\n")
+        assert picture.read_bytes().startswith(start)
+
+
 def test_solutions_without_deformation_stay_in_the_picture(study):
     import_or_skip("matplotlib")
     from matplotlib.figure import Figure

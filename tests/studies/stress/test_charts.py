@@ -11,6 +11,7 @@ from stress_studies import LADDERS, MAP, crowded_study, study
 import_or_skip("matplotlib")
 
 from pcbench.errors import InputError  # noqa: E402
+from pcbench.report import to_json  # noqa: E402
 from pcbench.studies.stress.charts import draw_charts  # noqa: E402
 from pcbench.studies.stress.curves import (  # noqa: E402
     coverage_chart,
@@ -21,7 +22,7 @@ from pcbench.studies.stress.curves import (  # noqa: E402
     speed_chart,
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart  # noqa: E402
-from pcbench.studies.stress.results import REGISTRATION, SILENT, SilentFailure  # noqa: E402
+from pcbench.studies.stress.results import REGISTRATION, SILENT, SilentFailure, document  # noqa: E402
 from pcbench.studies.stress.worst import failure_title  # noqa: E402
 
 
@@ -47,6 +48,16 @@ def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_pat
     assert {file.name for file in files} == {f"{name}.png" for name in expected}
     for file in files:
         assert file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_plot_draws_charts_again(run, tmp_path):
+    few = study(metrics=(), verdicts=())
+    (tmp_path / "stress.json").write_text(to_json(document(few)))
+    code, out, err = run("plot", tmp_path, "recall.svg", "outcomes_registration")
+    assert (code, err) == (0, "")
+    drawn = [tmp_path / "figures" / name for name in ("recall.svg", "outcomes_registration.png")]
+    assert out.splitlines() == list(map(str, drawn))
+    assert all(path.stat().st_size > 5000 for path in drawn)
 
 
 def test_charts_without_data_are_not_drawn(tmp_path):

@@ -14,7 +14,9 @@ from wording import check_error, check_text
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
+from pcbench.report.plot import draw
 from pcbench.studies.tradeoff import approximations, runs
+from pcbench.studies.tradeoff.charts import PICTURES
 from pcbench.studies.tradeoff.metrics import CORRECTABLE, MEANS
 from pcbench.studies.tradeoff.recommend import recommend
 from pcbench.studies.tradeoff.results import TradeoffSettings, read_study
@@ -111,6 +113,7 @@ def test_files_of_a_quick_study_and_resumed_runs(tmp_path, monkeypatch):
     parsed = check_page_of_study((folder / "report.html").read_text(encoding="utf-8"))
     assert parsed.tables == markdown_tables(page) and len(parsed.values("src")) == 2
     assert json.loads((folder / "tradeoff.json").read_text())["schema"] == "pcbench.tradeoff/1"
+    assert [path.name for path in draw(folder, ("bias.svg",), PICTURES)] == ["bias.svg"]
 
     monkeypatch.setattr(runs, "_run", lambda pair, approximation, seed: pytest.fail("run again"))
     again = run_tradeoff(*city_pair(600), settings, out=folder, figures=False)
