@@ -378,7 +378,7 @@ def _plot_report(
     from pcbench.studies.views.pictures import PICTURES as VIEWS
 
     complete_replacement(report)
-    kinds = (REPORT, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF)  # both experiments have an experiment.json
+    kinds = (REPORT, CHARTS, VIEWS, GAO, BEND, STRESS, TRADEOFF)
     drawer = next((drawer for drawer in kinds if drawer.fits(report)), None)
     if drawer is None:
         raise InputError(

@@ -188,7 +188,7 @@ def test_answers_are_those_of_the_results(tmp_path):
 def test_failures_and_limits_are_what_not_to_trust(tmp_path):
     warnings = {study: "\n".join(make("photos", tmp_path / study).warnings) for study, make in ARTICLES.items()}
     assert "d image_scale=0.5, seed 0: failed: photos" in warnings["bench"]
-    assert "none failed: photos" in warnings["bend"] and "'photos': photos" in warnings["bend"]
+    assert "'none' failed: photos" in warnings["bend"] and "'photos': photos" in warnings["bend"]
     assert "city_2 sparse failed: photos: no features" in warnings["gao"] and "2,000 steps" in warnings["gao"]
     assert "photos has no LPIPS" in warnings["gao"]
     assert "Left out: photos (photos is not installed)." in warnings["stress"]

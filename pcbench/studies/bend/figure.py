@@ -16,7 +16,7 @@ from pcbench.report.colors import ranges, robust_maximum
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
-from pcbench.studies.bend.results import DOCUMENT, BendStudy, SolutionResult, measured_bends, read_study
+from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, SolutionResult, measured_bends, read_study
 
 _COLORS = (
     "#000000",
@@ -38,7 +38,7 @@ _MAX_ZOOM_SHARE = 0.5  # of the largest displacement drawn: small deformations h
 
 
 # Draws the picture of an experiment's folder.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,), SCHEMA)
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
