@@ -167,7 +167,8 @@ def explain(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         if len(doubtful) == 1:
             condition = f"the pose of {doubtful[0]} is right (its registration is doubtful)"
         else:
-            poses = "the poses" if len(doubtful) == len(known) else f"the poses of {join_words(doubtful)}"
+            some = join_words(doubtful) if len(doubtful) == 2 else f"{len(doubtful)} of {len(known)} solutions"
+            poses = "the poses" if len(doubtful) == len(known) else f"the poses of {some}"
             condition = f"{poses} are right (the registrations are doubtful)"
         first = f"If {condition}, {first[0].lower()}{first[1:]}"
     yield first
