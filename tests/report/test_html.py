@@ -241,6 +241,14 @@ def test_five_candidates_keep_their_floors_and_the_main_columns_come_first(compa
     assert Page(text).unbalanced == Page(page(comparison, PROVENANCE)).unbalanced
 
 
+def test_small_shares_are_not_rounded_to_three_decimals(comparison):
+    points = comparison["a"].completeness.points
+    few = compare(points, {"few": points[:2]}, Settings(register="none"))
+    recalls = [score.recall.value for score in few["few"].metrics.fscores]
+    assert 0 < recalls[0] < 0.001
+    assert number(recalls[0]) in Page(page(few, PROVENANCE)).words
+
+
 def test_a_page_that_fails_does_not_cost_the_report(comparison, monkeypatch, tmp_path):
     def fail(*_):
         raise ValueError("no page")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from pcbench.measure.intervals import Interval
 from pcbench.measure.quantities import quantities
-from pcbench.measure.quantity import RATIO, Quantity
+from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.ranking import leaders
@@ -194,8 +194,6 @@ def _text(quantity: Quantity | None, least: float) -> str:
         return ""
     if quantity.value is None:
         return UNKNOWN
-    if quantity.unit == RATIO:
-        return f"{quantity.value:.3f}"
     return "0" if abs(quantity.value) <= least else number(quantity.value)
 
 
