@@ -157,7 +157,8 @@ def compare(
             )
         job = ComparisonJob.from_settings_file(settings_file)
         job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
-        job = replace(job, scene=viewed or job.scene)
+        if viewed is not None:
+            job = replace(job, scene=viewed, recorded_cameras=None)
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")

@@ -36,6 +36,7 @@ class ComparisonJob:
         expected: recorded SHA-256 of files, by absolute path.
         figures: appearance of the pictures.
         scene: the scene whose cameras select the views, if any; or its cameras, if its folder no longer exists.
+        recorded_cameras: the cameras in the report that is repeated, if any.
     """
 
     reference: Path
@@ -44,6 +45,7 @@ class ComparisonJob:
     expected: dict[str, str]
     figures: Figures = field(default_factory=Figures)
     scene: SceneFolder | ViewingCameras | None = None
+    recorded_cameras: ViewingCameras | None = None
 
     @property
     def inputs(self) -> list[Path]:
@@ -72,10 +74,11 @@ class ComparisonJob:
         expected = {file.path: file.sha256 for file in inputs.all_files()}
         figures = recorded_figures(settings_file)
         scene: SceneFolder | ViewingCameras | None = inputs.scene
-        recorded = settings_file.parent / CAMERAS_FILE
-        if inputs.scene is not None and not inputs.scene.path.exists() and recorded.is_file():
-            scene = ViewingCameras.read(recorded)
-        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, scene)
+        file, recorded = settings_file.parent / CAMERAS_FILE, None
+        if inputs.scene is not None and file.is_file():
+            recorded = ViewingCameras.read(file)
+            scene = inputs.scene if inputs.scene.path.exists() else recorded
+        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, scene, recorded)
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,8 @@ def _run(job: ComparisonJob, settings: Settings, step: ProgressPlan) -> Comparis
     warnings = [text for file in files for text in file.warnings]
     if isinstance(job.scene, ViewingCameras):
         warnings.append(f"the scene no longer exists: the views follow the cameras in the report's {CAMERAS_FILE}")
+    elif job.recorded_cameras and measured.cameras and not measured.cameras.equals(job.recorded_cameras):
+        warnings.append("the cameras of the scene have changed since the settings were written: the views may differ")
     reference = replace(reference, warnings=(*reference.warnings, *warnings))
     candidates = {name: _with_change(job, file) for name, file in inputs.candidates.items()}
     return replace(measured, inputs=replace(inputs, reference=reference, candidates=candidates, files=tuple(files)))

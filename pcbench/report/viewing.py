@@ -80,6 +80,11 @@ class ViewingCameras:
         up = None if self.up is None else rotation @ self.up
         return ViewingCameras(self.centers @ rotation.T, self.directions @ rotation.T, up, is_rotated=True)
 
+    def equals(self, other: ViewingCameras) -> bool:
+        """Return whether other cameras are the same to the last bit."""
+        ours, theirs = (np.vstack([cameras.centers, cameras.directions, up_of(cameras)]) for cameras in (self, other))
+        return np.array_equal(ours, theirs) and (self.up is None) == (other.up is None)
+
     @property
     def is_upright(self) -> bool:
         """Return whether +z is up, or may be because up is unknown."""

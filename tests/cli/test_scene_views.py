@@ -78,6 +78,23 @@ def test_a_comparison_is_repeated_with_the_recorded_cameras_if_the_scene_is_gone
     assert code == 2 and "photos" in err
 
 
+def test_changed_cameras_are_noticed_when_a_comparison_is_repeated(facade, run):
+    assert run("compare", "wall.ply", "shifted.ply", "--scene", "photos", "--out", "one", "--no-figures", "-q")[0] == 0
+    settings = json.loads(Path("one/settings.json").read_text())
+    settings["scene"]["cameras"] = str(facade / "fewer")
+    Path("one/settings.json").write_text(json.dumps(settings))
+    write_colmap_model(Path("fewer"), rotated(walk(), TURN)[1:])
+
+    def warnings(*options):
+        code, out, _ = run("compare", "--settings", "one/settings.json", "--json", "-", *options)
+        return code, "\n".join(json.loads(out)["reference"]["warnings"])
+
+    code, text = warnings()
+    assert code == 0 and "the cameras of the scene have changed" in check_text(text)
+    code, text = warnings("--scene", "photos", "--cameras", "fewer")  # others on purpose
+    assert code == 0 and "changed" not in text
+
+
 def test_no_metric_depends_on_the_cameras(facade, run):
     for name, options in (("with", ("--scene", "photos")), ("without", ())):
         assert run("compare", "wall.ply", "shifted.ply", *options, "--out", name, "--no-figures", "-q")[0] == 0
