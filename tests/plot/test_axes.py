@@ -7,9 +7,9 @@ import pytest
 from camera_rigs import random_rotation, rotated, sector
 from scipy.spatial import ConvexHull
 
-from pcbench.report.plot.views import SOUTH_WEST, AxisBox, Frame, Viewpoint, oblique_view
+from pcbench.report.plot.rounding import round_origin
+from pcbench.report.plot.views import SOUTH_WEST, AxisBox, Viewpoint, oblique_view
 from pcbench.report.plotters.axes import axes_of, lay_out
-from pcbench.report.plotters.stage import local_origin
 from pcbench.report.viewing import ViewingCameras
 
 SHAPES = [(4.3, 2.1, 1.7), (10.0, 9.0, 0.1), (1.0, 1.0, 0.0), (0.0, 0.0, 3.0), (3.0, 3.0, 40.0), (1000.0, 20.0, 10.0)]
@@ -38,10 +38,10 @@ def texts_of(axes):
 
 def test_the_origin_is_round_and_below_the_scene():
     box = AxisBox(np.array([636_001.7, 848_935.2, 406.0]), np.array([637_179.2, 849_497.9, 520.5]))
-    assert local_origin(Frame.of(box, [])).tolist() == [636_000, 848_000, 0]
-    assert local_origin(Frame.of(AxisBox(box.low * 0, box.high * 0 + 1), [])).tolist() == [0, 0, 0]
+    assert round_origin(box.low, box.high).tolist() == [636_000, 848_000, 0]
+    assert round_origin(box.low * 0, box.high * 0 + 1).tolist() == [0, 0, 0]
     west = AxisBox(np.array([-500_000.0, 0, 0]), np.array([-499_990.0, 10, 10]))
-    assert local_origin(Frame.of(west, [])).tolist() == [-500_000, 0, 0]
+    assert round_origin(west.low, west.high).tolist() == [-500_000, 0, 0]
 
 
 @EVERY_VIEW

@@ -11,9 +11,10 @@ from pcbench import Cloud
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures
 from pcbench.report.plot.maps import frame
+from pcbench.report.plot.rounding import log_ticks, round_length
 from pcbench.report.plot.sections import Section, draw_section
 from pcbench.report.plot.splats import Backdrop, splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, log_ticks, oblique_view, round_length, suitable_views
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, oblique_view, suitable_views
 from pcbench.report.viewing import ViewingCameras
 
 BACKGROUND = np.array([10, 20, 30], np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import SERIES
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.plot.views import log_ticks
+from pcbench.report.plot.rounding import log_ticks
 
 WIDTH, HEIGHT = 520, 260  # of a chart, in SVG units
 _LEFT, _RIGHT, _TOP, _BOTTOM = 36, 12, 26, 40

@@ -15,7 +15,8 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.tiles import MIN_TILE_POINTS, TileDeviations, TileGrid, deviations_by_tile
 from pcbench.report.colors import Range, ranges
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.plot.views import COORDINATES, SceneAxes, round_length
+from pcbench.report.plot.rounding import round_length
+from pcbench.report.plot.views import COORDINATES, SceneAxes
 from pcbench.report.words import length, printable, rounding_limit
 
 TILE = 30  # edge of a tile on a map, in SVG units

@@ -16,13 +16,13 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink, rgb
 from pcbench.report.plot.panels import compose, save
+from pcbench.report.plot.rounding import axis_title, round_length, round_origin
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint, round_length
+from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
 from pcbench.report.words import printable
 
 _BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
-_MAX_TICK = 1e5  # of coordinates in tick labels
 _ARROW_SHARE = 0.07  # length of the arrow at the 95th percentile, as a share of the scene's size
 
 
@@ -154,17 +154,6 @@ def round_exaggeration(typical: float, box: AxisBox) -> float:
     return round_length(_ARROW_SHARE * float(np.linalg.norm(box.high - box.low)) / typical)
 
 
-def _round_origin(positions: FloatArray) -> FloatArray:
-    """Return what to subtract from positions (N, 2) for short tick labels: zero, or thousands for large coordinates."""
-    is_large = np.abs(positions).max() >= _MAX_TICK
-    origin: FloatArray = np.where(is_large, np.floor(positions.min(axis=0) / 1000) * 1000, 0.0)
-    return origin
-
-
-def _coordinate_label(axis: str, origin: float, unit: str) -> str:
-    return f"{axis} − {origin:,.0f} [{unit}]" if origin else f"{axis} [{unit}]"
-
-
 def _display_unit(bend: Deformation, unit: str) -> tuple[float, str]:
     """Return factor and name of the unit for displacements: millimetres for small displacements in metres."""
     return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
@@ -216,7 +205,7 @@ def _changes(
 
     local = factor * np.asarray(field.attributes["local"], np.float64)
     changed = np.asarray(field.attributes["changed"]) > 0
-    origin = _round_origin(field.points[:, :2])
+    origin = round_origin(field.points[:, :2].min(axis=0), field.points[:, :2].max(axis=0))
     x, y = (field.points[:, :2] - origin).T
     order = np.argsort(local)
     limit = float(np.percentile(local, 98)) or 1.0
@@ -227,8 +216,8 @@ def _changes(
     axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
     axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{short}]", shrink=0.9)
     axis.set_aspect("equal")
-    axis.set_xlabel(_coordinate_label(names[0], origin[0], unit))
-    axis.set_ylabel(_coordinate_label(names[1], origin[1], unit))
+    axis.set_xlabel(axis_title(names[0], origin[0], unit))
+    axis.set_ylabel(axis_title(names[1], origin[1], unit))
     if bend.local is None:
         return
     changes = bend.local

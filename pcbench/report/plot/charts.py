@@ -11,7 +11,7 @@ from pcbench.geometry.arrays import even_rows
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.panels import DPI, save
-from pcbench.report.plot.views import log_ticks
+from pcbench.report.plot.rounding import log_ticks
 from pcbench.report.read import Report
 from pcbench.report.words import printable
 

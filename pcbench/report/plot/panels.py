@@ -17,7 +17,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Classes, Range
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot.outputs import METADATA
-from pcbench.report.plot.views import Frame, Viewpoint, round_length
+from pcbench.report.plot.rounding import round_length
+from pcbench.report.plot.views import Frame, Viewpoint
 from pcbench.report.words import printable
 
 DPI = 120

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,7 +21,6 @@ _MIN_SLENDERNESS = 0.75  # ratio of height to horizontal size of an object, whic
 # Heights of directions towards the viewer: to a side with a horizontal length of 1, and to corners of a wall and of a
 # town with that of a square's diagonal.
 _SIDE_HEIGHT, _WALL_HEIGHT, _CORNER_HEIGHT = 0.15, 0.35, 1.1
-_NARROW_RATIO, _WIDE_RATIO = 8.0, 200.0  # of the ends of an axis with even ticks, and with ticks at powers of ten
 _MIN_SIDE_SHARE = 0.2  # mean horizontal part of viewing directions; with less, the cameras look down
 _MIN_FRONT_SHARE = 0.5  # length of the mean of the cameras' sides, if they are all on one side of the scene
 _MAX_LEVEL_DEG = 30.0  # mean angle to the horizontal plane of cameras that look at the front of a scene
@@ -345,23 +343,6 @@ def _title(direction: tuple[int, int], has_north: bool) -> str:
         return f"from the {'-'.join(filter(None, [north_south, east_west]))}"
     signs = {1: "+", -1: "−"}
     return f"from {', '.join(signs[value] + axis for axis, value in (('x', x), ('y', y)) if value)}"
-
-
-def round_length(at_most: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is at most `at_most`."""
-    power = 10.0 ** np.floor(np.log10(at_most))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= at_most * (1 + 1e-9)))
-
-
-def log_ticks(low: float, high: float) -> list[float]:
-    """Return round values from `low` to `high` for a logarithmic axis, few enough for their labels to be apart."""
-    if high <= _NARROW_RATIO * low:
-        step = round_length((high - low) / 3)
-        return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    factors = (1, 2, 5) if high <= _WIDE_RATIO * low else (1,)
-    values = [factor * 10.0**decade for decade in decades for factor in factors]
-    return [value for value in values if low <= value <= high]
 
 
 def thin_out(points: FloatArray) -> FloatArray:

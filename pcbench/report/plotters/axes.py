@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
-from pcbench.report.plot.views import Viewpoint, round_length
+from pcbench.report.plot.rounding import round_length
+from pcbench.report.plot.views import Viewpoint
 
 FONT_PX = 13
 _CHARACTER_PX, _LINE_PX = 7.2, 14.0  # size of text of that font, rounded up

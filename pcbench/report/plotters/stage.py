@@ -15,6 +15,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
 from pcbench.report.figures import WINDOW_SIZE, Figures, ink, rgb
+from pcbench.report.plot.rounding import axis_title, round_origin
 from pcbench.report.plot.views import Frame, oblique_view
 from pcbench.report.plotters.axes import FONT_PX, Layout, lay_out
 from pcbench.report.plotters.lighting import Lighting
@@ -29,7 +30,6 @@ _LINE_INK_SHARE = 0.6  # of ink in the colour of lines; the rest is background
 _TITLE_SIZE, _MIN_TITLE_SIZE = 11, 5  # in points
 _TITLE_CHARACTER_PX = 12.4  # mean width of a character of the title's full size
 _TITLE_PX = 36  # from the upper edge to the lower edge of the title
-_NEAR_EXTENTS = 10.0  # a frame this many times its size from 0 needs no local origin
 _DOT_SHARE = 0.8  # of the mean distance between points if they covered the window evenly
 _MIN_DOT_PX, _MAX_DOT_PX = 2.0, 6.0
 _GHOST_POINTS = 40_000  # more translucent points would add up to an opaque layer
@@ -95,7 +95,7 @@ class Stage:
         self._line_color = _mixed(self.ink, ground, _LINE_INK_SHARE)
         self.unit, self._known_unit, self.frame, self._size = unit or UNKNOWN_UNIT, unit, frame, window.size
         self.lighting = Lighting(self.plotter) if window.lighting else None
-        self.origin, self._view = local_origin(frame), oblique_view(frame.cameras)
+        self.origin, self._view = round_origin(frame.box.low, frame.box.high), oblique_view(frame.cameras)
         self._place_camera(self._add_axes(axes))
 
     def add_points(self, points: FloatArray, name: str, *, lit: bool = False, **how: Any) -> Any:
@@ -217,8 +217,7 @@ class Stage:
 
     def _add_axes(self, names: tuple[str, str, str]) -> Layout:
         """Add axes along edges of the frame's box, and return their layout."""
-        unit = f" [{self._known_unit}]" if self._known_unit else ""
-        titles = [f"{name}{_minus(start)}{unit}" for name, start in zip(names, self.origin, strict=True)]
+        titles = [axis_title(name, start, self._known_unit) for name, start in zip(names, self.origin, strict=True)]
         low, high = self.frame.box.low - self.origin, self.frame.box.high - self.origin
         side, top, bottom = self._margins
         layout = lay_out(low, high, titles, self._view, np.array(self._size) - [2 * side, top + bottom])
@@ -293,18 +292,3 @@ def _digits(low: float, high: float) -> int:
     """Return the significant digits that distinguish the labels of a bar from `low` to `high`."""
     largest, step = max(abs(low), abs(high)), (high - low) / 4
     return 3 if not step > 0 else max(3, math.ceil(math.log10(largest / step)) + 2)
-
-
-def local_origin(frame: Frame) -> FloatArray:
-    """Return round coordinates (3,) at or below a frame's lower corner; 0 on axes on which the frame is near 0."""
-    low, high = frame.box.low, frame.box.high
-    extent = max(float((high - low).max()), 1e-9)
-    step = 10.0 ** np.floor(np.log10(extent))
-    far = np.maximum(np.abs(low), np.abs(high)) > _NEAR_EXTENTS * extent
-    origin: FloatArray = np.where(far, step * np.floor(low / step), 0.0)
-    return origin
-
-
-def _minus(start: float) -> str:
-    """Return what was subtracted from a coordinate, such as " − 637,000"; nothing for 0."""
-    return f" {'−' if start > 0 else '+'} {abs(start):,.15g}" if start else ""
