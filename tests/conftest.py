@@ -105,7 +105,7 @@ def _shares_fixtures(file):
 
 @pytest.fixture(scope="session")
 def renew_pictures(request):
-    """Whether golden pictures are written anew."""
+    """Return whether golden pictures are written anew."""
     return request.config.getoption("--renew-pictures")
 
 

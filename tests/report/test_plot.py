@@ -230,6 +230,7 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
     compare(points, {"same": points}, Settings(register="none")).save(tmp_path / "report", figures=False)
     paths = {path.stem: path for path in draw_in_process(tmp_path / "report")}
     assert "distribution" not in paths  # all distances are zero
+    assert not any(name.endswith("_section") for name in paths)
     with check_error(PcbenchError):
         draw_in_process(tmp_path / "report", "distribution")
     image = imread(paths["same_distance"])[..., :3]

@@ -60,7 +60,7 @@ class MetricColumn:
 
     @property
     def has_directions(self) -> bool:
-        """Whether the metric has a value in both directions."""
+        """Return whether the metric has a value in both directions."""
         return any(second.text for _, second in self.row.cells)
 
 

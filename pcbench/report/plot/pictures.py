@@ -131,12 +131,12 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
 
     def picture(name: str) -> Picture:
         def draw(path: Path) -> bool:
-            return draw_section(
+            return bool(values[name].any()) and draw_section(
                 clouds[name].points, values[name], reference, report.spacing_median, name, scales[name], label,
                 report.unit, path, look, report.rotation, report.cameras,
             )  # fmt: skip
 
-        return Picture(draw, "no place has enough points for a section")
+        return Picture(draw, "all distances are zero, or no place has enough points for a section")
 
     return {f"{name}_section": picture(name) for name in clouds} if len(reference) else {}
 
