@@ -15,6 +15,7 @@ from pcbench.io.files import atomic_write
 from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
+from reconstructors.splat.exposure import Exposure, best_gain
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import LearningRates, Optimizer, lower_sh_degree, raise_sh_degree
 from reconstructors.splat.photographs import Photograph, Pyramid
@@ -107,6 +108,7 @@ class Training:
         density: Density[Training],
         supervision: Supervision | None = None,
         background: Background | None = None,
+        exposure: Exposure | None = None,
     ):
         self.model = model
         self.photographs = photographs
@@ -114,6 +116,7 @@ class Training:
         self.density = density
         self.supervision = supervision
         self.background = background or Background(device=model.means.device)
+        self.exposure = exposure
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.converged = False
@@ -247,10 +250,11 @@ class Training:
         model = self.model
         background = self.background.behind(photograph, self.rng())
         rendering = self._render(photograph.view, background, geometry=self.supervision is not None)
-        target = photograph.target(background)
-        image = rendering.color if photograph.valid is None else rendering.color * photograph.valid[..., None]
-        loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
-        gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
+        gain = 1.0 if self.exposure is None else self.exposure.update(photograph, rendering, background)
+        target = photograph.target(gain * background)
+        weight = gain if photograph.valid is None else gain * photograph.valid[..., None]
+        image = rendering.color * weight
+        gradient = self._kernels.image_loss(image, target, schedule.ssim_weight).gradient * weight
         difference = image - target
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
         gradients = self._rasterizer.backward(
@@ -275,6 +279,7 @@ class Training:
             "ended": self.converged,
             "seen": tuple(self.screen_gradients),
             "background": self.background.state(),
+            "exposure": None if self.exposure is None else self.exposure.state(),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
         with atomic_write(path) as file:
@@ -292,6 +297,8 @@ class Training:
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, state["density"])
         self.background.restore(state["background"])
+        if self.exposure is not None:
+            self.exposure.restore(state["exposure"])
         self.psnr, self._mean_psnr, self.converged = state["psnr"], state["means"], state["ended"]
         return True
 
@@ -303,12 +310,28 @@ def render(model: Gaussians, view: View, background: Tensor | None = None) -> Te
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
-def evaluate(model: Gaussians, photographs: Sequence[Photograph], background: Tensor | None = None) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels; the background (3,) is black by default."""
+def evaluate(
+    model: Gaussians,
+    photographs: Sequence[Photograph],
+    background: Tensor | None = None,
+    *,
+    fit_exposure: bool = False,
+) -> list[float]:
+    """Return the PSNR of each photograph in dB, over its valid pixels.
+
+    Args:
+        model: the Gaussians.
+        photographs: the photographs.
+        background: (3,) color behind the Gaussians, by default black.
+        fit_exposure: whether to multiply each rendering by the gain that fits its photograph best.
+    """
     background = model.means.new_zeros(3) if background is None else background
     scores = []
     for photograph in photographs:
-        square = (render(model, photograph.view, background) - photograph.over(background)) ** 2
+        rendering, target = render(model, photograph.view, background), photograph.over(background)
+        if fit_exposure:
+            rendering = (rendering * best_gain(target, rendering, photograph.valid)).clamp(0, 1)
+        square = (rendering - target) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores
