@@ -19,6 +19,7 @@ from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_alpha, decode_gray, decode_image, decode_mask, opaque_pixels
 from reconstructors.mvs.maps import read_depth, read_map
 from reconstructors.mvs.patchmatch import GrayView
+from reconstructors.sfm.contrast import stretch_contrast
 
 # In the workspace: one folder per image with image.png, mask.png if it is masked, and alpha.png if it is transparent.
 VIEWS = "views"
@@ -77,21 +78,28 @@ def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) ->
 def read_view(folder: Path, camera: Camera) -> GrayView:
     """Read a view from its stage, in grey, with its mask; pixels that are at least half transparent are masked too.
 
+    The contrast of dark and faint views is stretched.
+
     Raises:
         InputError: the image cannot be decoded.
     """
     size = (camera.intrinsics.width, camera.intrinsics.height)
-    rgb = decode_image(folder / IMAGE, size)
+    gray = _weigh_colors(decode_image(folder / IMAGE, size))
     valid = decode_mask(folder / MASK, size) if (folder / MASK).is_file() else None
     if (folder / ALPHA).is_file():
         opaque = opaque_pixels(decode_gray(folder / ALPHA, size))
         valid = opaque if valid is None else valid & opaque
-    return GrayView(luminance(rgb), camera, valid)
+    stretched = stretch_contrast(gray)
+    return GrayView(gray.round().astype(np.uint8) if stretched is None else stretched, camera, valid)
 
 
 def luminance(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return grey values (H, W) of colours (H, W, 3), with the weights of ITU-R BT.601."""
-    return np.asarray((rgb @ np.array([0.299, 0.587, 0.114], np.float32)).round(), dtype=np.uint8)
+    return np.asarray(_weigh_colors(rgb).round(), dtype=np.uint8)
+
+
+def _weigh_colors(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.asarray(rgb @ np.array([0.299, 0.587, 0.114], np.float32), dtype=np.float32)
 
 
 def pinhole(camera: Camera, scale: float) -> Camera:
