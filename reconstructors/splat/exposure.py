@@ -70,14 +70,13 @@ class Exposure:
 
 
 def best_gain(target: Tensor, rendered: Tensor, valid: Tensor | None) -> Tensor:
-    """Return the ratio of the brightness of an image (H, W, 3) to that of its rendering, over the valid pixels (H, W).
-
-    A least-squares fit would be too small if the rendering is blurred; the ratio of the sums is not.
-    """
-    images = [target, rendered] if valid is None else [target * valid[..., None], rendered * valid[..., None]]
+    """Return the least-squares factor from a rendering to an image (H, W, 3), over the valid pixels (H, W)."""
+    target, rendered = target.double(), rendered.double()
+    if valid is not None:
+        rendered = rendered * valid[..., None]
     # First over the pixels of each channel: such sums have the same bits with any number of threads.
-    target_sum, rendered_sum = (image.double().sum(dim=(0, 1)).sum() for image in images)
-    return (target_sum / rendered_sum.clamp(min=1e-6)).clamp(1 / _MAX_GAIN, _MAX_GAIN)
+    products, squares = ((rendered * image).sum(dim=(0, 1)).sum() for image in (target, rendered))
+    return (products / squares.clamp(min=1e-6)).clamp(1 / _MAX_GAIN, _MAX_GAIN)
 
 
 def write_gains(path: Path, gains: Mapping[str, float]) -> None:

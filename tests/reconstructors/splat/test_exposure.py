@@ -45,7 +45,7 @@ def test_gains_are_found_and_colors_are_right():
     for run in runs:
         run.run(400)
     expected = np.array(GAINS) / np.exp(np.mean(np.log(GAINS)))
-    np.testing.assert_allclose(list(runs[0].exposure.gains.values()), expected, rtol=0.03)
+    np.testing.assert_allclose(list(runs[0].exposure.gains.values()), expected, rtol=0.05)
     views = [pyramid[0] for pyramid in pictures]
     scores = [
         np.mean(evaluate(run.model, views[::2], run.background.color[0], fit_exposure=fit))
@@ -75,7 +75,7 @@ def test_masked_pixels_do_not_change_the_gain():
     target = torch.where(valid[..., None], 0.8 * rendered, 1.0)
     assert float(best_gain(target, rendered, valid)) == pytest.approx(0.8)
     assert float(best_gain(target, rendered, None)) > 1.2
-    assert float(best_gain(target, torch.zeros_like(target), None)) == 4  # bounded
+    assert float(best_gain(target, rendered / 100, None)) == 4  # bounded
 
 
 @pytest.mark.parametrize("threads", [2, 3])
