@@ -13,6 +13,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pcbench.io.files import atomic_write
 from reconstructors.splat.photographs import Photograph
 
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
     from reconstructors.splat.interface import RasterOutput
 
 _MAX_GAIN = 4.0  # and least: its inverse
+_MAX_TRANSMITTANCE = 0.1  # of pixels that count: others show surfaces that the model lacks
+_MIN_BRIGHTNESS = 0.05  # of rendered pixels that count, from 0 to 1
 
 
 class Exposure:
@@ -50,8 +54,11 @@ class Exposure:
         rendered = rendering.color
         if photograph.alpha is not None:
             rendered = rendered - rendering.transmittance[..., None] * background
+        is_reliable = rendering.transmittance < _MAX_TRANSMITTANCE
+        if photograph.valid is not None:
+            is_reliable &= photograph.valid
         row = self._rows[photograph.name]
-        self._gains[row] = best_gain(photograph.color.float() / 255, rendered, photograph.valid)
+        self._gains[row] = median_gain(photograph.color.float() / 255, rendered, is_reliable)
         self._gains /= self._gains.log().mean().exp()
         return self._gains[row].to(rendered.dtype)
 
@@ -69,14 +76,22 @@ class Exposure:
         self._gains = state
 
 
-def best_gain(target: Tensor, rendered: Tensor, valid: Tensor | None) -> Tensor:
-    """Return the least-squares factor from a rendering to an image (H, W, 3), over the valid pixels (H, W)."""
-    target, rendered = target.double(), rendered.double()
+def median_gain(target: Tensor, rendered: Tensor, is_reliable: Tensor) -> Tensor:
+    """Return the median ratio of the brightness of an image (H, W, 3) and its rendering, over the reliable pixels.
+
+    Very dark pixels and three of four others are left out. The ratio is 1 if no pixel is left, and limited to 1/4 to 4.
+    """
+    bright, base = target[::2, ::2].mean(dim=2), rendered[::2, ::2].mean(dim=2)
+    counts = is_reliable[::2, ::2] & (base > _MIN_BRIGHTNESS)
+    ratio = (bright / base).where(counts, bright.new_tensor(np.nan)).nanmedian()
+    return ratio.nan_to_num(1.0).clamp(1 / _MAX_GAIN, _MAX_GAIN)
+
+
+def least_squares_gain(target: Tensor, rendered: Tensor, valid: Tensor | None) -> Tensor:
+    """Return the factor from a rendering to an image (H, W, 3) with the highest PSNR over the valid pixels (H, W)."""
     if valid is not None:
         rendered = rendered * valid[..., None]
-    # First over the pixels of each channel: such sums have the same bits with any number of threads.
-    products, squares = ((rendered * image).sum(dim=(0, 1)).sum() for image in (target, rendered))
-    return (products / squares.clamp(min=1e-6)).clamp(1 / _MAX_GAIN, _MAX_GAIN)
+    return (rendered * target).double().mean() / (rendered**2).double().mean().clamp(min=1e-6)
 
 
 def write_gains(path: Path, gains: Mapping[str, float]) -> None:

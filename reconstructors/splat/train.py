@@ -15,7 +15,7 @@ from pcbench.io.files import atomic_write
 from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.exposure import Exposure, best_gain
+from reconstructors.splat.exposure import Exposure, least_squares_gain
 from reconstructors.splat.model import Gaussians
 from reconstructors.splat.optimizer import LearningRates, Optimizer, lower_sh_degree, raise_sh_degree
 from reconstructors.splat.photographs import Photograph, Pyramid
@@ -330,7 +330,7 @@ def evaluate(
     for photograph in photographs:
         rendering, target = render(model, photograph.view, background), photograph.over(background)
         if fit_exposure:
-            rendering = (rendering * best_gain(target, rendering, photograph.valid)).clamp(0, 1)
+            rendering = (rendering * least_squares_gain(target, rendering, photograph.valid)).clamp(0, 1)
         square = (rendering - target) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))

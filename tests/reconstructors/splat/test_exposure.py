@@ -10,7 +10,7 @@ from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.background import Background  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
-from reconstructors.splat.exposure import Exposure, best_gain, read_gains, write_gains  # noqa: E402
+from reconstructors.splat.exposure import Exposure, least_squares_gain, median_gain, read_gains, write_gains  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate, render  # noqa: E402
 
 GAINS = [1.0, 0.7, 0.9, 0.6, 0.95, 0.8, 1.0, 0.75]
@@ -45,7 +45,7 @@ def test_gains_are_found_and_colors_are_right():
     for run in runs:
         run.run(400)
     expected = np.array(GAINS) / np.exp(np.mean(np.log(GAINS)))
-    np.testing.assert_allclose(list(runs[0].exposure.gains.values()), expected, rtol=0.05)
+    np.testing.assert_allclose(list(runs[0].exposure.gains.values()), expected, rtol=0.03)
     views = [pyramid[0] for pyramid in pictures]
     scores = [
         np.mean(evaluate(run.model, views[::2], run.background.color[0], fit_exposure=fit))
@@ -67,32 +67,21 @@ def test_a_resumed_run_has_the_same_gains(tmp_path):
     assert second.exposure.gains == uninterrupted.exposure.gains
 
 
-def test_masked_pixels_do_not_change_the_gain():
+def test_masked_and_dark_pixels_do_not_change_the_gain():
     rng = np.random.default_rng(0)
     rendered = torch.from_numpy(rng.uniform(0.2, 0.8, (20, 30, 3)))
     valid = torch.ones(20, 30, dtype=torch.bool)
     valid[:, 12:] = False
-    target = torch.where(valid[..., None], 0.8 * rendered, 1.0)
-    assert float(best_gain(target, rendered, valid)) == pytest.approx(0.8)
-    assert float(best_gain(target, rendered, None)) > 1.2
-    assert float(best_gain(target, rendered / 100, None)) == 4  # bounded
-
-
-@pytest.mark.parametrize("threads", [2, 3])
-def test_gain_and_background_have_the_same_bits_with_any_number_of_threads(threads):
-    rng = np.random.default_rng(1)
-    target, rendered = (torch.from_numpy(rng.random((400, 500, 3), np.float32)) for _ in range(2))
-
-    def results(count):
-        before = torch.get_num_threads()
-        torch.set_num_threads(count)
-        try:
-            gradient = (rendered * target[..., :1]).double().sum(dim=(0, 1))
-            return [float(best_gain(target, rendered, None)), *gradient.tolist()]
-        finally:
-            torch.set_num_threads(before)
-
-    assert results(threads) == results(1)
+    rendered[:8] = 0.01  # a surface that the model lacks
+    target = torch.where(valid[..., None] & (rendered > 0.01), 0.8 * rendered, 1.0)
+    assert float(median_gain(target, rendered, valid)) == pytest.approx(0.8)
+    assert float(median_gain(target, rendered, ~valid)) > 1.2
+    assert float(median_gain(target, rendered, valid & False)) == 1
+    assert float(median_gain(target, rendered / 3, valid)) == pytest.approx(2.4)
+    assert float(median_gain(target, rendered / 6, valid)) == 4  # the largest
+    lower = valid.clone()
+    lower[:8] = False
+    assert float(least_squares_gain(target, rendered, lower)) == pytest.approx(0.8)
 
 
 def test_gains_are_written_and_read(tmp_path):
