@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from reconstructors.splat.interface import RasterOutput
 
 _MAX_GAIN = 4.0  # and least: its inverse
-_MAX_TRANSMITTANCE = 0.1  # of pixels that count: others show surfaces that the model lacks
+_MAX_MIXTURE = 0.1  # share of the background at pixels of a surface that count, or of a surface at those of background
 _MIN_BRIGHTNESS = 0.05  # of rendered pixels that count, from 0 to 1
 
 
@@ -54,7 +54,8 @@ class Exposure:
         rendered = rendering.color
         if photograph.alpha is not None:
             rendered = rendered - rendering.transmittance[..., None] * background
-        is_reliable = rendering.transmittance < _MAX_TRANSMITTANCE
+        transmittance = rendering.transmittance
+        is_reliable = (transmittance < _MAX_MIXTURE) | (transmittance > 1 - _MAX_MIXTURE)
         if photograph.valid is not None:
             is_reliable &= photograph.valid
         row = self._rows[photograph.name]

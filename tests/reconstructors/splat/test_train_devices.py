@@ -20,6 +20,7 @@ from reconstructors.splat import devices, train  # noqa: E402
 from reconstructors.splat.background import Background  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.devices import choose_device  # noqa: E402
+from reconstructors.splat.exposure import Exposure  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.optimizer import raise_sh_degree  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
@@ -67,8 +68,9 @@ def new_training(device="cpu"):
         torch.zeros(GAUSSIANS, 1, 3),
     ).to(torch.device(device))
     schedule = Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0))
-    background = Background((0.4, 0.4, 0.4), device, is_learned=True, is_random=True)
-    return Training(start, pyramids, schedule, Density(), background=background)
+    exposure = Exposure([pyramid[0].name for pyramid in pyramids], device)
+    background = Background((0.0, 0.0, 0.0), device, is_learned=True, is_random=True)
+    return Training(start, pyramids, schedule, Density(), background=background, exposure=exposure)
 
 
 def parts(model):
