@@ -6,7 +6,7 @@ from optional import import_or_skip
 
 torch = import_or_skip("torch")
 
-from reconstructors.field.model import CHANNELS, STEP, VoxelField, RayBatch, aligned_rows  # noqa: E402
+from reconstructors.field.model import CHANNELS, STEP, RayBatch, VoxelField, aligned_rows  # noqa: E402
 from reconstructors.field.native import _field  # noqa: E402
 
 HARMONICS = (0.282094792, 0.488602512)
