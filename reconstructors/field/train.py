@@ -20,6 +20,7 @@ BYTES_PER_VERTEX = 320  # values, moments and gradients, and new values while th
 BYTES_PER_PIXEL = 8  # of a photograph with its smaller sizes, and the colors that training reads
 _SKIP_INTERVAL = 50  # steps between two searches for empty blocks
 _PSNR_STEPS = 100  # steps over which PSNR is averaged
+_DECAY, _TINY = np.float32(0.95), np.float32(1e-8)  # of RMSProp, as in native/rows.h
 
 
 @dataclass(frozen=True)
@@ -193,21 +194,9 @@ class FieldTraining:
 
     def _update_background(self, gradient: NDArray[np.float32], rates: NDArray[np.float32]) -> None:
         """Apply the step of RMSProp that the compiled code applies to the vertices."""
-        vertex = np.zeros((1, CHANNELS), np.float32)
-        vertex[0] = self.model.background
-        moments = self._background_moments[None]
-        links = np.full((2, 2, 2), -1, np.int32)
-        _field.update(
-            vertex,
-            moments,
-            gradient[None],
-            np.ones(1, np.uint8),
-            np.zeros(1, np.int32),
-            links,
-            rates,
-            np.zeros(CHANNELS, np.float32),
-        )
-        self.model.background[:] = vertex[0]
+        square, moments = gradient**2, self._background_moments
+        moments[:] = np.where(moments > 0, _DECAY * moments + (1 - _DECAY) * square, square)
+        self.model.background[:] -= rates * gradient / (np.sqrt(moments) + _TINY)
 
     def _refine(self) -> None:
         """Remove vertices that no photograph sees, and halve the voxels if they fit into memory."""

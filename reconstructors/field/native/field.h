@@ -23,7 +23,7 @@ struct Grid {
     float step;               // length between two samples of a ray
 };
 
-// Sample positions are origin + (k + offset) step direction, for whole k, in front of the origin and inside the grid.
+// Samples are (k + offset) steps behind the point where the ray enters the grid, for whole k.
 struct Ray {
     float origin[3], direction[3];  // direction is a unit vector
     float offset;
