@@ -43,11 +43,11 @@ class FieldSchedule:
     rays: int = 4096
     shares: tuple[float, ...] = (0.2, 0.5)
     min_weight: float = 0.02
-    density_rate: float = 0.2
-    color_rate: float = 0.05
-    rate_decay: float = 0.1
+    density_rate: float = 2.0
+    color_rate: float = 0.1
+    rate_decay: float = 0.05
     density_smoothing: float = 1e-3
-    color_smoothing: float = 1e-3
+    color_smoothing: float = 1e-4
     seed: int = 0
     max_vertices: int = 10_000_000
 

@@ -34,18 +34,17 @@ class Budget(NamedTuple):
     image_scale: float = 1.0
 
 
-_FAST_SPLAT = {"density": "fixed", "gaussians": "20000"}
+_FIXED = {"density": "fixed", "gaussians": "10000"}
 BUDGETS = (
     Budget("sfm", "2,000 features", {"features": "2000", "upsample": "no"}),
     Budget("sfm", "default", {}),
     Budget("mvs", "half size", {}, 0.5),
-    Budget("mvs", "2 sources", {"sources": "2"}),
     Budget("mvs", "default", {}),
-    Budget("splat", "150 steps", _FAST_SPLAT | {"steps": "150"}),
-    Budget("splat", "600 steps", _FAST_SPLAT | {"steps": "600"}),
-    Budget("field", "64 voxels, 300 steps", {"resolution": "64", "steps": "300"}),
-    Budget("field", "128 voxels, 400 steps", {"resolution": "128", "steps": "400"}),
-    Budget("field", "128 voxels, 1,200 steps", {"resolution": "128", "steps": "1200"}),
+    Budget("splat", "10,000, 100 steps", _FIXED | {"steps": "100"}),
+    Budget("splat", "10,000, 400 steps", _FIXED | {"steps": "400"}),
+    Budget("field", "64 voxels, 200 steps", {"resolution": "64", "steps": "200"}),
+    Budget("field", "128 voxels, 300 steps", {"resolution": "128", "steps": "300"}),
+    Budget("field", "128 voxels, 800 steps", {"resolution": "128", "steps": "800"}),
 )
 LINE_STYLES = {
     "sfm": ("#0072b2", "o"),
@@ -120,8 +119,8 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=16)
-    parser.add_argument("--size", default="240x160")
+    parser.add_argument("--images", type=int, default=12)
+    parser.add_argument("--size", default="240x136")
     parser.add_argument("--cities", type=int, default=len(CITIES), help="number of cities")
     parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
