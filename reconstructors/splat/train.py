@@ -128,6 +128,11 @@ class Training:
         """Number of steps of the schedule."""
         return self.schedule.steps
 
+    def status(self) -> str:
+        """Return mean PSNR and number of Gaussians for a progress message."""
+        psnr = [value for value in map(float, self.psnr) if not math.isnan(value)]
+        return f"PSNR {np.mean(psnr):.1f} dB, {len(self.model):,} Gaussians"
+
     def run(self, until: int, on_step: Callable[[Training], None] | None = None) -> None:
         """Train up to a step or until convergence, calling `on_step` after each step.
 
