@@ -28,6 +28,7 @@ from pcbench.scenes.decode import decode_image
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
 from reconstructors.mvs.filter import Criteria, filter_map
+from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.fusion import (
     FUSED,
     OverlapSamples,
@@ -39,6 +40,7 @@ from reconstructors.mvs.fusion import (
     write_mesh,
     write_workspace,
 )
+from reconstructors.mvs.halos import remove_halos
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MatchedImage, choose_references
@@ -57,7 +59,7 @@ _MIN_IMAGES = 3  # each sparse point is observed by at least three images
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
 _MAX_TEXTURE_SAMPLES = 8  # images from which the share of texture is estimated
 _MAX_SAMPLE_SIDE_PX = 1000  # longer side of these images
-_BYTES_PER_PIXEL = 3 * 20 + 4 + 26  # depth, normal and confidence three times, the photograph, the cloud
+_BYTES_PER_PIXEL = 3 * 20 + 4 + 36  # depth, normal and confidence three times, the photograph, the cloud
 _EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and its sources
 
 
@@ -78,7 +80,8 @@ class DenseMvs:
     By default they are matched at up to 2000 pixels.
     sources: images that each image is matched with; by default up to 8, if as many overlap.
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
-    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point.
+    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
+    gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
@@ -87,7 +90,7 @@ class DenseMvs:
     sources: int | None = None
     backend: Backend = "auto"
     confidence: float = 0.3
-    views: int = 3
+    views: int = 2
     mesh: bool = False
     seed: int = 0
 
@@ -157,7 +160,7 @@ class DenseMvs:
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered.folders])
         fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
         counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
-        cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
+        cloud = flatten(read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views))
         cloud = replace(cloud, points=cloud.points + origin, unit=solved.cloud.unit)
         notes.append(
             f"{len(filtered.folders)} depth maps fused; median of {np.median(cloud.attributes['views']):.0f} images"
@@ -197,7 +200,7 @@ class DenseMvs:
     def _filter_maps(
         self, photographs: ViewCache, references: Sequence[MatchedImage], maps: Mapping[str, Path], workspace: Path
     ) -> _FilteredStages:
-        """Keep the depths that other maps confirm, in one stage per image.
+        """Keep the depths that other maps confirm and that are no halos, in one stage per image.
 
         Raises:
             ReconstructionError: no map has a confirmed depth.
@@ -210,7 +213,8 @@ class DenseMvs:
             def make(folder: Path, name: str = reference.name, sources: Sequence[str] = sources) -> None:
                 camera, view = photographs.cameras[name], photographs.view(name)
                 others = [(photographs.cameras[source], photographs.map(maps[source])) for source in sources]
-                kept, agree = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                filtered = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                kept, agree = remove_halos(filtered, view.gray)
                 write_map(folder, kept)
                 np.save(folder / VIEW_COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
                 overlap = sample_overlap(camera, kept, agree, sources)
