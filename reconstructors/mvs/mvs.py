@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
@@ -285,11 +285,28 @@ def _survey_images(scene: Scene, sparse: SparseModel, references: Sequence[Match
         samples.append(luminance(decode_image(scene.folder / name, size)))
     return ImageSurvey(
         side_px=round(float(np.median([max(k.width, k.height) for k in cameras]))),
-        footprint=float(np.median([r.median_depth / k.fx for r, k in zip(references, cameras, strict=True)])),
+        footprint=median_footprint([r.median_depth for r in references], cameras),
         angle_deg=float(np.median([r.angle_deg for r in references])),
         overlap=float(np.median([len(r.sources) for r in references])),
         textured_share=measure_textured_share(samples),
     )
+
+
+def median_footprint(depths: Sequence[float], cameras: Sequence[Intrinsics]) -> float:
+    """Return the median size of a pixel on the surface, over all pairs of a place and an image that shows it.
+
+    Each image counts by the area that it shows, which is proportional to its pixels and the square of their size.
+    Otherwise close images would count like distant ones, which show most of the surface.
+
+    Args:
+        depths: median depth of each image.
+        cameras: intrinsics of each image.
+    """
+    sizes = np.array([depth / k.fx for depth, k in zip(depths, cameras, strict=True)])
+    areas = np.array([k.width * k.height for k in cameras]) * sizes**2
+    order = np.argsort(sizes)
+    cumulative = np.cumsum(areas[order])
+    return float(sizes[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]])
 
 
 def _check_disk(workspace: Path, cameras: Mapping[str, Camera]) -> None:

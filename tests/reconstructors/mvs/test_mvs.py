@@ -13,11 +13,12 @@ from PIL import Image
 from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
+from pcbench.geometry.cameras import Intrinsics
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.scenes import read_scene
 from reconstructors.mvs.maps import read_map
-from reconstructors.mvs.mvs import DenseMvs
+from reconstructors.mvs.mvs import DenseMvs, median_footprint
 
 import_or_skip("pycolmap")
 
@@ -80,6 +81,15 @@ def test_choices_are_reported(completed_run):
     notes = check_text("\n".join(completed_run[1].notes))
     for value in ("bundled", "320 pixels", "about 0.01", "3 + 2 iterations over 2 levels", "5 depth maps"):
         assert value in notes
+
+
+def test_median_footprint_counts_images_by_their_area():
+    """Over all pairs of a place and an image: one image far above the ground shows as much as 16 at a quarter of it."""
+    k = Intrinsics(300, 200, 100.0, 100.0, 150.0, 100.0)
+    assert median_footprint([10.0] * 15 + [40.0], [k] * 16) == pytest.approx(0.4)
+    assert median_footprint([10.0] * 17 + [40.0], [k] * 18) == pytest.approx(0.1)
+    half = k.scaled(0.5)  # shows the same area with pixels twice as large
+    assert median_footprint([10.0, 10.0, 10.0], [k, k, half]) == pytest.approx(0.1)
 
 
 def test_workspace_keeps_the_maps(completed_run):
