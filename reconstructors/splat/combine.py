@@ -135,7 +135,9 @@ def _all_maps(
             yield frame.camera(stereo_cameras[name]), local
 
 
-def add_map(agreement: DepthAgreement, points: FloatArray, normals: FloatArray, camera: Camera, depth_map: DepthMap) -> None:
+def add_map(
+    agreement: DepthAgreement, points: FloatArray, normals: FloatArray, camera: Camera, depth_map: DepthMap
+) -> None:
     """Add a map to the agreement on points (N, 3) with unit normals (N, 3), in the frame of the camera's pose."""
     height, width = depth_map.depth.shape
     pixels, z = camera.project(points)
