@@ -12,6 +12,7 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.files import atomic_write
+from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import Gaussians
@@ -105,12 +106,14 @@ class Training:
         schedule: Schedule,
         density: Density[Training],
         supervision: Supervision | None = None,
+        background: Background | None = None,
     ):
         self.model = model
         self.photographs = photographs
         self.schedule = schedule
         self.density = density
         self.supervision = supervision
+        self.background = background or Background(device=model.means.device)
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.converged = False
@@ -216,15 +219,14 @@ class Training:
         contributions = self.model.logits.new_zeros(len(self.model))
         for pyramid in self.photographs[:: math.ceil(len(self.photographs) / _MAX_CONTRIBUTION_VIEWS)]:
             photograph = pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
-            rendering = self._render(photograph.view)
+            rendering = self._render(photograph.view, self.background.color[0])
             gradients = self._rasterizer.backward(
                 rendering.color.new_zeros(rendering.color.shape), None, None, None, None
             )
             contributions[gradients.ids] += gradients.weight
         return contributions
 
-    def _render(self, view: View, *, geometry: bool = False) -> RasterOutput:
-        background = self.model.means.new_zeros(3)
+    def _render(self, view: View, background: Tensor, *, geometry: bool = False) -> RasterOutput:
         return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry)
 
     def _next_photograph(self) -> tuple[int, Photograph]:
@@ -243,8 +245,9 @@ class Training:
             self.optimizer.raise_degree()
         index, photograph = self._next_photograph()
         model = self.model
-        rendering = self._render(photograph.view, geometry=self.supervision is not None)
-        target = photograph.target()
+        background = self.background.behind(photograph, self.rng())
+        rendering = self._render(photograph.view, background, geometry=self.supervision is not None)
+        target = photograph.target(background)
         image = rendering.color if photograph.valid is None else rendering.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
@@ -254,6 +257,7 @@ class Training:
             gradient, depth_gradients.transmittance, depth_gradients.depth, None, None
         )
         self.step += 1
+        self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
         self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
         self.psnr[index] = _psnr((difference**2).mean())
@@ -270,6 +274,7 @@ class Training:
             "means": self._mean_psnr,
             "ended": self.converged,
             "seen": tuple(self.screen_gradients),
+            "background": self.background.state(),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
         with atomic_write(path) as file:
@@ -286,22 +291,24 @@ class Training:
         self.model, first, second = (Gaussians(*part) for part in state["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, state["density"])
+        self.background.restore(state["background"])
         self.psnr, self._mean_psnr, self.converged = state["psnr"], state["means"], state["ended"]
         return True
 
 
-def render(model: Gaussians, view: View) -> Tensor:
-    """Return the rendered image (H, W, 3) of a view, clamped to 0 to 1."""
+def render(model: Gaussians, view: View, background: Tensor | None = None) -> Tensor:
+    """Return the rendered image (H, W, 3) of a view over a color (3,), by default black, clamped to 0 to 1."""
     rasterizer = kernels_of(model.means.device).Rasterizer()
-    background = model.means.new_zeros(3)
+    background = model.means.new_zeros(3) if background is None else background
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
-def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels."""
+def evaluate(model: Gaussians, photographs: Sequence[Photograph], background: Tensor | None = None) -> list[float]:
+    """Return the PSNR of each photograph in dB, over its valid pixels; the background (3,) is black by default."""
+    background = model.means.new_zeros(3) if background is None else background
     scores = []
     for photograph in photographs:
-        square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
+        square = (render(model, photograph.view, background) - photograph.over(background)) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores
