@@ -180,6 +180,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
                 rendered.colors[block].astype(np.float64),
                 depth_map.confidence[block].astype(np.float64),
                 views[enough],
+                np.zeros(len(footprint)),
             )
         )
     return concatenate_points(parts), np.concatenate(uncertainties) if uncertainties else np.empty(0)
