@@ -81,7 +81,7 @@ def test_the_gradient_equals_that_of_the_loss():
     photograph = Photograph("view", view, torch.zeros(view.height, view.width, 3, dtype=torch.uint8), None)
     depth_gradients = Supervision({"view": [target]}, 0.7).gradients(photograph, rendering)
     gradients = rasterizer.backward(
-        torch.zeros_like(rendering.color), depth_gradients.transmittance, depth_gradients.depth, None, None
+        torch.zeros_like(rendering.color), depth_gradients.transmittance, depth_gradients.depth, None
     )
     for leaf, rows in zip(
         leaves[:4], (gradients.means, gradients.quats, gradients.scales, gradients.opacities), strict=True
