@@ -21,7 +21,7 @@ from pcbench.regular_files import open_regular
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_ALPHA_TYPES = (4, 6)  # colour types with an alpha channel: grey and RGB
+_PNG_ALPHA_TYPES = (3, 4, 6)  # palette, grey and RGB: the colour types with an alpha channel or a transparent colour
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA

@@ -32,6 +32,7 @@ from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
+from reconstructors.splat.combine import combine
 from reconstructors.splat.density import GAO2025, Classic, Density
 from reconstructors.splat.devices import choose_device
 from reconstructors.splat.exposure import Exposure, read_gains, write_gains
@@ -79,8 +80,9 @@ class GaussianSplatting:
     spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
     the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et
     al.
-    cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. use them;
-    min_opacity: the least opacity of those means, 0 to 1.
+    cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
+    the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
+    all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
     steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
@@ -97,7 +99,7 @@ class GaussianSplatting:
     start: Literal["mvs", "sfm", "random"] = "mvs"
     supervision: Literal["mvs", "none"] = "mvs"
     density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
-    cloud: Literal["surface", "means"] = "surface"
+    cloud: Literal["combined", "surface", "means"] = "combined"
     min_opacity: float = 0.0
     steps: int = 3000
     gaussians: int = 50_000
@@ -212,7 +214,9 @@ class GaussianSplatting:
             notes.append(f"renderings: pcbench views {workspace / VIEWS_FOLDER}")
         else:
             shutil.rmtree(workspace / VIEWS_FOLDER, ignore_errors=True)  # renderings of an earlier model
-        cloud = self._extract_cloud(model, frame, pinholes)
+        cloud = self._extract_cloud(model, frame, pinholes, initial.cloud, workspace / self.start / MAPS)
+        if "stereo" in cloud.attributes:
+            notes.append(_sources_note(cloud))
         return Reconstruction(
             Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=initial.cloud.unit),
             initial.gauge,
@@ -376,10 +380,25 @@ class GaussianSplatting:
         progress("rendering the images")
         write_views(folder, scene.name, "splat", split, pictures)
 
-    def _extract_cloud(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
+    def _extract_cloud(
+        self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera], initial: Cloud, maps: Path
+    ) -> Cloud:
+        """Return the cloud of the setting; `initial` and the folder `maps` are points and depth maps of start=mvs."""
         if self.cloud == "means":
             return extract.means(model, frame, min_opacity=self.min_opacity or None)
-        return extract.surface(model, frame, pinholes)
+        surface = extract.surface(model, frame, pinholes)
+        if self.cloud == "surface" or self.start != "mvs":
+            return surface
+        return combine(surface, initial, model, frame, pinholes, maps)
+
+
+def _sources_note(cloud: Cloud) -> str:
+    """Describe where the points of a combined cloud come from."""
+    stereo = cloud.attributes["stereo"]
+    return (
+        f"{np.mean(stereo == 1):.0%} of the points come from mvs alone, {np.mean(stereo == 0):.0%} from the Gaussians"
+        " alone, the others from both: attribute stereo"
+    )
 
 
 def _exposure_note(
@@ -401,8 +420,8 @@ def _exposure_note(
 
 def _color_text(color: NDArray[np.float32]) -> str:
     """Return a color from 0 to 1 as its name or in levels of 255."""
-    levels = f"({', '.join(str(round(255 * float(channel))) for channel in color)})"
-    return {"(0, 0, 0)": "black", "(255, 255, 255)": "white"}.get(levels, levels)
+    red, green, blue = (round(255 * float(channel)) for channel in color)
+    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
 def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:

@@ -16,7 +16,7 @@ from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.exposure import Exposure, least_squares_gain
-from reconstructors.splat.model import Gaussians
+from reconstructors.splat.model import SH_DC, Gaussians
 from reconstructors.splat.optimizer import LearningRates, Optimizer, lower_sh_degree, raise_sh_degree
 from reconstructors.splat.photographs import Photograph, Pyramid
 from reconstructors.splat.supervision import DepthGradients, Supervision
@@ -39,10 +39,12 @@ class Schedule:
 
     Args:
         steps: number of steps; each uses one photograph, in an order shuffled anew for each round.
-        sh_degree: final degree of the spherical harmonics; it starts at 0 and grows by one after each tenth of the
-            steps.
+        sh_degree: final degree of the spherical harmonics; it is 0 for three tenths of the steps, and grows by one at
+            each tenth from there on.
         ssim_weight: weight of 1 - SSIM in the loss; the rest is the weight of the absolute difference.
         downscale_shares: shares of the steps up to which the photographs are a quarter and half as wide.
+        min_alpha: minimum alpha at a pixel up to `exact_share` of the steps: lower ones are skipped, which is faster.
+        exact_share: share of the steps from which all alphas count that count in a rendering.
         seed: seed of all random numbers.
         plateau: dB; training converges if the mean PSNR of the photographs has gained less than this over one tenth or
             two tenths of the steps, once the number of Gaussians is final.
@@ -53,6 +55,8 @@ class Schedule:
     sh_degree: int = 3
     ssim_weight: float = 0.2
     downscale_shares: tuple[float, float] = (0.15, 0.4)
+    min_alpha: float = 1 / 128
+    exact_share: float = 0.8
     seed: int = 0
     plateau: float = 0.01
     rates: LearningRates = field(default_factory=LearningRates)
@@ -64,7 +68,11 @@ class Schedule:
 
     def degree(self, step: int) -> int:
         """Return the degree of the spherical harmonics at a step."""
-        return min(self.sh_degree, 10 * step // self.steps)
+        return min(self.sh_degree, max(0, 10 * step // self.steps - 2))
+
+    def rendered(self, view: View, step: int) -> View:
+        """Return a view with the minimum alpha of a step."""
+        return view if step >= self.exact_share * self.steps else replace(view, min_alpha=self.min_alpha)
 
 
 class Snapshot(NamedTuple):
@@ -130,6 +138,11 @@ class Training:
     def steps(self) -> int:
         """Number of steps of the schedule."""
         return self.schedule.steps
+
+    def status(self) -> str:
+        """Return mean PSNR and number of Gaussians for a progress message."""
+        psnr = [value for value in map(float, self.psnr) if not math.isnan(value)]
+        return f"PSNR {np.mean(psnr):.1f} dB, {len(self.model):,} Gaussians"
 
     def run(self, until: int, on_step: Callable[[Training], None] | None = None) -> None:
         """Train up to a step or until convergence, calling `on_step` after each step.
@@ -219,18 +232,22 @@ class Training:
 
     def contributions(self) -> Tensor:
         """Contribution (N,) of each Gaussian: its blending weights summed over the pixels of up to 100 photographs."""
-        contributions = self.model.logits.new_zeros(len(self.model))
+        import torch
+
+        # With colours that are the first spherical harmonic, the gradient with respect to its coefficient is a weight.
+        model = self.model
+        tensors = model.tensors._replace(sh=torch.zeros_like(model.sh[:, :1]))
+        contributions = model.logits.new_zeros(len(model))
         for pyramid in self.photographs[:: math.ceil(len(self.photographs) / _MAX_CONTRIBUTION_VIEWS)]:
             photograph = pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
-            rendering = self._render(photograph.view, self.background.color[0])
-            gradients = self._rasterizer.backward(
-                rendering.color.new_zeros(rendering.color.shape), None, None, None, None
-            )
-            contributions[gradients.ids] += gradients.weight
-        return contributions
+            rendering = self._rasterizer.forward(tensors, photograph.view, model.means.new_zeros(3), geometry=False)
+            ones = torch.ones_like(rendering.color)
+            gradients = self._rasterizer.backward(ones, None, None, None)
+            contributions[gradients.ids] += gradients.sh[:, 0, 0]
+        return contributions / SH_DC
 
     def _render(self, view: View, background: Tensor, *, geometry: bool = False) -> RasterOutput:
-        return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry)
+        return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry, normals=False)
 
     def _next_photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -249,7 +266,8 @@ class Training:
         index, photograph = self._next_photograph()
         model = self.model
         background = self.background.behind(photograph, self.rng())
-        rendering = self._render(photograph.view, background, geometry=self.supervision is not None)
+        view = schedule.rendered(photograph.view, self.step)
+        rendering = self._render(view, background, geometry=self.supervision is not None)
         gain = 1.0 if self.exposure is None else self.exposure.update(photograph, rendering, background)
         target = photograph.target(gain * background)
         weight = gain if photograph.valid is None else gain * photograph.valid[..., None]
@@ -257,9 +275,7 @@ class Training:
         gradient = self._kernels.image_loss(image, target, schedule.ssim_weight).gradient * weight
         difference = image - target
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
-        gradients = self._rasterizer.backward(
-            gradient, depth_gradients.transmittance, depth_gradients.depth, None, None
-        )
+        gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
         self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
