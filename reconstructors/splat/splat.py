@@ -105,7 +105,7 @@ class GaussianSplatting:
     gaussians: int = 50_000
     sh_degree: int = 2
     background: BackgroundChoice = "auto"
-    exposure: bool = True
+    exposure: bool = False
     image_side: int = 640
     hold_out: HoldOut = "none"
     memory: float = 4.0

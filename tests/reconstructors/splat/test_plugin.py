@@ -141,13 +141,13 @@ def test_different_exposures_are_compensated_and_a_note_gives_both_scores(train,
         if number % 2:
             Image.fromarray((0.6 * np.asarray(Image.open(path))).astype(np.uint8)).save(path)
     settings = {"hold_out": "every", "density": "fixed", "steps": 100}
-    (note,) = [note for note in train(**settings).notes if "brightness of the photographs" in note]
+    (note,) = [note for note in train(exposure=True, **settings).notes if "brightness of the photographs" in note]
     check_text(note)
     gains = read_gains(tmp_path / "work/model/gains.csv")
     assert list(gains) == [f"{number:03}.png" for number in range(1, 8)]
     dark, bright = (np.array(list(gains.values()))[parity::2] for parity in (0, 1))
     assert dark.max() < 0.8 * bright.min()
-    assert not any("brightness" in note for note in train(exposure=False, **settings).notes)
+    assert not any("brightness" in note for note in train(**settings).notes)
     assert not (tmp_path / "work/model/gains.csv").exists()
 
 
