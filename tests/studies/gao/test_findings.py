@@ -31,7 +31,7 @@ def check_changed_sentences(*scenes, **settings):
 def test_sentences_report_gains_and_costs():
     text = check_text("\n".join(study(scene()).sentences))
     for value in (
-        "increases 1,000 points to 1,000",
+        "increases 1,000 points to 11,000",
         "2 m RMS becomes 0.5 m (4 times smaller)",
         "0.1 m RMS becomes 0.4 m (4 times as large)",
         "0.141 m RMS becomes 0.412 m",
@@ -50,6 +50,14 @@ def test_sentences_report_gains_and_costs():
     assert "0.5 m RMS becomes 2 m" in check_changed_sentences(swapped)
     unchanged = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
     check_changed_sentences(unchanged)
+
+
+def test_training_without_densification_is_not_called_densification():
+    sparse, mvs, means, surface = scene().clouds
+    sparse_splats = replace(scene(), clouds=(sparse, mvs, replace(means, points=1000), surface))
+    text = check_changed_sentences(sparse_splats)
+    assert "adds no points" in text
+    assert "increases" not in text
 
 
 def test_scenes_are_averaged_and_counted():
