@@ -266,8 +266,10 @@ def _camera_sentences(scene: SceneResult) -> Iterator[str]:
     errors = scene.cameras
     if errors is None:
         return
+    # Without a truth, the scene's cameras may be as wrong as the solved ones.
+    what = "position errors of solved cameras" if scene.has_truth else "distances of solved cameras from the scene's"
     text = (
-        f"position errors of solved cameras: {length(errors.median, scene.unit)} (median),"
+        f"{what}: {length(errors.median, scene.unit)} (median),"
         f" {length(errors.largest, scene.unit)} (largest); focal length {errors.focal_ratio:.4f} times the scene's"
     )
     cameras = "the cameras"
