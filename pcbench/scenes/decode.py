@@ -32,7 +32,7 @@ _MAX_EXIF_BYTES = 65_000  # limit of a JPEG segment
 def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
     """Decode an image to (height, width, 3) RGB and resize it with a Lanczos filter.
 
-    Values of 16 bits are scaled to 8 bits.
+    Values of 16 bits are scaled to 8 bits. An image with an alpha channel is composited over black.
 
     Args:
         path: image file.
@@ -43,6 +43,20 @@ def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
         MissingExtra: Pillow is not installed.
     """
     return np.array(_load(path, "RGB", size), dtype=np.uint8)
+
+
+def decode_alpha(path: Path, size: Size) -> NDArray[np.uint8] | None:
+    """Decode the alpha channel of an image to (height, width) and resize it with a Lanczos filter.
+
+    Returns:
+        Alpha from 0 (transparent) to 255 (opaque); None if all pixels are opaque.
+
+    Raises:
+        InputError: the image cannot be decoded.
+        MissingExtra: Pillow is not installed.
+    """
+    alpha = np.array(_load(path, "A", size), dtype=np.uint8)
+    return None if alpha.min() == 255 else alpha
 
 
 def decode_luminance(path: Path, size: Size) -> NDArray[np.float32]:
@@ -60,6 +74,25 @@ def decode_luminance(path: Path, size: Size) -> NDArray[np.float32]:
         MissingExtra: Pillow is not installed.
     """
     return np.array(_load(path, "F", size), dtype=np.float32)
+
+
+def decode_gray(path: Path, size: Size) -> NDArray[np.uint8]:
+    """Decode an image to grey values (height, width) and resize it with a Lanczos filter.
+
+    Args:
+        path: image file.
+        size: (width, height) of the result in pixels.
+
+    Raises:
+        InputError: the image cannot be decoded.
+        MissingExtra: Pillow is not installed.
+    """
+    return np.array(_load(path, "L", size), dtype=np.uint8)
+
+
+def opaque_pixels(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return where an alpha channel (height, width) is more than half opaque."""
+    return np.asarray(alpha > 127)
 
 
 def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
@@ -160,7 +193,8 @@ def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
                     f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
                     f" {file.height}: make it smaller or remove it"
                 )
-            image: Image = _scale_to_8_bit(file, mode) if file.mode in _MODES_16_BIT and smooth else file.convert(mode)
+            is_deep = file.mode in _MODES_16_BIT and smooth and mode != "A"
+            image: Image = _scale_to_8_bit(file, mode) if is_deep else _convert(file, mode)
     except (OSError, SyntaxError) as error:
         raise InputError(f"{path}: cannot be decoded ({error}): copy the image again or remove it") from error
     except MemoryError as error:
@@ -176,6 +210,18 @@ def _scale_to_8_bit(image: Image, mode: str) -> Image:
     scaled = np.asarray(image.convert("F")) * np.float32(_TO_8_BIT)
     gray: Image = pillow.fromarray(scaled if mode == "F" else scaled.round().astype(np.uint8))
     return gray.convert(mode)
+
+
+def _convert(image: Image, mode: str) -> Image:
+    """Convert an image to a mode; "A" gives its alpha channel, and "RGB" and "F" composite it over black."""
+    pillow = require("PIL.Image")
+    has_alpha = image.has_transparency_data
+    if mode == "A":
+        return image.convert("RGBA").getchannel("A") if has_alpha else pillow.new("L", image.size, 255)
+    if mode in ("RGB", "F") and has_alpha:
+        black = pillow.new("RGBA", image.size, (0, 0, 0, 255))
+        image = pillow.alpha_composite(black, image.convert("RGBA")).convert("RGB")
+    return image.convert(mode)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
@@ -28,6 +28,7 @@ from pcbench.scenes.decode import decode_image
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
 from reconstructors.mvs.filter import Criteria, filter_map
+from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.fusion import (
     FUSED,
     OverlapSamples,
@@ -39,6 +40,7 @@ from reconstructors.mvs.fusion import (
     write_mesh,
     write_workspace,
 )
+from reconstructors.mvs.halos import remove_halos
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MIN_POINTS, MatchedImage, choose_references
@@ -54,15 +56,12 @@ MESH = "mesh.ply"  # in the workspace
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
 _OVERLAP_FILE = "links.npz"
 _SFM = "sfm"  # in the workspace: the files of `sfm`
-_MIN_IMAGES = 2
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
 _MAX_TEXTURE_SAMPLES = 8  # images from which the share of texture is estimated
 _MAX_SAMPLE_SIDE_PX = 1000  # longer side of these images
-_BYTES_PER_PIXEL = 3 * 20 + 4 + 26  # depth, normal and confidence three times, the photograph, the cloud
+_BYTES_PER_PIXEL = 3 * 20 + 4 + 36  # depth, normal and confidence three times, the photograph, the cloud
 _EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and its sources
-_TWO_IMAGES_NOTE = (
-    "two images: points on which both agree are kept (views=2); no third image confirms them, so more of them are wrong"
-)
+_TWO_IMAGES_NOTE = "two images: no third one confirms the points on which both agree, so more of them are wrong"
 
 
 class _FilteredStages(NamedTuple):
@@ -93,8 +92,8 @@ class DenseMvs:
     By default they are matched at up to 2000 pixels.
     sources: images that each image is matched with; by default up to 8, if as many overlap.
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
-    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 2 in
-    a scene of two images.
+    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
+    gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
@@ -103,7 +102,7 @@ class DenseMvs:
     sources: int | None = None
     backend: Backend = "auto"
     confidence: float = 0.3
-    views: int = 3
+    views: int = 2
     mesh: bool = False
     seed: int = 0
 
@@ -141,12 +140,8 @@ class DenseMvs:
             raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
-        if len(scene) == _MIN_IMAGES < self.views:
-            reconstruction = replace(self, views=_MIN_IMAGES)._reconstruct(scene, workspace)
-            return replace(reconstruction, notes=[*reconstruction.notes, _TWO_IMAGES_NOTE])
-        min_images = max(_MIN_IMAGES, self.views)
-        if len(scene) < min_images:
-            raise InputError(f"expected at least {min_images} images, got {len(scene)}")
+        if len(scene) < self.views:
+            raise InputError(f"expected at least {self.views} images (views={self.views}), got {len(scene)}")
         backend, why = choose_backend(self.backend)
         solved = self._solve_cameras(scene, workspace)
         # Fusion computes in float32, which needs small coordinates.
@@ -176,12 +171,14 @@ class DenseMvs:
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered.folders])
         fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
         counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
-        cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
+        cloud = flatten(read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views))
         cloud = replace(cloud, points=cloud.points + origin, unit=solved.unit)
         notes.append(
             f"{len(filtered.folders)} depth maps fused; median of {np.median(cloud.attributes['views']):.0f} images"
             " per point"
         )
+        if len(filtered.folders) == 2:
+            notes.append(_TWO_IMAGES_NOTE)
         if self.mesh:
             progress("meshing")
             faces = write_mesh(fused / FUSED, workspace / MESH, origin, cloud.unit)
@@ -237,7 +234,7 @@ class DenseMvs:
     def _filter_maps(
         self, photographs: ViewCache, references: Sequence[MatchedImage], maps: Mapping[str, Path], workspace: Path
     ) -> _FilteredStages:
-        """Keep the depths that other maps confirm, in one stage per image.
+        """Keep the depths that other maps confirm and that are no halos, in one stage per image.
 
         Raises:
             ReconstructionError: no map has a confirmed depth.
@@ -250,7 +247,8 @@ class DenseMvs:
             def make(folder: Path, name: str = reference.name, sources: Sequence[str] = sources) -> None:
                 camera, view = photographs.cameras[name], photographs.view(name)
                 others = [(photographs.cameras[source], photographs.map(maps[source])) for source in sources]
-                kept, agree = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                filtered = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                kept, agree = remove_halos(filtered, view.gray)
                 write_map(folder, kept)
                 np.save(folder / VIEW_COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
                 overlap = sample_overlap(camera, kept, agree, sources)
@@ -309,11 +307,28 @@ def _survey_images(scene: Scene, sparse: SparseModel, references: Sequence[Match
         samples.append(luminance(decode_image(scene.folder / name, size)))
     return ImageSurvey(
         side_px=round(float(np.median([max(k.width, k.height) for k in cameras]))),
-        footprint=float(np.median([r.median_depth / k.fx for r, k in zip(references, cameras, strict=True)])),
+        footprint=median_footprint([r.median_depth for r in references], cameras),
         angle_deg=float(np.median([r.angle_deg for r in references])),
         overlap=float(np.median([len(r.sources) for r in references])),
         textured_share=measure_textured_share(samples),
     )
+
+
+def median_footprint(depths: Sequence[float], cameras: Sequence[Intrinsics]) -> float:
+    """Return the median size of a pixel on the surface, over all pairs of a place and an image that shows it.
+
+    Each image counts by the area that it shows, which is proportional to its pixels and the square of their size.
+    Otherwise close images would count like distant ones, which show most of the surface.
+
+    Args:
+        depths: median depth of each image.
+        cameras: intrinsics of each image.
+    """
+    sizes = np.array([depth / k.fx for depth, k in zip(depths, cameras, strict=True)])
+    areas = np.array([k.width * k.height for k in cameras]) * sizes**2
+    order = np.argsort(sizes)
+    cumulative = np.cumsum(areas[order])
+    return float(sizes[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]])
 
 
 def _check_disk(workspace: Path, cameras: Mapping[str, Camera]) -> None:

@@ -129,10 +129,15 @@ def describe_stretched(features: Path) -> list[str]:
 
 
 def _write_masks(scene: Scene, folder: Path) -> Path | None:
-    """Write the masks at the working size under the names that COLMAP expects; None if no image has a mask."""
+    """Write the masks at the working size under the names that COLMAP expects; None if no image has a mask.
+
+    Pixels that are at least half transparent are masked too.
+    """
     from PIL import Image
 
-    for name in scene.images if scene.masks else ():
+    if not (scene.masks or scene.with_alpha):
+        return None
+    for name in scene.images:
         path = folder / "masks" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         mask = scene.read_mask(name)
@@ -140,7 +145,7 @@ def _write_masks(scene: Scene, folder: Path) -> Path | None:
             width, height = scene.size(name)
             mask = np.ones((height, width), dtype=bool)
         Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(path)
-    return folder / "masks" if scene.masks else None
+    return folder / "masks"
 
 
 def count_features(features: Path) -> dict[str, int]:
