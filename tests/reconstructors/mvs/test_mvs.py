@@ -7,9 +7,11 @@ import shutil
 import numpy as np
 import pytest
 import textured_corner as corner
+from data_folder import data_folder
 from exact_maps import ExactMatcher, corner_map, rays
 from optional import import_or_skip
 from PIL import Image
+from stereo_pairs import NAMES, stereo_errors, write_stereo_scene
 from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
@@ -163,7 +165,7 @@ def test_masked_pixels_yield_no_points(photographs, tmp_path, monkeypatch):
 
 def test_failures_are_explained(completed_run, workspace, photographs, tmp_path, monkeypatch):
     scene = read_scene(photographs)
-    for views, min_images in ((2, 3), (3, 3), (4, 4)):  # sparse points need three images
+    for views, min_images in ((2, 2), (4, 4)):
         subset = scene.select(["000.png", "001.png", "002.png"][: min_images - 1])
         with check_error():
             DenseMvs(views=views).reconstruct(subset, tmp_path)
@@ -179,6 +181,58 @@ def test_failures_are_explained(completed_run, workspace, photographs, tmp_path,
     monkeypatch.setattr("reconstructors.mvs.patchmatch.match", raise_disk_full)
     with check_error(ReconstructionError):
         DenseMvs(backend="bundled", seed=3).reconstruct(scene, workspace)
+
+
+@pytest.mark.parametrize("poses", ["given", "solve"])
+def test_two_images_are_enough(photographs, tmp_path, monkeypatch, poses):
+    """Points of two images are those on which both agree, and a note says that none confirms them."""
+    scene = read_scene(photographs).select(["001.png", "002.png"])
+    if poses == "given":
+        ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    reconstruction = DenseMvs(backend="bundled", poses=poses).reconstruct(scene, tmp_path)
+    check_text(next(note for note in reconstruction.notes if note.startswith("two images")))
+    assert set(np.unique(reconstruction.cloud.attributes["views"])) == {2}
+    assert len(reconstruction.cloud) > 10_000
+    if poses == "given":
+        assert np.quantile(corner.distances(reconstruction.cloud.points), 0.99) < 0.002
+
+
+def test_given_cameras_suffice_without_features(photographs, tmp_path, monkeypatch):
+    """Blank photographs have no features; sources and depth ranges follow from the cameras."""
+    shutil.copytree(photographs, tmp_path / "blank")
+    for path in (tmp_path / "blank/images").iterdir():
+        Image.new("RGB", (320, 240), (90, 90, 90)).save(path)
+    scene = read_scene(tmp_path / "blank")
+    matcher = ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
+    (tmp_path / "work").mkdir()
+    reconstruction = DenseMvs(backend="bundled").reconstruct(scene, tmp_path / "work")
+    assert reconstruction.gauge == "georeferenced"
+    assert np.quantile(corner.distances(reconstruction.cloud.points), 0.99) < 0.002
+    assert sorted(view.camera.name for view, _, _ in matcher.matched) == list(scene.images)
+    for view, sources, (near, far) in matcher.matched:
+        depth = corner_map(scene.cameras[view.camera.name]).depth
+        assert sources
+        assert near < depth[depth > 0].min()
+        assert far > depth.max()
+    notes = check_text("\n".join(note for note in reconstruction.notes if "points" in note))
+    assert "warning: no sparse points" in notes
+    with check_error(ReconstructionError):
+        DenseMvs(backend="bundled", poses="solve").reconstruct(scene, tmp_path / "work")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_stereo_pairs(name, tmp_path):
+    """Two photographs agree with depths measured by structured light."""
+    data_folder("stereo")
+    for part in ("scene", "work"):
+        (tmp_path / part).mkdir()
+    cameras = write_stereo_scene(name, tmp_path / "scene")
+    reconstruction = DenseMvs(backend="bundled").reconstruct(read_scene(tmp_path / "scene"), tmp_path / "work")
+    errors = np.abs(stereo_errors(name, cameras, reconstruction.cloud.points))
+    assert len(reconstruction.cloud) > 100_000
+    assert np.median(errors) < 0.3
+    assert np.mean(errors < 1) > 0.8
 
 
 def test_full_disk_is_reported_before_matching(completed_run, workspace, photographs, monkeypatch):
