@@ -102,6 +102,8 @@ class CloudScore(NamedTuple):
         textured: recall of textured surface.
         plain: recall of untextured surface.
         plain_share: share of the observed surface without texture.
+        accuracy: median distance from the points to the surface, in footprints.
+        completeness: mean distance from the observed surface to the points, in footprints.
     """
 
     points: int
@@ -110,6 +112,8 @@ class CloudScore(NamedTuple):
     textured: np.ndarray
     plain: np.ndarray
     plain_share: float
+    accuracy: float
+    completeness: float
 
     @property
     def wrong(self) -> float:
@@ -138,7 +142,14 @@ def score_cloud(city: City, points: np.ndarray) -> CloudScore:
     recall = [
         shares(to_cloud[is_selected]) for is_selected in (np.ones(len(to_cloud), bool), city.textured, ~city.textured)
     ]
-    return CloudScore(len(points), shares(to_surface), *recall, float(np.mean(~city.textured)))
+    return CloudScore(
+        len(points),
+        shares(to_surface),
+        *recall,
+        float(np.mean(~city.textured)),
+        float(np.median(to_surface) / city.footprint),
+        float(np.mean(to_cloud) / city.footprint),
+    )
 
 
 class Recall(NamedTuple):

@@ -123,7 +123,7 @@ def main() -> None:
         root = options.folder or Path(temporary)
         root.mkdir(parents=True, exist_ok=True)
         if not (root / "city").exists():
-            make_city(root / "city", "city", options)
+            make_city(root / "city", "city", options, options.seed)
         threshold_label = "2 footprints"
         if options.only != "confidence":
             lines = measure_budgets(root / "city", root)

@@ -47,6 +47,9 @@ def test_score_cloud():
     np.testing.assert_allclose(scores.textured, scores.recall)
     assert scores.empty == pytest.approx(0.15)
     assert scores.plain_share == 0.5
+    assert scores.accuracy == pytest.approx(0.15 / 0.101)
+    # Rows 0.1 apart: the eight tenths with points are exact, and row n beyond them is n rows away.
+    assert scores.completeness == pytest.approx(np.arange(1, 21).mean() * 0.1 * 0.2 / 0.101)
     textured_scores = score_cloud(CITY, true_points[true_points[:, 0] < 5])
     assert textured_scores.textured[0] == pytest.approx(0.81)
     assert textured_scores.plain[0] < 0.02
@@ -95,6 +98,19 @@ def test_score_maps(tmp_path):
     assert scores.sky_known == pytest.approx(1 / 40, abs=0.01)
 
 
+def test_seeds_are_summarised_by_median_and_range(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    from mvs_city import SeedResult, describe_seeds, parse_seeds
+
+    assert parse_seeds("5,101-103") == [5, 101, 102, 103]
+    results = [SeedResult(*[0.5 + 0.01 * seed] * 7, 30.0 + seed, 2.0) for seed in (3, 1, 2)]
+    lines = describe_seeds("city", results).splitlines()
+    assert lines[0] == "city, 3 seeds:"
+    assert lines[1].split() == ["precision", "0.520", "[0.510,", "0.530]"]
+    assert lines[5].split() == ["wrong", "52.00%", "[51.00%,", "53.00%]"]
+    assert lines[8].split() == ["cpu", "32.0", "[31.0,", "33.0]"]
+
+
 def test_tables_are_merged_side_by_side(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
     from mvs_reference import side_by_side
@@ -120,12 +136,13 @@ def test_city_depths_are_right(name, tmp_path, monkeypatch, renderer):
     """With texture, without texture, over water, and with moving objects that differ between photographs."""
     import_or_skip("pycolmap")
     monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
-    from mvs_city import make, reconstruct, scored
+    from mvs_city import LAKES, LAKES_SEED, make_city, reconstruct, score_workspace
 
-    make(tmp_path / "city", name, SimpleNamespace(images=14, size="240x160", rig="oblique", seed=11))
+    seed = LAKES_SEED if name in LAKES else 11
+    make_city(tmp_path / "city", name, SimpleNamespace(images=14, size="240x160", rig="oblique"), seed)
     reconstruct(tmp_path / "city", tmp_path)
     city = read_city(tmp_path / "city")
-    cloud, maps = scored(city, tmp_path), score_maps(city, tmp_path / "work" / "plugin")
+    cloud, maps = score_workspace(city, tmp_path), score_maps(city, tmp_path / "work" / "plugin")
     assert cloud.wrong < 0.02
     assert maps.plain_wrong < 0.02
     assert maps.sky_known < 0.01
