@@ -9,6 +9,7 @@ error: on synthetic cities the mean error is inversely proportional to their num
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.plugins.progress import with_time_left
 from reconstructors.mvs.filter import Criteria, depths_on_planes
+from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.maps import DepthMap, read_map
 from reconstructors.splat.depths import RenderedMaps
 from reconstructors.splat.model import Gaussians, LocalFrame
@@ -60,7 +62,8 @@ def combine(
 
     The expected error of a point is two footprints of a pixel, or four for the surface of the Gaussians, divided by the
     number of maps that agree. Points with an expected error above four footprints are left out. The others are averaged
-    in voxels of the size of their error, weighted by its inverse square.
+    in voxels of the size of their error, weighted by its inverse square, and moved onto planes where the surface is
+    flat, as those of `mvs` are.
 
     The cloud has normals, colors, and the attributes `confidence`, which is n / (n + 1) if n maps agree, `views`, the
     number of images that agree, and `stereo`, the share of a point that comes from dense stereo: 0 for a point of the
@@ -109,16 +112,14 @@ def combine(
         )
         voxels.add(selected, error**-2, error)
     fused = voxels.fuse()
-    return Cloud(
-        frame.to_world(fused.points),
-        fused.normals,
-        fused.colors.round().astype(np.uint8),
-        {
-            "confidence": fused.confidence.astype(np.float32),
-            "views": fused.views.astype(np.int32),
-            "stereo": fused.stereo.astype(np.float32),
-        },
-    )
+    attributes = {
+        "confidence": fused.confidence.astype(np.float32),
+        "views": fused.views.astype(np.int32),
+        "stereo": fused.stereo.astype(np.float32),
+    }
+    colors = fused.colors.round().astype(np.uint8)
+    cloud = flatten(Cloud(fused.points, fused.normals, colors, attributes))
+    return replace(cloud, points=frame.to_world(cloud.points))
 
 
 def _all_maps(
