@@ -38,7 +38,7 @@ _LIMITS = Criteria()  # limits of `mvs` on the differences of depths and normals
 
 
 class DepthAgreement(NamedTuple):
-    """How well depth maps agree on points.
+    """The number of depth maps that agree on each of N points.
 
     Attributes:
         maps: (N,) number of maps that agree. A map whose surface is d footprints from the point counts
@@ -78,7 +78,7 @@ def combine(
         stereo_maps: folder of the depth maps of `mvs`.
 
     Raises:
-        ReconstructionError: no map agrees on any point.
+        ReconstructionError: no map agrees on any point closely enough.
     """
     clouds = (surface, stereo)
     points = [frame.to_local(cloud.points) for cloud in clouds]
@@ -90,14 +90,15 @@ def combine(
                 block = slice(start, start + _BLOCK_POINTS)
                 part = DepthAgreement(agreement.maps[block], agreement.footprint[block])
                 add_map(part, local_points[block], cloud.normals[block], camera, depth_map)
-    near = np.concatenate([agreement.footprint[np.isfinite(agreement.footprint)] for agreement in agreements])
-    if not len(near):
+    errors_px = (_RENDERED_ERROR_PX, _STEREO_ERROR_PX)
+    selections = [a.maps >= error_px / _MAX_ERROR_PX for a, error_px in zip(agreements, errors_px, strict=True)]
+    if not any(kept.any() for kept in selections):
         raise ReconstructionError("no depth map has a surface near the points: check that the cameras are the same")
-    voxels = Voxels(_VOXEL_PX * float(np.median(near)))
-    for cloud, local_points, agreement, error_px in zip(
-        clouds, points, agreements, (_RENDERED_ERROR_PX, _STEREO_ERROR_PX), strict=True
+    footprints = np.concatenate([a.footprint for a in agreements])
+    voxels = Voxels(_VOXEL_PX * float(np.median(footprints[np.isfinite(footprints)])))
+    for cloud, local_points, agreement, kept, error_px in zip(
+        clouds, points, agreements, selections, errors_px, strict=True
     ):
-        kept = agreement.maps >= error_px / _MAX_ERROR_PX
         maps = agreement.maps[kept]
         error = error_px * agreement.footprint[kept] / maps
         assert cloud.normals is not None and cloud.colors is not None
