@@ -68,9 +68,9 @@ class Measured(NamedTuple):
 def measure(scored_city: City, budget: Budget, workspace: Path) -> Measured:
     """Run a reconstructor in a new workspace and compare its cloud with the true surface."""
     assert scored_city.scene.folder is not None
-    job = ReconstructionJob(
-        budget.method, scored_city.scene.folder, {"poses": "given"} | budget.settings, image_scale=budget.image_scale
-    )
+    settings = {"poses": "given"} | budget.settings
+    folder, scale = scored_city.scene.folder, budget.image_scale
+    job = ReconstructionJob(budget.method, folder, settings, cameras="auto", image_scale=scale)
     outcome = run(job, workspace)
     score = score_cloud(scored_city.truth, outcome.require_reconstruction().cloud.points)
     memory = (outcome.peak_rss_bytes or 0) / 2**20
