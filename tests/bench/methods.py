@@ -65,12 +65,10 @@ class Measured(NamedTuple):
     fscore: float
 
 
-def measure(scored_city: City, budget: Budget, workspace: Path) -> Measured:
+def measure(scored_city: City, folder: Path, budget: Budget, workspace: Path) -> Measured:
     """Run a reconstructor in a new workspace and compare its cloud with the true surface."""
-    assert scored_city.scene.folder is not None
     settings = {"poses": "given"} | budget.settings
-    folder, scale = scored_city.scene.folder, budget.image_scale
-    job = ReconstructionJob(budget.method, folder, settings, cameras="auto", image_scale=scale)
+    job = ReconstructionJob(budget.method, folder, settings, image_scale=budget.image_scale)
     outcome = run(job, workspace)
     score = score_cloud(scored_city.truth, outcome.require_reconstruction().cloud.points)
     memory = (outcome.peak_rss_bytes or 0) / 2**20
@@ -137,7 +135,7 @@ def main() -> None:
             print(case)
             for number, budget in enumerate(BUDGETS):
                 with tempfile.TemporaryDirectory() as workspace:
-                    rows[number].append(measure(scored_city, budget, Path(workspace)))
+                    rows[number].append(measure(scored_city, folder, budget, Path(workspace)))
                 print(f"{budget.method:6}{budget.label:25}{row(rows[number][-1])}", flush=True)
     print("mean")
     means = {number: mean(measured) for number, measured in rows.items()}
