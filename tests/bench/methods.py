@@ -38,13 +38,13 @@ _FIXED = {"density": "fixed", "gaussians": "10000"}
 BUDGETS = (
     Budget("sfm", "2,000 features", {"features": "2000", "upsample": "no"}),
     Budget("sfm", "default", {}),
-    Budget("mvs", "half size", {}, 0.5),
+    Budget("mvs", "0.6 of the size", {}, 0.6),
     Budget("mvs", "default", {}),
     Budget("splat", "10,000, 100 steps", _FIXED | {"steps": "100"}),
-    Budget("splat", "10,000, 400 steps", _FIXED | {"steps": "400"}),
+    Budget("splat", "10,000, 300 steps", _FIXED | {"steps": "300"}),
     Budget("field", "64 voxels, 200 steps", {"resolution": "64", "steps": "200"}),
     Budget("field", "128 voxels, 300 steps", {"resolution": "128", "steps": "300"}),
-    Budget("field", "128 voxels, 800 steps", {"resolution": "128", "steps": "800"}),
+    Budget("field", "128 voxels, 700 steps", {"resolution": "128", "steps": "700"}),
 )
 LINE_STYLES = {
     "sfm": ("#0072b2", "o"),
@@ -117,8 +117,8 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=12)
-    parser.add_argument("--size", default="240x136")
+    parser.add_argument("--images", type=int, default=16)
+    parser.add_argument("--size", default="300x200")
     parser.add_argument("--cities", type=int, default=len(CITIES), help="number of cities")
     parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
@@ -137,12 +137,12 @@ def main() -> None:
                 with tempfile.TemporaryDirectory() as workspace:
                     rows[number].append(measure(scored_city, folder, budget, Path(workspace)))
                 print(f"{budget.method:6}{budget.label:25}{row(rows[number][-1])}", flush=True)
+            means = [(budget, mean(rows[number])) for number, budget in enumerate(BUDGETS)]
+            if options.chart:
+                draw(means, options.chart / "methods.png")
     print("mean")
-    means = {number: mean(measured) for number, measured in rows.items()}
-    for number, budget in enumerate(BUDGETS):
-        print(f"{budget.method:6}{budget.label:25}{row(means[number])}")
-    if options.chart:
-        draw([(budget, means[number]) for number, budget in enumerate(BUDGETS)], options.chart / "methods.png")
+    for budget, measured in means:
+        print(f"{budget.method:6}{budget.label:25}{row(measured)}")
 
 
 if __name__ == "__main__":
