@@ -119,7 +119,7 @@ class Ours:
         self._grad_image = self._kernels.image_loss(self.image, self._picture.target, SSIM_WEIGHT).gradient
 
     def backward(self) -> None:
-        self.pulled = self.rasterizer.backward(self._grad_image, None, self._grad_depth, self._grad_normal, None)
+        self.pulled = self.rasterizer.backward(self._grad_image, None, self._grad_depth, self._grad_normal)
         ids, opacities = self.pulled.ids, self._gaussians.opacities[self.pulled.ids]
         grad_logits = self.pulled.opacities * opacities * (1 - opacities)
         grad_log_scales = self.pulled.scales * self._gaussians.scales[ids]
@@ -451,6 +451,7 @@ class RasterizerByAutograd:
         background: Tensor,
         *,
         geometry: bool,
+        normals: bool = True,
     ) -> RasterOutput:
         if geometry or background.any():
             raise NotImplementedError("expected colors only, on a black background")
@@ -465,10 +466,8 @@ class RasterizerByAutograd:
         transmittance: Tensor | None,
         depth: Tensor | None,
         normal: Tensor | None,
-        error: Tensor | None,
     ) -> Gradients:
         self._image.backward(color)
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in self._leaves]
         ids = torch.stack([g.reshape(len(g), -1).any(dim=1) for g in gradients]).any(dim=0).nonzero()[:, 0]
-        zeros = color.new_zeros(len(ids))
-        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2), zeros, zeros)
+        return Gradients(ids, *(g[ids] for g in gradients), color.new_zeros(len(ids), 2))

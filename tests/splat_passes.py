@@ -37,30 +37,27 @@ class Pass(NamedTuple):
 
 
 class ImageGradients(NamedTuple):
-    """Gradients with respect to the images, or None, and an error image, or None."""
+    """Gradients with respect to the images, or None."""
 
     color: np.ndarray
     transmittance: np.ndarray | None
     depth: np.ndarray | None
     normal: np.ndarray | None
-    error: np.ndarray | None
 
 
 def random_image_gradients(scene, seed=3):
     rng, k = np.random.default_rng(seed), scene.camera.intrinsics
     size = (k.height, k.width)
     shapes = [(*size, 3), size, size, (*size, 3)]
-    return ImageGradients(
-        *(rng.normal(size=shape).astype(np.float32) for shape in shapes), rng.random(size).astype(np.float32)
-    )
+    return ImageGradients(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
 
 
-def run_pass(engine, scene, image_gradients=None, rasterizer=None, geometry=True):
-    """Run a forward pass, and a backward pass if gradients are given."""
+def run_pass(engine, scene, image_gradients=None, rasterizer=None, view=None, **images):
+    """Run a forward pass, and a backward pass if gradients are given; `images` are those to render."""
     rasterizer = rasterizer or engine.kernels.Rasterizer()
-    view = View.of(scene.camera)
+    view = view or View.of(scene.camera)
     *gaussians, background = (engine.tensor(array) for array in (*scene.arrays, scene.background))
-    output = rasterizer.forward(GaussianTensors(*gaussians), view, background, geometry=geometry)
+    output = rasterizer.forward(GaussianTensors(*gaussians), view, background, **{"geometry": True} | images)
     pixels = view.width * view.height
     images = {
         name: image.cpu().double().numpy().reshape(pixels, -1)

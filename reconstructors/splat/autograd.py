@@ -49,7 +49,7 @@ class Rasterize(torch.autograd.Function):  # type: ignore[misc]
         _background, *gaussians, drawn_color, drawn_transmittance, _depth, _normal, _median_depth = ctx.saved_tensors
         grad_color = torch.zeros_like(drawn_color) if color is None else color.contiguous()
         others = [None if image is None else image.contiguous() for image in (transmittance, depth, normal)]
-        gradients = ctx.rasterizer.backward(grad_color, *others, None)
+        gradients = ctx.rasterizer.backward(grad_color, *others)
         grad_gaussians = [
             _scatter(rows, gradients.ids, tensor) if needed else None
             for tensor, rows, needed in zip(gaussians, gradients[1:6], ctx.needs_input_grad[3:], strict=True)

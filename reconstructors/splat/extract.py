@@ -164,7 +164,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
         ray_depths = np.full((1 + len(others), len(block[0])), np.nan)
         ray_depths[0] = depth_map.depth[block]
         for k, (other, other_map) in enumerate(others, start=1):
-            matched, depths_on_ray = confirm(camera, depth_map, block, other, other_map, criteria)
+            matched, depths_on_ray, _ = confirm(camera, depth_map, block, other, other_map, criteria)
             ray_depths[k, matched] = depths_on_ray
         views = np.isfinite(ray_depths).sum(axis=0)
         enough = views >= criteria.views
@@ -180,6 +180,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
                 rendered.colors[block].astype(np.float64),
                 depth_map.confidence[block].astype(np.float64),
                 views[enough],
+                np.zeros(len(footprint)),
             )
         )
     return concatenate_points(parts), np.concatenate(uncertainties) if uncertainties else np.empty(0)

@@ -41,7 +41,8 @@ class RasterOutput(NamedTuple):
     Attributes:
         color: (H, W, 3) sum of w times color, plus the transmittance times the background.
         transmittance: (H, W) transmittance behind the last Gaussian: 1 minus the sum of w.
-        depth: (H, W) sum of w times the depth of the Gaussian's plane at the pixel; None if geometry was not requested.
+        depth: (H, W) sum of w times the depth of the Gaussian's plane at the pixel; None if it was not requested,
+            like those that follow.
         normal: (H, W, 3) sum of w times the unit normal in the camera's frame, towards the camera; or None.
         median_depth: (H, W) depth of the plane of the Gaussian at which the transmittance falls below 0.5, 0 if it
             stays above; or None. It has no gradient.
@@ -55,14 +56,12 @@ class RasterOutput(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """Gradients of the loss with respect to the V Gaussians that were drawn, and sums for densification.
+    """Gradients of the loss with respect to the V Gaussians that were drawn.
 
     Attributes:
         ids: (V,) int64, indices of the Gaussians, ascending.
         means, quats, scales, opacities, sh: (V, 3), (V, 4), (V, 3), (V,), (V, K, 3) gradients.
         screen: (V, 2) gradient with respect to the projected mean, per pixel.
-        weight: (V,) sum of w over the pixels.
-        error: (V,) sum over the pixels of w times the error image; 0 without one.
     """
 
     ids: Tensor
@@ -72,8 +71,6 @@ class Gradients(NamedTuple):
     opacities: Tensor
     sh: Tensor
     screen: Tensor
-    weight: Tensor
-    error: Tensor
 
 
 class Rasterizer(Protocol):
@@ -86,6 +83,7 @@ class Rasterizer(Protocol):
         background: Tensor,
         *,
         geometry: bool,
+        normals: bool = True,
         gradient: bool = True,
     ) -> RasterOutput:
         """Render Gaussians over a background (3,).
@@ -94,7 +92,8 @@ class Rasterizer(Protocol):
             gaussians: the Gaussians.
             view: the pinhole.
             background: (3,) color behind the Gaussians.
-            geometry: whether to render depth, normal and median depth.
+            geometry: whether to render the depth.
+            normals: whether geometry includes normal and median depth.
             gradient: whether `backward` may follow.
         """
         ...
@@ -105,7 +104,6 @@ class Rasterizer(Protocol):
         transmittance: Tensor | None,
         depth: Tensor | None,
         normal: Tensor | None,
-        error: Tensor | None,
     ) -> Gradients:
         """Return the gradients with respect to the Gaussians of the last `forward`.
 
@@ -114,7 +112,6 @@ class Rasterizer(Protocol):
             transmittance: (H, W) likewise, or None for zero.
             depth: (H, W) likewise, or None for zero.
             normal: (H, W, 3) likewise, or None for zero.
-            error: (H, W) error of each pixel, for `Gradients.error`, or None.
         """
         ...
 

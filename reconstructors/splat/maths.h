@@ -14,11 +14,8 @@
 // matrix times the offset of the pixel from the projected mean. A sum of two squares cannot cancel, unlike the
 // quadratic form of an inverted covariance, whose cancellation is visible for needles far from their mean.
 
-constexpr float kMinAlpha = 1.0f / 255.0f;  // lower alphas are skipped
-constexpr float kMinLevel = -7.99435343f;   // log2(kMinAlpha)
 constexpr float kMaxAlpha = 0.99f;
-constexpr float kMinTransmittance = 1e-4f;  // a ray ends before its transmittance falls below
-constexpr float kDilation = 0.3f;           // square pixels added to the projected covariance
+constexpr float kDilation = 0.3f;  // square pixels added to the projected covariance
 constexpr float kLn2 = 0.693147181f;
 constexpr float kWhitening = 0.849321800f;       // sqrt(log2(e) / 2): exp(-x^2 / 2) = 2^-(kWhitening x)^2
 constexpr float kMinSquaredQuaternion = 1e-24f;  // squared norm below which a rotation is undefined
@@ -167,7 +164,7 @@ struct Footprint {
     F depth_x, depth_y;        // the covariances of depth with pixels across and down
     F shortest_0, shortest_1;  // 1 if axis 0 (1) is the shortest, else 0; if both are 0, it is axis 2
     F facing;                  // 1 or -1, turns the shortest axis towards the camera
-    F reach;                   // u^2 + v^2 at the ellipse's edge, where alpha is kMinAlpha; negative if it never is
+    F reach;                   // u^2 + v^2 at the ellipse's edge, where alpha is min_alpha; negative if it never is
     F extent_x, extent_y;      // half the size of the ellipse's bounding box, pixels
 };
 
@@ -183,7 +180,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     const F square =
         fused(quaternion.w, quaternion.w,
               fused(quaternion.x, quaternion.x, fused(quaternion.y, quaternion.y, quaternion.z * quaternion.z)));
-    drawn = (F(at.nearest) < f.center.z) & (F(kMinAlpha) < opacity) & (F(kMinSquaredQuaternion) < square);
+    drawn = (F(at.nearest) < f.center.z) & (F(at.min_alpha) < opacity) & (F(kMinSquaredQuaternion) < square);
     // The lanes that are not drawn continue with harmless values, so nothing divides by zero.
     const F z = select(drawn, f.center.z, one);
     f.center.z = z;
@@ -238,7 +235,7 @@ PCB_FN Splat<F> project(const Pinhole& at, Vec<F> mean, Quaternion<F> quaternion
     f.facing = select(zero < dot(shortest, f.center), F(-1.0f), one);
     s.normal = f.facing * shortest;
 
-    f.reach = s.level - F(kMinLevel);
+    f.reach = s.level - F(at.min_level);
     const F deviations = root(greater(f.reach, zero)) * F(1.0f / kWhitening);
     f.extent_x = deviations * root(f.xx);
     f.extent_y = deviations * root(f.yy);
@@ -264,7 +261,7 @@ PCB_FN F min_squared_norm(F uu, F uv, F vv, F x0, F x1, F y0, F y1) {
 
 template <class F>
 PCB_FN F alpha_at(F level, F u, F v) {
-    // The exponent is clamped where its power is still a normal float, far below kMinAlpha.
+    // The exponent is clamped where its power is still a normal float, far below any min_alpha.
     return exp2_of(greater(fused(-u, u, fused(-v, v, level)), F(-64.0f)));
 }
 
@@ -282,28 +279,26 @@ template <class F>
 struct Moments {
     F h, hu, hv, huu, huv, hvv;
     Vec<F> color;
-    F weight, error;            // sums of the blending weights, and of the weights times the error image
     F depth, depth_u, depth_v;  // sums of weight times the gradient with respect to depth, times 1, u, v
     Vec<F> normal;
 };
 
-// Adds the contribution of one pixel. `alpha` is 0 if the splat is skipped, else at most kMaxAlpha; `unclamped` is 0 if
-// alpha was clamped to that maximum, else 1; `transmittance` is the transmittance in front of the splat. `behind` is
+// Adds the contribution of one pixel. `alpha` is 0 if the splat is skipped, else at most kMaxAlpha; `unclamped` is
+// false if alpha was clamped to that maximum; `transmittance` is the transmittance in front of the splat. `behind` is
 // the sum, over this and all later splats, of weight times the gradient with respect to the weight, plus the
 // contribution of the background. The gradient of the loss with respect to alpha is transmittance * grad_weight -
 // behind / (1 - alpha), with `behind` after the contribution of this splat has been subtracted.
-template <bool kGeometry, class F>
-PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, F unclamped, F transmittance, const PixelGradient<F>& g,
-                      F error, F& behind, Moments<F>& m) {
+template <int kGeometry, class F, class M>
+PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, M unclamped, F transmittance, const PixelGradient<F>& g,
+                      F& behind, Moments<F>& m) {
     const F weight = alpha * transmittance;
     F grad_weight = dot(s.color, g.color);
-    if (kGeometry) {
+    if (kGeometry >= kDepth)
         grad_weight = fused(fused(s.depth_u, u, fused(s.depth_v, v, s.depth)), g.depth, grad_weight);
-        grad_weight = grad_weight + dot(s.normal, g.normal);
-    }
+    if (kGeometry >= kNormals) grad_weight = grad_weight + dot(s.normal, g.normal);
     const F part = weight * grad_weight;
     behind = behind - part;
-    const F h = unclamped * fused(-behind, alpha / (F(1.0f) - alpha), part);
+    const F h = select(unclamped, fused(-behind, alpha / (F(1.0f) - alpha), part), F(0.0f));
     const F hu = h * u, hv = h * v;
     m.h = m.h + h;
     m.hu = m.hu + hu;
@@ -312,15 +307,13 @@ PCB_FN void add_pixel(const Splat<F>& s, F u, F v, F alpha, F unclamped, F trans
     m.huv = fused(hu, v, m.huv);
     m.hvv = fused(hv, v, m.hvv);
     m.color = fused(weight, g.color, m.color);
-    m.weight = m.weight + weight;
-    m.error = fused(weight, error, m.error);
-    if (kGeometry) {
+    if (kGeometry >= kDepth) {
         const F d = weight * g.depth;
         m.depth = m.depth + d;
         m.depth_u = fused(d, u, m.depth_u);
         m.depth_v = fused(d, v, m.depth_v);
-        m.normal = fused(weight, g.normal, m.normal);
     }
+    if (kGeometry >= kNormals) m.normal = fused(weight, g.normal, m.normal);
 }
 
 // ---- from the pixels back to the Gaussian

@@ -22,9 +22,7 @@ from torch import Tensor
 from reconstructors.splat.interface import GaussianTensors, Gradients, ImageLoss, RasterOutput
 from reconstructors.splat.view import View
 
-# Rounded to float32 like the kernels' constants: two Gaussians clamped at 0.99 leave almost exactly 1e-4 of a ray, and
-# the side of the threshold must not depend on the type.
-_MIN_ALPHA, _MAX_ALPHA, _MIN_TRANSMITTANCE = (float(np.float32(x)) for x in (1 / 255, 0.99, 1e-4))
+_MAX_ALPHA = float(np.float32(0.99))  # rounded like the cutoffs of a view
 _DILATION = 0.3  # square pixels
 _MIN_SQUARED_QUATERNION = 1e-24  # squared length
 _MAX_DETERMINANT = 1e36  # of the covariance in pixels, in pixels^4: float32 overflows not far above
@@ -96,12 +94,13 @@ def _legendre(degree: int, order: int) -> list[float]:
 
 
 def project(gaussians: GaussianTensors, view: View) -> Projection:
-    """Project the Gaussians deeper than `near`, with an opacity above 1/255 and a rotation."""
+    """Project the Gaussians deeper than `near`, with an opacity above the minimum alpha and a rotation."""
     means, quats, scales, opacities, sh = gaussians
+    min_alpha, _, _ = view.cutoffs
     rotation, position = means.new_tensor(view.rotation), means.new_tensor(view.position)
     offsets = means - position
     depths = offsets @ rotation[2]
-    valid = (depths > view.near) & (opacities > _MIN_ALPHA) & ((quats**2).sum(dim=1) > _MIN_SQUARED_QUATERNION)
+    valid = (depths > view.near) & (opacities > min_alpha) & ((quats**2).sum(dim=1) > _MIN_SQUARED_QUATERNION)
     ids = valid.nonzero()[:, 0]
     ids = ids[torch.argsort(depths[ids], stable=True)]
     offsets, quats, scales, opacities, sh = offsets[ids], quats[ids], scales[ids], opacities[ids], sh[ids]
@@ -142,41 +141,41 @@ def project(gaussians: GaussianTensors, view: View) -> Projection:
 
 
 class Blended(NamedTuple):
-    """The images, the blended values of one number per Gaussian, and a mask of the Gaussians with any visible pixel."""
+    """The images, and a mask of the Gaussians with any visible pixel."""
 
     output: RasterOutput
-    blended_values: Tensor
     visible: Tensor
 
 
-def blend(projection: Projection, values: Tensor, view: View, background: Tensor) -> Blended:
-    """Blend front to back with the thresholds of Kerbl et al.
+def blend(projection: Projection, view: View, background: Tensor) -> Blended:
+    """Blend front to back (Kerbl et al. 2023).
 
-    Alpha below 1/255 is skipped, alpha is at most 0.99, and a ray ends before the Gaussian that would leave less than
-    1e-4 of transmittance.
+    Alpha below the view's minimum is skipped, alpha is at most 0.99, and a ray ends before the Gaussian that would
+    leave less than the view's minimum of transmittance.
 
     Args:
         projection: the Gaussians, nearest first.
-        values: (M,) one value per Gaussian, blended like a color.
         view: the pinhole.
         background: (3,) color behind the Gaussians.
     """
+    min_alpha, _, min_transmittance = view.cutoffs
     u, v = torch.arange(view.width) + 0.5, torch.arange(view.height) + 0.5
     pixels = torch.stack([u.repeat(view.height), v.repeat_interleave(view.width)], dim=1).to(projection.xy)
-    features = torch.cat([projection.color, projection.normal, values[:, None]], dim=1)
+    features = torch.cat([projection.color, projection.normal], dim=1)
     parts, visible = [], torch.zeros(len(projection.ids), dtype=torch.bool, device=projection.xy.device)
     for chunk in pixels.split(max(1, _PAIRS_AT_ONCE // max(1, len(projection.ids)))):
         zeros = chunk.new_zeros(len(chunk), 1)
         offset = chunk[:, None] - projection.xy
         square = torch.einsum("pni,nij,pnj->pn", offset, projection.inverse, offset)
         alpha = projection.opacities * torch.exp(-square / 2)
-        contributes = alpha >= _MIN_ALPHA
+        contributes = alpha >= min_alpha
         alpha = torch.where(contributes, alpha.clamp(max=_MAX_ALPHA), 0)
         with torch.no_grad():
             transmittances = torch.cumprod(1 - alpha, dim=1)
-            below_half = torch.cat([(transmittances < 0.5) & contributes, zeros == 0], dim=1)
+            before_end = transmittances >= min_transmittance
+            below_half = torch.cat([(transmittances < 0.5) & contributes & before_end, zeros == 0], dim=1)
             median = below_half.to(torch.uint8).argmax(dim=1)  # the first true column, or the last column
-        alpha = torch.where(transmittances >= _MIN_TRANSMITTANCE, alpha, 0)
+        alpha = torch.where(before_end, alpha, 0)
         transmittance_before = torch.cumprod(torch.cat([1 - zeros, 1 - alpha], dim=1), dim=1)
         weight = alpha * transmittance_before[:, :-1]
         plane = projection.depth + (offset * projection.slope).sum(dim=2)
@@ -189,12 +188,9 @@ def blend(projection: Projection, values: Tensor, view: View, background: Tensor
                 (weight * plane).sum(dim=1),
                 sums[:, 3:6],
                 torch.cat([plane.detach(), zeros], dim=1).gather(1, median[:, None])[:, 0],
-                sums[:, 6],
             )
         )
-    color, transmittance, depth, normal, median_depth, blended_values = (
-        torch.cat(part) for part in zip(*parts, strict=True)
-    )
+    color, transmittance, depth, normal, median_depth = (torch.cat(part) for part in zip(*parts, strict=True))
     size = (view.height, view.width)
     output = RasterOutput(
         color.reshape(*size, 3),
@@ -203,13 +199,12 @@ def blend(projection: Projection, values: Tensor, view: View, background: Tensor
         normal.reshape(*size, 3),
         median_depth.reshape(size),
     )
-    return Blended(output, blended_values.reshape(size), visible)
+    return Blended(output, visible)
 
 
 def render(gaussians: GaussianTensors, view: View, background: Tensor) -> RasterOutput:
     """Return the images, differentiable by autograd in the type of the tensors."""
-    projection = project(gaussians, view)
-    return blend(projection, torch.zeros_like(projection.depth), view, background).output
+    return blend(project(gaussians, view), view, background).output
 
 
 class ReferenceRasterizer:
@@ -222,16 +217,18 @@ class ReferenceRasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        normals: bool = True,
         gradient: bool = True,
     ) -> RasterOutput:
         """Render the Gaussians."""
         with torch.enable_grad():
             self._leaves = GaussianTensors(*(tensor.detach().double().requires_grad_() for tensor in gaussians))
             self._projection = project(self._leaves, view)
-            self._ones = torch.ones_like(self._projection.depth).requires_grad_()
-            self._blended = blend(self._projection, self._ones, view, background.double())
-        color, transmittance, *rest = (image.detach() for image in self._blended.output if image is not None)
-        return RasterOutput(color, transmittance, *(rest if geometry else (None, None, None)))
+            self._blended = blend(self._projection, view, background.double())
+        color, transmittance, depth, *rest = (image.detach() for image in self._blended.output if image is not None)
+        if not geometry:
+            return RasterOutput(color, transmittance, None, None, None)
+        return RasterOutput(color, transmittance, depth, *(rest if normals else (None, None)))
 
     def backward(
         self,
@@ -239,7 +236,6 @@ class ReferenceRasterizer:
         transmittance: Tensor | None,
         depth: Tensor | None,
         normal: Tensor | None,
-        error: Tensor | None,
     ) -> Gradients:
         """Return the gradients of the last rendering by autograd."""
         projection, output = self._projection, self._blended.output
@@ -261,14 +257,8 @@ class ReferenceRasterizer:
             allow_unused=True,
             materialize_grads=True,
         )
-        blended_values = self._blended.blended_values
-        weights = [
-            torch.ones_like(blended_values),
-            torch.zeros_like(blended_values) if error is None else error.double(),
-        ]
-        sums = [torch.autograd.grad(blended_values, self._ones, weight, retain_graph=True)[0] for weight in weights]
-        per_splat = [part[self._blended.visible][order] for part in (grad_xy, *sums)]
-        return Gradients(ids, *(gradient[ids] for gradient in grad_gaussians), *per_splat)
+        grad_screen = grad_xy[self._blended.visible][order]
+        return Gradients(ids, *[*(gradient[ids] for gradient in grad_gaussians), grad_screen])
 
 
 Rasterizer = ReferenceRasterizer  # the name in `reconstructors.splat.interface.Kernels`

@@ -12,9 +12,10 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.files import atomic_write
+from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.model import Gaussians
+from reconstructors.splat.model import SH_DC, Gaussians
 from reconstructors.splat.optimizer import LearningRates, Optimizer, lower_sh_degree, raise_sh_degree
 from reconstructors.splat.photographs import Photograph, Pyramid
 from reconstructors.splat.supervision import DepthGradients, Supervision
@@ -37,10 +38,12 @@ class Schedule:
 
     Args:
         steps: number of steps; each uses one photograph, in an order shuffled anew for each round.
-        sh_degree: final degree of the spherical harmonics; it starts at 0 and grows by one after each tenth of the
-            steps.
+        sh_degree: final degree of the spherical harmonics; it is 0 for three tenths of the steps, and grows by one at
+            each tenth from there on.
         ssim_weight: weight of 1 - SSIM in the loss; the rest is the weight of the absolute difference.
         downscale_shares: shares of the steps up to which the photographs are a quarter and half as wide.
+        min_alpha: minimum alpha at a pixel up to `exact_share` of the steps: lower ones are skipped, which is faster.
+        exact_share: share of the steps from which all alphas count that count in a rendering.
         seed: seed of all random numbers.
         plateau: dB; training converges if the mean PSNR of the photographs has gained less than this over one tenth or
             two tenths of the steps, once the number of Gaussians is final.
@@ -51,6 +54,8 @@ class Schedule:
     sh_degree: int = 3
     ssim_weight: float = 0.2
     downscale_shares: tuple[float, float] = (0.15, 0.4)
+    min_alpha: float = 1 / 128
+    exact_share: float = 0.8
     seed: int = 0
     plateau: float = 0.01
     rates: LearningRates = field(default_factory=LearningRates)
@@ -62,7 +67,11 @@ class Schedule:
 
     def degree(self, step: int) -> int:
         """Return the degree of the spherical harmonics at a step."""
-        return min(self.sh_degree, 10 * step // self.steps)
+        return min(self.sh_degree, max(0, 10 * step // self.steps - 2))
+
+    def rendered(self, view: View, step: int) -> View:
+        """Return a view with the minimum alpha of a step."""
+        return view if step >= self.exact_share * self.steps else replace(view, min_alpha=self.min_alpha)
 
 
 class Snapshot(NamedTuple):
@@ -105,12 +114,14 @@ class Training:
         schedule: Schedule,
         density: Density[Training],
         supervision: Supervision | None = None,
+        background: Background | None = None,
     ):
         self.model = model
         self.photographs = photographs
         self.schedule = schedule
         self.density = density
         self.supervision = supervision
+        self.background = background or Background(device=model.means.device)
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.converged = False
@@ -218,19 +229,22 @@ class Training:
 
     def contributions(self) -> Tensor:
         """Contribution (N,) of each Gaussian: its blending weights summed over the pixels of up to 100 photographs."""
-        contributions = self.model.logits.new_zeros(len(self.model))
+        import torch
+
+        # With colours that are the first spherical harmonic, the gradient with respect to its coefficient is a weight.
+        model = self.model
+        tensors = model.tensors._replace(sh=torch.zeros_like(model.sh[:, :1]))
+        contributions = model.logits.new_zeros(len(model))
         for pyramid in self.photographs[:: math.ceil(len(self.photographs) / _MAX_CONTRIBUTION_VIEWS)]:
             photograph = pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
-            rendering = self._render(photograph.view)
-            gradients = self._rasterizer.backward(
-                rendering.color.new_zeros(rendering.color.shape), None, None, None, None
-            )
-            contributions[gradients.ids] += gradients.weight
-        return contributions
+            rendering = self._rasterizer.forward(tensors, photograph.view, model.means.new_zeros(3), geometry=False)
+            ones = torch.ones_like(rendering.color)
+            gradients = self._rasterizer.backward(ones, None, None, None)
+            contributions[gradients.ids] += gradients.sh[:, 0, 0]
+        return contributions / SH_DC
 
-    def _render(self, view: View, *, geometry: bool = False) -> RasterOutput:
-        background = self.model.means.new_zeros(3)
-        return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry)
+    def _render(self, view: View, background: Tensor, *, geometry: bool = False) -> RasterOutput:
+        return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry, normals=False)
 
     def _next_photograph(self) -> tuple[int, Photograph]:
         count = len(self.photographs)
@@ -248,17 +262,18 @@ class Training:
             self.optimizer.raise_degree()
         index, photograph = self._next_photograph()
         model = self.model
-        rendering = self._render(photograph.view, geometry=self.supervision is not None)
-        target = photograph.target()
+        background = self.background.behind(photograph, self.rng())
+        view = schedule.rendered(photograph.view, self.step)
+        rendering = self._render(view, background, geometry=self.supervision is not None)
+        target = photograph.target(background)
         image = rendering.color if photograph.valid is None else rendering.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         difference = image - target
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
-        gradients = self._rasterizer.backward(
-            gradient, depth_gradients.transmittance, depth_gradients.depth, None, None
-        )
+        gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
+        self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
         self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
         self.psnr[index] = _psnr((difference**2).mean())
@@ -275,6 +290,7 @@ class Training:
             "means": self._mean_psnr,
             "ended": self.converged,
             "seen": tuple(self.screen_gradients),
+            "background": self.background.state(),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
         with atomic_write(path) as file:
@@ -291,22 +307,24 @@ class Training:
         self.model, first, second = (Gaussians(*part) for part in state["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, state["density"])
+        self.background.restore(state["background"])
         self.psnr, self._mean_psnr, self.converged = state["psnr"], state["means"], state["ended"]
         return True
 
 
-def render(model: Gaussians, view: View) -> Tensor:
-    """Return the rendered image (H, W, 3) of a view, clamped to 0 to 1."""
+def render(model: Gaussians, view: View, background: Tensor | None = None) -> Tensor:
+    """Return the rendered image (H, W, 3) of a view over a color (3,), by default black, clamped to 0 to 1."""
     rasterizer = kernels_of(model.means.device).Rasterizer()
-    background = model.means.new_zeros(3)
+    background = model.means.new_zeros(3) if background is None else background
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
-def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels."""
+def evaluate(model: Gaussians, photographs: Sequence[Photograph], background: Tensor | None = None) -> list[float]:
+    """Return the PSNR of each photograph in dB, over its valid pixels; the background (3,) is black by default."""
+    background = model.means.new_zeros(3) if background is None else background
     scores = []
     for photograph in photographs:
-        square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
+        square = (render(model, photograph.view, background) - photograph.over(background)) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores

@@ -1,14 +1,19 @@
-"""The pinhole camera of one image as the rasterizers read it."""
+"""The pinhole camera of one image, and the limits of what is drawn, as the rasterizers read them."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 
 _NEAR = 0.01  # depth, in the world's unit
+_MIN_ALPHA = 1 / 255  # Kerbl et al. 2023, like the next
+_MIN_TRANSMITTANCE = 1e-4
 _MAX_SIDE_PX = 2**19  # pixels: tiles of 16 are counted in 16 bits
 _MARGIN_SHARE = 0.15  # of the image's width and height
 
@@ -23,6 +28,8 @@ class View:
         position: (3,) centre of projection in the world.
         fx, fy, cx, cy: focal lengths and principal point in pixels.
         near: depth, in the world's unit, up to which nothing is drawn.
+        min_alpha: lower alphas at a pixel are skipped.
+        min_transmittance: a ray ends before its transmittance falls below.
     """
 
     width: int
@@ -34,6 +41,8 @@ class View:
     cx: float
     cy: float
     near: float = _NEAR
+    min_alpha: float = _MIN_ALPHA
+    min_transmittance: float = _MIN_TRANSMITTANCE
 
     @classmethod
     def of(cls, camera: Camera, near: float = _NEAR) -> View:
@@ -67,3 +76,13 @@ class View:
             -self.cy / self.fy - margin_y,
             (self.height - self.cy) / self.fy + margin_y,
         )
+
+    @property
+    def cutoffs(self) -> tuple[float, float, float]:
+        """Minimum alpha, its logarithm to base 2, and minimum transmittance, rounded to float32 for all devices.
+
+        Two Gaussians clamped at 0.99 leave almost exactly 1e-4 of a ray: the side of the threshold must not depend on
+        the type.
+        """
+        min_alpha, min_transmittance = float(np.float32(self.min_alpha)), float(np.float32(self.min_transmittance))
+        return min_alpha, math.log2(min_alpha), min_transmittance

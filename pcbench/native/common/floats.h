@@ -77,6 +77,28 @@ inline Floats sums(const Floats* vectors) {
     const __m512 even = halve(quarters[0], quarters[1]), odd = halve(quarters[2], quarters[3]);
     return _mm512_add_ps(_mm512_shuffle_ps(even, odd, 0x88), _mm512_shuffle_ps(even, odd, 0xdd));
 }
+// Transposes the matrix of sixteen vectors: lane i of vector k becomes lane k of vector i.
+inline void transpose(Floats* vectors) {
+    __m512 pairs[kLanes], fours[kLanes];
+    for (int k = 0; k < kLanes; k += 4) {  // within each quarter of four lanes, 4 x 4 matrices
+        for (int i = 0; i < 4; i += 2) {
+            pairs[k + i] = _mm512_unpacklo_ps(vectors[k + i].v, vectors[k + i + 1].v);
+            pairs[k + i + 1] = _mm512_unpackhi_ps(vectors[k + i].v, vectors[k + i + 1].v);
+        }
+        for (int i = 0; i < 2; ++i) {
+            fours[k + 2 * i] = _mm512_shuffle_ps(pairs[k + i], pairs[k + i + 2], 0x44);
+            fours[k + 2 * i + 1] = _mm512_shuffle_ps(pairs[k + i], pairs[k + i + 2], 0xee);
+        }
+    }
+    for (int i = 0; i < 4; ++i) {  // the quarters
+        const __m512 a = _mm512_shuffle_f32x4(fours[i], fours[i + 4], 0x44),
+                     b = _mm512_shuffle_f32x4(fours[i], fours[i + 4], 0xee),
+                     c = _mm512_shuffle_f32x4(fours[i + 8], fours[i + 12], 0x44),
+                     d = _mm512_shuffle_f32x4(fours[i + 8], fours[i + 12], 0xee);
+        vectors[i] = _mm512_shuffle_f32x4(a, c, 0x88), vectors[i + 4] = _mm512_shuffle_f32x4(a, c, 0xdd);
+        vectors[i + 8] = _mm512_shuffle_f32x4(b, d, 0x88), vectors[i + 12] = _mm512_shuffle_f32x4(b, d, 0xdd);
+    }
+}
 
 #elif defined(__AVX2__)
 
@@ -157,6 +179,34 @@ inline Floats sums(const Floats* vectors) {
     };
     return {sum_eight(vectors), sum_eight(vectors + 8)};
 }
+inline void transpose(Floats* vectors) {
+    const auto transpose_eight = [](const __m256* from, __m256* to) {
+        __m256 pairs[8], fours[8];
+        for (int i = 0; i < 8; i += 2) {
+            pairs[i] = _mm256_unpacklo_ps(from[i], from[i + 1]);
+            pairs[i + 1] = _mm256_unpackhi_ps(from[i], from[i + 1]);
+        }
+        for (int k = 0; k < 8; k += 4)
+            for (int i = 0; i < 2; ++i) {
+                fours[k + 2 * i] = _mm256_shuffle_ps(pairs[k + i], pairs[k + i + 2], 0x44);
+                fours[k + 2 * i + 1] = _mm256_shuffle_ps(pairs[k + i], pairs[k + i + 2], 0xee);
+            }
+        for (int i = 0; i < 4; ++i) {
+            to[i] = _mm256_permute2f128_ps(fours[i], fours[i + 4], 0x20);
+            to[i + 4] = _mm256_permute2f128_ps(fours[i], fours[i + 4], 0x31);
+        }
+    };
+    __m256 quarters[4][8], transposed[4][8];
+    for (int k = 0; k < 8; ++k) {
+        quarters[0][k] = vectors[k].a, quarters[1][k] = vectors[k].b;
+        quarters[2][k] = vectors[k + 8].a, quarters[3][k] = vectors[k + 8].b;
+    }
+    for (int k = 0; k < 4; ++k) transpose_eight(quarters[k], transposed[k]);
+    for (int k = 0; k < 8; ++k) {
+        vectors[k] = {transposed[0][k], transposed[2][k]};
+        vectors[k + 8] = {transposed[1][k], transposed[3][k]};
+    }
+}
 
 #else
 
@@ -229,6 +279,13 @@ inline Floats sums(const Floats* vectors) {
         out.v[k] = folded.v[0];
     }
     return out;
+}
+inline void transpose(Floats* vectors) {
+    for (int k = 0; k < kLanes; ++k)
+        for (int i = 0; i < k; ++i) {
+            const float lower = vectors[k].v[i];
+            vectors[k].v[i] = vectors[i].v[k], vectors[i].v[k] = lower;
+        }
 }
 #undef PCB_EACH
 

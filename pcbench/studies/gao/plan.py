@@ -21,7 +21,14 @@ _MIN_EIGENVALUE = 0.01  # of the mean projection across the axes; below, the axe
 
 # As in the paper, but short enough for two cores. The paper densifies from step 1000 of at least 30,000; the rates of
 # density=classic here suit fewer steps.
-SPLAT_SETTINGS = {"start": "sfm", "density": "classic", "hold_out": "every", "steps": "2000", "sh_degree": "3"}
+SPLAT_SETTINGS = {
+    "start": "sfm",
+    "density": "classic",
+    "background": "black",
+    "hold_out": "every",
+    "steps": "2000",
+    "sh_degree": "3",
+}
 # A radiance field stands for the networks that the paper compares with; its time is about that of splats.
 _FIELD_SETTINGS = {"hold_out": "every", "steps": "2000"}
 _RESERVED_SETTINGS = ("cloud", "seed", "poses")  # set by the experiment

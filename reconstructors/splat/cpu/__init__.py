@@ -18,7 +18,7 @@ class CpuRasterizer:
     """Implements `reconstructors.splat.interface.Rasterizer`. Tensors are float32, contiguous and on the CPU.
 
     From one view to the next it keeps about 100 bytes per Gaussian and 32 bytes for each Gaussian in each tile of 16 x
-    16 pixels that it touches; the gradients add 44 bytes to the latter (68 with geometry).
+    16 pixels that it touches; the gradients add 36 bytes to the latter (48 with depth, 60 with normals too).
     """
 
     def __init__(self) -> None:
@@ -32,13 +32,15 @@ class CpuRasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        normals: bool = True,
         gradient: bool = True,
     ) -> RasterOutput:
         """Render the Gaussians; the tensors must stay unchanged until `backward`, which may always follow."""
         size = (view.height, view.width)
         new = gaussians.means.new_empty
         color, transmittance = new((*size, 3)), new(size)
-        depth, normal, median_depth = (new(size), new((*size, 3)), new(size)) if geometry else (None,) * 3
+        depth = new(size) if geometry else None
+        normal, median_depth = (new((*size, 3)), new(size)) if geometry and normals else (None, None)
         self._compiled.forward(
             _array(gaussians.means),
             _array(gaussians.quats),
@@ -49,7 +51,7 @@ class CpuRasterizer:
             view.position.astype(np.float32),
             np.array([view.fx, view.fy, view.cx, view.cy], dtype=np.float32),
             np.array(view.limits, dtype=np.float32),
-            view.near,
+            np.array([view.near, *view.cutoffs], dtype=np.float32),
             _array(background),
             _array(color),
             _array(transmittance),
@@ -66,16 +68,15 @@ class CpuRasterizer:
         transmittance: Tensor | None,
         depth: Tensor | None,
         normal: Tensor | None,
-        error: Tensor | None,
     ) -> Gradients:
         """Return the gradients of the last rendering."""
         import torch
 
         count = self._compiled.drawn
-        shapes = [(count, *rest) for rest in ((3,), (4,), (3,), (), self._shape[1:], (2,), (), ())]
+        shapes = [(count, *rest) for rest in ((3,), (4,), (3,), (), self._shape[1:], (2,))]
         gradients = Gradients(torch.empty(count, dtype=torch.int64), *(color.new_empty(shape) for shape in shapes))
         self._compiled.backward(
-            *map(_array, (color, transmittance, depth, normal, error)), *(_array(tensor) for tensor in gradients)
+            *map(_array, (color, transmittance, depth, normal)), *(_array(tensor) for tensor in gradients)
         )
         return gradients
 

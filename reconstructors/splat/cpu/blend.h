@@ -75,13 +75,14 @@ inline SplatSample sample_splat(const Splat<Floats>& s, Floats x, Floats y) {
     return {u, v, alpha_at(s.level, u, v)};
 }
 
-template <bool kGeometry>
+template <int kGeometry>
 inline void blend_block(const Frame& frame, const BlockArea& area, const float* splats, const uint32_t* indices,
                         int count) {
     const Floats x = pixels_across() + Floats(static_cast<float>(area.x) + 0.5f);
     const Floats y = pixels_down() + Floats(static_cast<float>(area.y) + 0.5f);
     const Floats zero = Floats(0.0f), half = Floats(0.5f);
-    const Floats least = Floats(kMinAlpha), most = Floats(kMaxAlpha), end = Floats(kMinTransmittance);
+    const Floats least = Floats(frame.pinhole.min_alpha), most = Floats(kMaxAlpha);
+    const Floats end = Floats(frame.pinhole.min_transmittance);
     Vec<Floats> color = {zero, zero, zero}, normal = {zero, zero, zero};
     Floats transmittance = Floats(1.0f), depth = zero, median = zero;
     Mask active = zero < transmittance;
@@ -96,11 +97,13 @@ inline void blend_block(const Frame& frame, const BlockArea& area, const float* 
         counts = counts & ~ends;
         const Floats weight = select(counts, transmittance * alpha, zero);
         color = fused(weight, s.color, color);
-        if (kGeometry) {
+        if (kGeometry >= kDepth) {
             const Floats plane = fused(s.depth_u, sample.u, fused(s.depth_v, sample.v, s.depth));
             depth = fused(weight, plane, depth);
-            normal = fused(weight, s.normal, normal);
-            median = select(counts & (half <= transmittance) & (next < half), plane, median);
+            if (kGeometry >= kNormals) {
+                normal = fused(weight, s.normal, normal);
+                median = select(counts & (half <= transmittance) & (next < half), plane, median);
+            }
         }
         transmittance = select(counts, next, transmittance);
         if (bits(active) == 0) break;
@@ -110,8 +113,8 @@ inline void blend_block(const Frame& frame, const BlockArea& area, const float* 
     write_pixels(frame, area, out.color, 3, 0, fused(transmittance, Floats(frame.background[0]), color.x));
     write_pixels(frame, area, out.color, 3, 1, fused(transmittance, Floats(frame.background[1]), color.y));
     write_pixels(frame, area, out.color, 3, 2, fused(transmittance, Floats(frame.background[2]), color.z));
-    if (kGeometry) {
-        write_pixels(frame, area, out.depth, 1, 0, depth);
+    if (kGeometry >= kDepth) write_pixels(frame, area, out.depth, 1, 0, depth);
+    if (kGeometry >= kNormals) {
         write_pixels(frame, area, out.median_depth, 1, 0, median);
         write_pixels(frame, area, out.normal, 3, 0, normal.x);
         write_pixels(frame, area, out.normal, 3, 1, normal.y);
@@ -142,10 +145,12 @@ inline void blend_tile(const Frame& frame, int tile, float* splats, uint32_t* in
             indices[touching] = n;
             touching += static_cast<int>(instances[n].blocks >> block & 1u);
         }
-        if (frame.geometry)
-            blend_block<true>(frame, area, splats, indices, touching);
+        if (frame.geometry == kNoGeometry)
+            blend_block<kNoGeometry>(frame, area, splats, indices, touching);
+        else if (frame.geometry == kDepth)
+            blend_block<kDepth>(frame, area, splats, indices, touching);
         else
-            blend_block<false>(frame, area, splats, indices, touching);
+            blend_block<kNormals>(frame, area, splats, indices, touching);
     }
 }
 
@@ -155,10 +160,9 @@ struct Rays {
     Floats transmittance;  // 0 after the ray has ended
     Floats behind;         // see add_pixel
     PixelGradient<Floats> grad;
-    Floats error;
 };
 
-template <bool kGeometry>
+template <int kGeometry>
 inline Rays rays_of(const Frame& frame, const ImageGradients& grad, const BlockArea& area) {
     const Images& images = frame.images;
     const auto read = [&](const float* image, int channels, int channel) {
@@ -175,21 +179,22 @@ inline Rays rays_of(const Frame& frame, const ImageGradients& grad, const BlockA
     for (int i = 0; i < kLanes; ++i) inside[i] = static_cast<float>(area.inside >> i & 1u);
     r.transmittance = load(inside);
     r.grad.color = read_vector(grad.color);
-    r.error = read(grad.error, 1, 0);
     r.behind = fused(read(images.transmittance, 1, 0), read(grad.transmittance, 1, 0),
                      dot(read_vector(images.color), r.grad.color));
     r.grad.depth = zero;
     r.grad.normal = {zero, zero, zero};
-    if (kGeometry) {
+    if (kGeometry >= kDepth) {
         r.grad.depth = read(grad.depth, 1, 0);
-        r.grad.normal = read_vector(grad.normal);
         r.behind = fused(read(images.depth, 1, 0), r.grad.depth, r.behind);
+    }
+    if (kGeometry >= kNormals) {
+        r.grad.normal = read_vector(grad.normal);
         r.behind = r.behind + dot(read_vector(images.normal), r.grad.normal);
     }
     return r;
 }
 
-template <bool kGeometry>
+template <int kGeometry>
 inline void blend_tile_gradient_of(const Frame& frame, const ImageGradients& grad, int tile, float* moments) {
     Rays rays[kTileBlocks];
     unsigned active = 0;
@@ -199,15 +204,16 @@ inline void blend_tile_gradient_of(const Frame& frame, const ImageGradients& gra
         rays[block] = rays_of<kGeometry>(frame, grad, area);
         active |= 1u << block;
     }
-    const Floats zero = Floats(0.0f), one = Floats(1.0f);
-    const Floats least = Floats(kMinAlpha), most = Floats(kMaxAlpha), end = Floats(kMinTransmittance);
-    constexpr int kWidth = kGeometry ? kMomentFloats : kPlainMomentFloats;
+    const Floats zero = Floats(0.0f);
+    const Floats least = Floats(frame.pinhole.min_alpha), most = Floats(kMaxAlpha);
+    const Floats end = Floats(frame.pinhole.min_transmittance);
+    constexpr int kWidth = kMomentFloats[kGeometry];
     for (uint32_t n = frame.starts[tile]; n < frame.starts[tile + 1]; ++n) {
         const Instance& instance = frame.instances[n];
         fetch_ahead(frame, &instance);
         const Splat<Floats> s = splat_at(frame.splats + kSplatFloats * static_cast<size_t>(instance.slot));
         Moments<Floats> m = {
-            zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero, zero, zero, zero, {zero, zero, zero}};
+            zero, zero, zero, zero, zero, zero, {zero, zero, zero}, zero, zero, zero, {zero, zero, zero}};
         for (unsigned blocks = instance.blocks & active; blocks != 0; blocks &= blocks - 1) {
             const int block = __builtin_ctz(blocks);
             Rays& r = rays[block];
@@ -218,30 +224,26 @@ inline void blend_tile_gradient_of(const Frame& frame, const ImageGradients& gra
             const Mask ends = counts & (next < end);
             counts = counts & ~ends;
             alpha = select(counts, alpha, zero);
-            const Floats unclamped = select(sample.alpha < most, one, zero);
-            add_pixel<kGeometry>(s, sample.u, sample.v, alpha, unclamped, r.transmittance, r.grad, r.error, r.behind,
+            add_pixel<kGeometry>(s, sample.u, sample.v, alpha, sample.alpha < most, r.transmittance, r.grad, r.behind,
                                  m);
             r.transmittance = select(ends, zero, select(counts, next, r.transmittance));
             if (bits(zero < r.transmittance) == 0) active &= ~(1u << block);
         }
         float* out = moments + static_cast<size_t>(kWidth) * instance.emission;
-        const Floats columns[kLanes] = {m.h,       m.hu,      m.hv,       m.huu,     m.huv,   m.hvv,
-                                        m.color.x, m.color.y, m.color.z,  m.weight,  m.error, m.depth,
-                                        m.depth_u, m.depth_v, m.normal.x, m.normal.y};
-        if (kGeometry) {
-            store(out, sums(columns));
-            out[kLanes] = sum(m.normal.z);
-        } else {
-            store_first(out, kPlainMomentFloats, sums(columns));
-        }
+        const Floats columns[kLanes] = {m.h,        m.hu,       m.hv,       m.huu,   m.huv,     m.hvv,
+                                        m.color.x,  m.color.y,  m.color.z,  m.depth, m.depth_u, m.depth_v,
+                                        m.normal.x, m.normal.y, m.normal.z, zero};
+        store_first(out, kWidth, sums(columns));
     }
 }
 
 inline void blend_tile_gradient(const Frame& frame, const ImageGradients& grad, int tile, float* moments) {
-    if (frame.geometry)
-        blend_tile_gradient_of<true>(frame, grad, tile, moments);
+    if (frame.geometry == kNoGeometry)
+        blend_tile_gradient_of<kNoGeometry>(frame, grad, tile, moments);
+    else if (frame.geometry == kDepth)
+        blend_tile_gradient_of<kDepth>(frame, grad, tile, moments);
     else
-        blend_tile_gradient_of<false>(frame, grad, tile, moments);
+        blend_tile_gradient_of<kNormals>(frame, grad, tile, moments);
 }
 
 }  // namespace PCB_SPACE

@@ -13,10 +13,8 @@ constexpr int kBlock = 4;  // pixels along a side of a block, which is one SIMD 
 constexpr int kBlocksAcross = kTile / kBlock;
 constexpr int kTileBlocks = kBlocksAcross * kBlocksAcross;
 constexpr int kTilePixels = kTile * kTile;
-constexpr int kGroup = 256;             // Gaussians that are projected together
-constexpr int kSplatFloats = 16;        // floats per stored splat: one cache line
-constexpr int kPlainMomentFloats = 11;  // sums over pixels of one Gaussian in one tile
-constexpr int kMomentFloats = 17;       // the same with geometry
+constexpr int kGroup = 256;       // Gaussians that are projected together
+constexpr int kSplatFloats = 16;  // floats per stored splat: one cache line
 
 // The Gaussians, row-major.
 struct Model {
@@ -42,14 +40,13 @@ struct Instance {
 struct Images {
     float* color;          // (height, width, 3)
     float* transmittance;  // (height, width)
-    float* depth;          // null without geometry, like those that follow
+    float* depth;          // these and those that follow are null if they are not rendered
     float* normal;         // (height, width, 3)
     float* median_depth;
 };
 
 struct ImageGradients {  // with respect to the images; null for zero
     const float *color, *transmittance, *depth, *normal;
-    const float* error;  // not a gradient: error image, summed with the blending weights
 };
 
 struct Frame {
@@ -57,7 +54,7 @@ struct Frame {
     Pinhole pinhole;
     float background[3];
     int tiles_across, tiles_down;
-    bool geometry;
+    int geometry;  // kNoGeometry, kDepth or kNormals
     // By slot: group g of kGroup Gaussians has the slots from g * kGroup on, the first drawn[g] of which are in use.
     float* splats;
     float* depths;
@@ -72,7 +69,7 @@ struct Frame {
 
 // The gradients with respect to the drawn Gaussians, row-major in the order of their slots.
 struct ModelGradients {
-    float *means, *quaternions, *scales, *opacities, *harmonics, *screen, *weight, *error;
+    float *means, *quaternions, *scales, *opacities, *harmonics, *screen;
 };
 
 }  // namespace pcbench::splat

@@ -37,31 +37,32 @@ public:
                  In<float, nb::shape<-1, 3>> scales, In<float, nb::shape<-1>> opacities,
                  In<float, nb::shape<-1, -1, 3>> harmonics, In<float, nb::shape<3, 3>> rotation,
                  In<float, nb::shape<3>> position, In<float, nb::shape<4>> pinhole, In<float, nb::shape<4>> limits,
-                 float nearest, In<float, nb::shape<3>> background, ColorImage color, Image transmittance,
-                 std::optional<Image> depth, std::optional<ColorImage> normal, std::optional<Image> median_depth) {
+                 In<float, nb::shape<4>> cutoffs, In<float, nb::shape<3>> background, ColorImage color,
+                 Image transmittance, std::optional<Image> depth, std::optional<ColorImage> normal,
+                 std::optional<Image> median_depth) {
         const size_t count = means.shape(0), bands = harmonics.shape(1);
         check(quaternions.shape(0) == count && scales.shape(0) == count && opacities.shape(0) == count &&
                   harmonics.shape(0) == count,
               "expected as many quaternions, scales, opacities and harmonics as means");
         check(bands == 1 || bands == 4 || bands == 9 || bands == 16, "expected 1, 4, 9 or 16 spherical harmonics");
         check(count < UINT32_MAX - kGroup, "expected fewer than 2^32 Gaussians");
-        check(nearest > 0, "expected nearest > 0");
+        check(cutoffs.data()[0] > 0, "expected a depth of the nearest Gaussians > 0");
         Pinhole at;
         std::copy_n(rotation.data(), 9, at.rotation);
         std::copy_n(position.data(), 3, at.position);
         at.fx = pinhole.data()[0], at.fy = pinhole.data()[1], at.cx = pinhole.data()[2], at.cy = pinhole.data()[3];
         at.left = limits.data()[0], at.right = limits.data()[1];
         at.top = limits.data()[2], at.bottom = limits.data()[3];
-        at.nearest = nearest;
+        at.nearest = cutoffs.data()[0], at.min_alpha = cutoffs.data()[1], at.min_level = cutoffs.data()[2];
+        at.min_transmittance = cutoffs.data()[3];
         height_ = color.shape(0), width_ = color.shape(1);
         check(height_ >= 1 && width_ >= 1 && height_ <= kMaxSide && width_ <= kMaxSide,
               "expected an image of 1 to 2^19 pixels a side");
         at.height = static_cast<int>(height_), at.width = static_cast<int>(width_);
-        const bool geometry = depth.has_value();
-        check(normal.has_value() == geometry && median_depth.has_value() == geometry,
-              "expected depth, normal and median_depth together");
-        check(has_size(transmittance) &&
-                  (!geometry || (has_size(*depth) && has_size(*normal) && has_size(*median_depth))),
+        check(normal.has_value() == median_depth.has_value() && (depth || !normal),
+              "expected normal and median_depth together, and only with depth");
+        check(has_size(transmittance) && (!depth || has_size(*depth)) &&
+                  (!normal || (has_size(*normal) && has_size(*median_depth))),
               "expected images of one size");
         // The backward pass reads these arrays again.
         has_forward_ = false;
@@ -74,33 +75,31 @@ public:
                              harmonics.data(),
                              static_cast<int>(bands)};
         const Images images = {color.data(), transmittance.data(), data(depth), data(normal), data(median_depth)};
-        geometry_ = geometry, bands_ = bands;
+        has_depth_ = depth.has_value(), has_normal_ = normal.has_value(), bands_ = bands;
         has_forward_ = false;
         {
             nb::gil_scoped_release release;
-            rasterizer_.forward(model, at, background.data(), images, geometry);
+            rasterizer_.forward(model, at, background.data(), images);
         }
         has_forward_ = true;
     }
 
     void backward(InColorImage color, std::optional<InImage> transmittance, std::optional<InImage> depth,
-                  std::optional<InColorImage> normal, std::optional<InImage> error, Out<int64_t, nb::shape<-1>> ids,
-                  Rows3 means, Rows4 quaternions, Rows3 scales, Values opacities,
-                  Out<float, nb::shape<-1, -1, 3>> harmonics, Rows2 screen, Values weight, Values error_seen) {
+                  std::optional<InColorImage> normal, Out<int64_t, nb::shape<-1>> ids, Rows3 means, Rows4 quaternions,
+                  Rows3 scales, Values opacities, Out<float, nb::shape<-1, -1, 3>> harmonics, Rows2 screen) {
         check(has_forward_, "expected a forward pass before backward");
-        check(geometry_ || (!depth && !normal), "expected a forward pass with geometry before gradients of geometry");
+        check((has_depth_ || !depth) && (has_normal_ || !normal), "expected gradients of images that were rendered");
         check(has_size(color) && (!transmittance || has_size(*transmittance)) && (!depth || has_size(*depth)) &&
-                  (!normal || has_size(*normal)) && (!error || has_size(*error)),
+                  (!normal || has_size(*normal)),
               "expected gradients of the images' size");
         const size_t rows = rasterizer_.drawn();
         check(ids.shape(0) == rows && means.shape(0) == rows && quaternions.shape(0) == rows &&
                   scales.shape(0) == rows && opacities.shape(0) == rows && harmonics.shape(0) == rows &&
-                  harmonics.shape(1) == bands_ && screen.shape(0) == rows && weight.shape(0) == rows &&
-                  error_seen.shape(0) == rows,
+                  harmonics.shape(1) == bands_ && screen.shape(0) == rows,
               "expected one row for each drawn Gaussian");
-        const ImageGradients grad = {color.data(), data(transmittance), data(depth), data(normal), data(error)};
-        const ModelGradients out = {means.data(),     quaternions.data(), scales.data(), opacities.data(),
-                                    harmonics.data(), screen.data(),      weight.data(), error_seen.data()};
+        const ImageGradients grad = {color.data(), data(transmittance), data(depth), data(normal)};
+        const ModelGradients out = {means.data(),     quaternions.data(), scales.data(),
+                                    opacities.data(), harmonics.data(),   screen.data()};
         nb::gil_scoped_release release;
         rasterizer_.write_ids(ids.data());
         rasterizer_.backward(grad, out);
@@ -118,7 +117,7 @@ private:
 
     Rasterizer rasterizer_;
     size_t height_ = 0, width_ = 0, bands_ = 0;
-    bool geometry_ = false, has_forward_ = false;
+    bool has_depth_ = false, has_normal_ = false, has_forward_ = false;
     struct Inputs {
         std::optional<In<float, nb::shape<-1, 3>>> means;
         std::optional<In<float, nb::shape<-1, 4>>> quaternions;
@@ -190,16 +189,17 @@ NB_MODULE(_rasterizer, m) {
         .def("forward", &PyRasterizer::forward, nb::arg("means").noconvert(), nb::arg("quaternions").noconvert(),
              nb::arg("scales").noconvert(), nb::arg("opacities").noconvert(), nb::arg("harmonics").noconvert(),
              nb::arg("rotation").noconvert(), nb::arg("position").noconvert(), nb::arg("pinhole").noconvert(),
-             nb::arg("limits").noconvert(), nb::arg("nearest"), nb::arg("background").noconvert(),
+             nb::arg("limits").noconvert(), nb::arg("cutoffs").noconvert(), nb::arg("background").noconvert(),
              nb::arg("color").noconvert(), nb::arg("transmittance").noconvert(), nb::arg("depth").noconvert().none(),
              nb::arg("normal").noconvert().none(), nb::arg("median_depth").noconvert().none(),
-             "Renders the images. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z.")
+             "Renders the images. pinhole: fx, fy, cx, cy; limits: left, right, top, bottom of x / z and y / z; "
+             "cutoffs: nearest "
+             "depth, minimum alpha, its logarithm to base 2, minimum transmittance.")
         .def("backward", &PyRasterizer::backward, nb::arg("grad_color").noconvert(),
              nb::arg("grad_transmittance").noconvert().none(), nb::arg("grad_depth").noconvert().none(),
-             nb::arg("grad_normal").noconvert().none(), nb::arg("error").noconvert().none(), nb::arg("ids").noconvert(),
-             nb::arg("means").noconvert(), nb::arg("quaternions").noconvert(), nb::arg("scales").noconvert(),
-             nb::arg("opacities").noconvert(), nb::arg("harmonics").noconvert(), nb::arg("screen").noconvert(),
-             nb::arg("weight").noconvert(), nb::arg("error_seen").noconvert(),
+             nb::arg("grad_normal").noconvert().none(), nb::arg("ids").noconvert(), nb::arg("means").noconvert(),
+             nb::arg("quaternions").noconvert(), nb::arg("scales").noconvert(), nb::arg("opacities").noconvert(),
+             nb::arg("harmonics").noconvert(), nb::arg("screen").noconvert(),
              "Computes the gradients with respect to the Gaussians of the last forward pass, one row for each.")
         .def_prop_ro("drawn", &PyRasterizer::drawn, "Number of Gaussians that the last forward pass drew.")
         .def_prop_ro("instances", &PyRasterizer::instances, "Number of pairs of a Gaussian and a tile that it touches.")

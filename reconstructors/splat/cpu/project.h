@@ -40,14 +40,17 @@ inline Gaussians gaussians_of(const Rows& rows) {
 
 // The spherical harmonics coefficients of sixteen drawn Gaussians from a slot on, one vector per coefficient.
 inline void harmonics_of(const Frame& frame, int64_t slot, int count, Vec<Floats>* columns) {
-    const int bands = frame.model.harmonic_count;
-    float rows[3 * kMaxHarmonics][kLanes];
-    for (int i = 0; i < kLanes; ++i) {
-        const int64_t id = frame.ids[slot + (i < count ? i : 0)];
-        const float* from = frame.model.harmonics + 3 * bands * id;
-        for (int k = 0; k < 3 * bands; ++k) rows[k][i] = from[k];
+    const int bands = frame.model.harmonic_count, width = 3 * bands;
+    Floats values[3 * kMaxHarmonics];
+    for (int at = 0; at < width; at += kLanes) {
+        const int here = width - at < kLanes ? width - at : kLanes;
+        for (int i = 0; i < kLanes; ++i) {
+            const size_t id = frame.ids[slot + (i < count ? i : 0)];
+            values[at + i] = load_first(frame.model.harmonics + width * id + at, here);
+        }
+        transpose(values + at);
     }
-    for (int k = 0; k < bands; ++k) columns[k] = {load(rows[3 * k]), load(rows[3 * k + 1]), load(rows[3 * k + 2])};
+    for (int k = 0; k < bands; ++k) columns[k] = {values[3 * k], values[3 * k + 1], values[3 * k + 2]};
 }
 
 inline Vec<Floats> offset_of(const Pinhole& at, Vec<Floats> mean) {
@@ -172,34 +175,26 @@ inline int cover(const Frame& frame, uint32_t slot, uint32_t* tiles, uint32_t* b
 // The sums over pixels of sixteen drawn Gaussians, each over all of its tiles.
 inline Moments<Floats> moments_of(const Frame& frame, const float* moments, const uint32_t* first,
                                   const uint32_t* count, int rows) {
-    float all[kLanes][2 * kLanes];  // row-major
-    const int width = frame.geometry ? kMomentFloats : kPlainMomentFloats;
+    Floats sums[kLanes];  // one vector per Gaussian, then one per sum
+    const int width = kMomentFloats[frame.geometry];
     for (int i = 0; i < kLanes; ++i) {
-        Floats low = Floats(0.0f);
-        float last = 0.0f;
-        if (i < rows) {
-            const float* record = moments + static_cast<size_t>(width) * first[i];
-            for (uint32_t k = 0; k < count[i]; ++k, record += width) {
-                low = low + load_first(record, frame.geometry ? kLanes : kPlainMomentFloats);
-                if (frame.geometry) last += record[kLanes];
-            }
-        }
-        store(all[i], low);
-        all[i][kLanes] = last;
+        sums[i] = Floats(0.0f);
+        if (i >= rows) continue;
+        const float* record = moments + static_cast<size_t>(width) * first[i];
+        for (uint32_t k = 0; k < count[i]; ++k, record += width) sums[i] = sums[i] + load_first(record, width);
     }
-    const auto column = [&](int k) { return load_strided(all[0] + k, 2 * kLanes); };
-    Moments<Floats> m;
-    m.h = column(0), m.hu = column(1), m.hv = column(2), m.huu = column(3), m.huv = column(4), m.hvv = column(5);
-    m.color = {column(6), column(7), column(8)};
-    m.weight = column(9), m.error = column(10);
-    const Floats zero = Floats(0.0f);
-    m.depth = m.depth_u = m.depth_v = zero;
-    m.normal = {zero, zero, zero};
-    if (frame.geometry) {
-        m.depth = column(11), m.depth_u = column(12), m.depth_v = column(13);
-        m.normal = {column(14), column(15), column(16)};
-    }
-    return m;
+    transpose(sums);
+    return {sums[0],
+            sums[1],
+            sums[2],
+            sums[3],
+            sums[4],
+            sums[5],
+            {sums[6], sums[7], sums[8]},
+            sums[9],
+            sums[10],
+            sums[11],
+            {sums[12], sums[13], sums[14]}};
 }
 
 inline void project_group_gradient(const Frame& frame, int64_t group, const float* moments, const uint32_t* first,
@@ -231,9 +226,18 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         const unsigned lanes = (1u << rows) - 1u;
         Vec<Floats> columns[kMaxHarmonics];
         harmonics_of(frame, slot, rows, columns);
+        Floats grad_harmonics[3 * kMaxHarmonics];
         for (int k = 0; k < harmonic_count; ++k) {
             grad_basis[k] = dot(grad_color, columns[k]);
-            write_vector(out.harmonics + width * row, width, 3 * k, lanes, basis[k] * grad_color);
+            const Vec<Floats> grad_band = basis[k] * grad_color;
+            grad_harmonics[3 * k] = grad_band.x, grad_harmonics[3 * k + 1] = grad_band.y;
+            grad_harmonics[3 * k + 2] = grad_band.z;
+        }
+        for (int at = 0; at < width; at += kLanes) {
+            const int here = width - at < kLanes ? width - at : kLanes;
+            transpose(grad_harmonics + at);
+            for (int i = 0; i < rows; ++i)
+                store_first(out.harmonics + width * (row + i) + at, here, grad_harmonics[at + i]);
         }
         grad.mean = grad.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, grad_basis));
 
@@ -244,8 +248,6 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         write_column(out.opacities + row, 1, 0, lanes, grad.opacity);
         write_column(out.screen + 2 * row, 2, 0, lanes, grad.screen_x);
         write_column(out.screen + 2 * row, 2, 1, lanes, grad.screen_y);
-        write_column(out.weight + row, 1, 0, lanes, m.weight);
-        write_column(out.error + row, 1, 0, lanes, m.error);
     }
 }
 

@@ -22,15 +22,14 @@ const Kernels& kernels() {
     return chosen;
 }
 
-void Rasterizer::forward(const Model& model, const Pinhole& pinhole, const float* background, const Images& images,
-                         bool geometry) {
+void Rasterizer::forward(const Model& model, const Pinhole& pinhole, const float* background, const Images& images) {
     kernels();  // throws before threads start if the environment names kernels that do not run here
     frame_.model = model;
     frame_.pinhole = pinhole;
     std::copy_n(background, 3, frame_.background);
     frame_.tiles_across = (pinhole.width + kTile - 1) / kTile;
     frame_.tiles_down = (pinhole.height + kTile - 1) / kTile;
-    frame_.geometry = geometry;
+    frame_.geometry = images.depth == nullptr ? kNoGeometry : images.normal == nullptr ? kDepth : kNormals;
     frame_.images = images;
     project();
     sort_by_depth();
@@ -177,7 +176,7 @@ size_t Rasterizer::bytes() const {
 }
 
 void Rasterizer::backward(const ImageGradients& grad, const ModelGradients& out) {
-    const size_t width = frame_.geometry ? kMomentFloats : kPlainMomentFloats;
+    const size_t width = kMomentFloats[frame_.geometry];
     moments_.resize(std::max(moments_.size(), instances_.size() * width));
     const int tiles = frame_.tiles_across * frame_.tiles_down;
 #pragma omp parallel for schedule(dynamic)

@@ -12,8 +12,7 @@ const Kernels& kernels();
 class Rasterizer {
 public:
     // The model's arrays must stay alive until `backward` has returned.
-    void forward(const Model& model, const Pinhole& pinhole, const float* background, const Images& images,
-                 bool geometry);
+    void forward(const Model& model, const Pinhole& pinhole, const float* background, const Images& images);
 
     size_t drawn() const { return static_cast<size_t>(rows_.empty() ? 0 : rows_.back()); }
     size_t instances() const { return instances_.size(); }

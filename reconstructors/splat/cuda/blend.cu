@@ -38,19 +38,21 @@ extern "C" __global__ void __launch_bounds__(kThreads)
             const Splat<float> s = batch[k].splat;
             const SplatSample sample = sample_splat(s, center_x, center_y);
             const float alpha = lesser(sample.alpha, kMaxAlpha);
-            if (!(kMinAlpha <= alpha)) continue;
+            if (!(camera->min_alpha <= alpha)) continue;
             const float next = fused(-ray.transmittance, alpha, ray.transmittance);
-            if (next < kMinTransmittance) {
+            if (next < camera->min_transmittance) {
                 active = false;
                 break;
             }
             const float weight = ray.transmittance * alpha;
             ray.color = fused(weight, s.color, ray.color);
-            if (kGeometry) {
+            if (kGeometry >= kDepth) {
                 const float plane = fused(s.depth_u, sample.u, fused(s.depth_v, sample.v, s.depth));
                 ray.depth = fused(weight, plane, ray.depth);
-                ray.normal = fused(weight, s.normal, ray.normal);
-                if (0.5f <= ray.transmittance && next < 0.5f) median = plane;
+                if (kGeometry >= kNormals) {
+                    ray.normal = fused(weight, s.normal, ray.normal);
+                    if (0.5f <= ray.transmittance && next < 0.5f) median = plane;
+                }
             }
             ray.transmittance = next;
             seen_last = n + 1;
@@ -67,8 +69,8 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     color[3 * at] = fused(ray.transmittance, background[0], ray.color.x);
     color[3 * at + 1] = fused(ray.transmittance, background[1], ray.color.y);
     color[3 * at + 2] = fused(ray.transmittance, background[2], ray.color.z);
-    if (kGeometry) {
-        depth[at] = ray.depth;
+    if (kGeometry >= kDepth) depth[at] = ray.depth;
+    if (kGeometry >= kNormals) {
         normal[3 * at] = ray.normal.x, normal[3 * at + 1] = ray.normal.y, normal[3 * at + 2] = ray.normal.z;
         median_depth[at] = median;
     }

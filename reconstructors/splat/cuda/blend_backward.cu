@@ -3,9 +3,9 @@
 // own registers. So no two threads add to the same value, and the order of each sum is that of the pixels.
 //
 // `emission` is the index at which a sorted instance was written among those of its Gaussian; its record is written
-// there. The pointer of a gradient (`grad_`...) or error that is not given is null.
+// there. The pointer of a gradient (`grad_`...) that is not given is null.
 
-constexpr int kMoments = kGeometry ? 17 : 11;
+constexpr int kMoments = kMomentFloats[kGeometry];
 constexpr int kWarps = kThreads / kLanes;
 constexpr int kRing = 2 * kLanes;  // buffered pixels: those in the lanes, and the next ones
 
@@ -13,16 +13,15 @@ constexpr int kRing = 2 * kLanes;  // buffered pixels: those in the lanes, and t
 struct Pixels {
     float limit[kRing];                         // number of the bucket's splats up to the last that contributes
     float transmittance[kRing], behind[kRing];  // see add_pixel; at the start of the bucket
-    float color[3][kRing], error[kRing];
-    float depth[kGeometry ? kRing : 1], normal[3][kGeometry ? kRing : 1];
+    float color[3][kRing];
+    float depth[kGeometry >= kDepth ? kRing : 1], normal[3][kGeometry >= kNormals ? kRing : 1];
 };
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     blend_backward(const Pinhole* camera, const float* background, const int* starts, const int* bucket_ends,
                    int tile_count, const int* gaussians, const long long* emission, const Stored* splats,
                    const float* borders, const float* ends, const int* reached, const float* grad_color,
-                   const float* grad_transmittance, const float* grad_depth, const float* grad_normal,
-                   const float* errors, float* records) {
+                   const float* grad_transmittance, const float* grad_depth, const float* grad_normal, float* records) {
     constexpr int kFloats = ray_floats(kGeometry);
     __shared__ Pixels shared[kWarps];
     const int lane = threadIdx.x % kLanes, bucket = blockIdx.x * kWarps + threadIdx.x / kLanes;
@@ -69,15 +68,17 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                 if (grad_transmittance != nullptr) grad_end = grad_end + grad_transmittance[at];
                 float ahead = fused(end.transmittance, grad_end, dot(end.color - now.color, color));
                 ring.color[0][slot] = color.x, ring.color[1][slot] = color.y, ring.color[2][slot] = color.z;
-                ring.error[slot] = errors != nullptr ? errors[at] : 0.0f;
-                if (kGeometry) {
-                    const float depth = grad_depth != nullptr ? grad_depth[at] : 0.0f;
+                if (kGeometry >= kNormals) {
                     Vec<float> normal = {0.0f, 0.0f, 0.0f};
                     if (grad_normal != nullptr)
                         normal = {grad_normal[3 * at], grad_normal[3 * at + 1], grad_normal[3 * at + 2]};
-                    ahead = fused(end.depth - now.depth, depth, ahead + dot(end.normal - now.normal, normal));
-                    ring.depth[slot] = depth;
+                    ahead = ahead + dot(end.normal - now.normal, normal);
                     ring.normal[0][slot] = normal.x, ring.normal[1][slot] = normal.y, ring.normal[2][slot] = normal.z;
+                }
+                if (kGeometry >= kDepth) {
+                    const float depth = grad_depth != nullptr ? grad_depth[at] : 0.0f;
+                    ahead = fused(end.depth - now.depth, depth, ahead);
+                    ring.depth[slot] = depth;
                 }
                 ring.transmittance[slot] = now.transmittance;
                 ring.behind[slot] = ahead;
@@ -92,23 +93,18 @@ extern "C" __global__ void __launch_bounds__(kThreads)
         const SplatSample sample = sample_splat(s, static_cast<float>(left_x + pixel % kTile) + 0.5f,
                                                 static_cast<float>(top_y + pixel / kTile) + 0.5f);
         const float alpha = lesser(sample.alpha, kMaxAlpha);
-        if (!(kMinAlpha <= alpha)) continue;
+        if (!(camera->min_alpha <= alpha)) continue;
         PixelGradient<float> grad = {};
         grad.color = {ring.color[0][slot], ring.color[1][slot], ring.color[2][slot]};
-        if (kGeometry) {
-            grad.depth = ring.depth[slot];
-            grad.normal = {ring.normal[0][slot], ring.normal[1][slot], ring.normal[2][slot]};
-        }
-        const float unclamped = sample.alpha < kMaxAlpha ? 1.0f : 0.0f;
-        add_pixel<kGeometry>(s, sample.u, sample.v, alpha, unclamped, transmittance, grad, ring.error[slot], behind, m);
+        if (kGeometry >= kDepth) grad.depth = ring.depth[slot];
+        if (kGeometry >= kNormals) grad.normal = {ring.normal[0][slot], ring.normal[1][slot], ring.normal[2][slot]};
+        add_pixel<kGeometry>(s, sample.u, sample.v, alpha, sample.alpha < kMaxAlpha, transmittance, grad, behind, m);
         transmittance = fused(-transmittance, alpha, transmittance);
     }
     if (!any) return;
     float* out = records + emission[mine] * kMoments;
     out[0] = m.h, out[1] = m.hu, out[2] = m.hv, out[3] = m.huu, out[4] = m.huv, out[5] = m.hvv;
-    out[6] = m.color.x, out[7] = m.color.y, out[8] = m.color.z, out[9] = m.weight, out[10] = m.error;
-    if (kGeometry) {
-        out[11] = m.depth, out[12] = m.depth_u, out[13] = m.depth_v;
-        out[14] = m.normal.x, out[15] = m.normal.y, out[16] = m.normal.z;
-    }
+    out[6] = m.color.x, out[7] = m.color.y, out[8] = m.color.z;
+    if (kGeometry >= kDepth) out[9] = m.depth, out[10] = m.depth_u, out[11] = m.depth_v;
+    if (kGeometry >= kNormals) out[12] = m.normal.x, out[13] = m.normal.y, out[14] = m.normal.z;
 }

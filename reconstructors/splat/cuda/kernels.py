@@ -72,19 +72,19 @@ def instances() -> Kernel:
     return Kernel("instances", 128, _MATHS)
 
 
-def blend(geometry: bool, borders: bool) -> Kernel:
+def blend(geometry: int, borders: bool) -> Kernel:
     """Blend the tiles; with `borders` it also stores the state of the rays for the backward pass."""
-    return Kernel("blend", 256, _MATHS, (("kGeometry", int(geometry)), ("kBorders", int(borders))))
+    return Kernel("blend", 256, _MATHS, (("kGeometry", geometry), ("kBorders", int(borders))))
 
 
-def blend_backward(geometry: bool) -> Kernel:
+def blend_backward(geometry: int) -> Kernel:
     """Compute the gradients with respect to the splats, summed over each tile."""
-    return Kernel("blend_backward", 128, _MATHS, (("kGeometry", int(geometry)),))
+    return Kernel("blend_backward", 128, _MATHS, (("kGeometry", geometry),))
 
 
-def project_backward(harmonics: int, geometry: bool) -> Kernel:
+def project_backward(harmonics: int, geometry: int) -> Kernel:
     """Compute the gradients with respect to the Gaussians from those of the splats."""
-    return Kernel("project_backward", 128, _MATHS, (("kHarmonics", harmonics), ("kGeometry", int(geometry))))
+    return Kernel("project_backward", 128, _MATHS, (("kHarmonics", harmonics), ("kGeometry", geometry)))
 
 
 def image_loss() -> Kernel:
@@ -109,14 +109,13 @@ def morton() -> Kernel:
 
 def all_kernels() -> list[Kernel]:
     """Return all kernels with all values of their constants."""
-    flags = (False, True)
     return [
         *(project_gaussians(count) for count in HARMONICS),
         compact(),
         instances(),
-        *(blend(geometry, borders) for geometry in flags for borders in flags),
-        *(blend_backward(geometry) for geometry in flags),
-        *(project_backward(count, geometry) for count in HARMONICS for geometry in flags),
+        *(blend(geometry, borders) for geometry in GEOMETRIES for borders in (False, True)),
+        *(blend_backward(geometry) for geometry in GEOMETRIES),
+        *(project_backward(count, geometry) for count in HARMONICS for geometry in GEOMETRIES),
         image_loss(),
         image_loss_backward(),
         adam(),
@@ -125,6 +124,7 @@ def all_kernels() -> list[Kernel]:
 
 
 HARMONICS = (1, 4, 9, 16)  # spherical harmonics of degrees 0 to 3
+GEOMETRIES = NO_GEOMETRY, DEPTH, NORMALS = 0, 1, 2  # as in maths.h
 
 
 @cache

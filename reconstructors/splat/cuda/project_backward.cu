@@ -1,30 +1,28 @@
 // The gradients with respect to a drawn Gaussian, one thread per Gaussian: adds the records of its instances in the
 // order in which they were written, and applies the gradient of the projection. The rows are those of `ids`.
 
-constexpr int kMoments = kGeometry ? 17 : 11;
+constexpr int kMoments = kMomentFloats[kGeometry];
 
 extern "C" __global__ void __launch_bounds__(kThreads)
     project_backward(const Pinhole* camera, int count, const long long* ids, const int* firsts, const int* tiles,
                      const float* means, const float* quaternions, const float* scales, const float* opacities,
                      const float* coefficients, const Stored* splats, const float* records, float* grad_means,
                      float* grad_quaternions, float* grad_scales, float* grad_opacities, float* grad_coefficients,
-                     float* grad_screen, float* weights, float* errors) {
+                     float* grad_screen) {
     const long long row = static_cast<long long>(blockIdx.x) * kThreads + threadIdx.x;  // 64 bits: used times 3 and 4
     if (row >= count) return;
     const Pinhole at = *camera;
     const long long id = ids[row];
 
-    float sum[17] = {};
+    float sum[kMomentFloats[kNormals]] = {};
     const float* record = records + static_cast<long long>(firsts[row]) * kMoments;
     for (int n = tiles[id]; n > 0; --n, record += kMoments)
         for (int k = 0; k < kMoments; ++k) sum[k] = sum[k] + record[k];
     Moments<float> m = {};
     m.h = sum[0], m.hu = sum[1], m.hv = sum[2], m.huu = sum[3], m.huv = sum[4], m.hvv = sum[5];
-    m.color = {sum[6], sum[7], sum[8]}, m.weight = sum[9], m.error = sum[10];
-    if (kGeometry) {
-        m.depth = sum[11], m.depth_u = sum[12], m.depth_v = sum[13];
-        m.normal = {sum[14], sum[15], sum[16]};
-    }
+    m.color = {sum[6], sum[7], sum[8]};
+    m.depth = sum[9], m.depth_u = sum[10], m.depth_v = sum[11];
+    m.normal = {sum[12], sum[13], sum[14]};
 
     const GaussianRow g = load_gaussian(id, means, quaternions, scales, opacities);
     Footprint<float> f;
@@ -54,6 +52,4 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     grad_quaternions[4 * row + 2] = out.quaternion.y, grad_quaternions[4 * row + 3] = out.quaternion.z;
     grad_opacities[row] = out.opacity;
     grad_screen[2 * row] = out.screen_x, grad_screen[2 * row + 1] = out.screen_y;
-    weights[row] = m.weight;
-    errors[row] = m.error;
 }

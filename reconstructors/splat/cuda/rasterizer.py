@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 _TILE = 16  # pixels across and down
 _PIXELS = _TILE * _TILE
 _BUCKET = 32  # splats of a tile per warp: one per lane
-_MOMENTS, _GEOMETRY_MOMENTS = 11, 17  # values that blend_backward sums for each instance
+_MOMENTS = {kernels.NO_GEOMETRY: 9, kernels.DEPTH: 12, kernels.NORMALS: 15}  # summed for each instance
+_RAY_FLOATS = {kernels.NO_GEOMETRY: 4, kernels.DEPTH: 5, kernels.NORMALS: 8}  # stored for each ray
 _MAX_INT16, _MAX_INT32 = 2**15 - 1, 2**31 - 1
 
 
@@ -80,15 +81,15 @@ class _ForwardPass:
     sorted: _SortedInstances
     rays: _Rays
     background: Tensor
-    geometry: bool
+    geometry: int  # one of `kernels.GEOMETRIES`
 
 
 class CudaRasterizer:
     """Renders views of Gaussians and computes the gradients with respect to the Gaussians.
 
     Beside its results, a pass takes about 100 bytes per Gaussian and 12 bytes per instance (a Gaussian in a tile of 16
-    x 16 pixels); for the gradients it takes 128 more bytes per instance (256 with geometry) and 9 KB per tile (17 KB).
-    Sorting takes about 40 bytes per instance temporarily, the backward pass 44 (68).
+    x 16 pixels); for the gradients it takes 128 more bytes per instance (160 with depth, 256 with normals too) and 9
+    KB per tile (11, 17 KB). Sorting takes about 40 bytes per instance temporarily, the backward pass 36 (48, 60).
 
     Args:
         launcher: runs the kernels; the GPU that holds the tensors if None.
@@ -105,6 +106,7 @@ class CudaRasterizer:
         background: Tensor,
         *,
         geometry: bool,
+        normals: bool = True,
         gradient: bool = True,
     ) -> RasterOutput:
         """Render the Gaussians; see `reconstructors.splat.interface.Rasterizer`. Synchronises with the GPU once.
@@ -119,9 +121,10 @@ class CudaRasterizer:
         background = kernel_input(background.to(gaussians.means.device, non_blocking=True))
         projected = _project(launcher, gaussians, view)
         ordered = _sort(launcher, projected, view)
-        output, rays = _blend(launcher, projected, ordered, view, background, geometry, gradient)
+        rendered = kernels.NO_GEOMETRY if not geometry else kernels.NORMALS if normals else kernels.DEPTH
+        output, rays = _blend(launcher, projected, ordered, view, background, rendered, gradient)
         if rays is not None:
-            self._pass = _ForwardPass(projected, ordered, rays, background, geometry)
+            self._pass = _ForwardPass(projected, ordered, rays, background, rendered)
         return output
 
     def backward(
@@ -130,19 +133,17 @@ class CudaRasterizer:
         transmittance: Tensor | None,
         depth: Tensor | None,
         normal: Tensor | None,
-        error: Tensor | None,
     ) -> Gradients:
         """Return the gradients; see `reconstructors.splat.interface.Rasterizer`. It does not synchronise."""
         assert self._pass is not None, "expected a forward pass with gradient=True before backward"
         projected, ordered, rays = self._pass.projected, self._pass.sorted, self._pass.rays
         geometry, drawn, harmonics = self._pass.geometry, len(projected.ids), projected.gaussians.sh.shape[1]
         launcher = self._launcher or launcher_for(projected.splats)
-        shapes = [(drawn, 3), (drawn, 4), (drawn, 3), (drawn,), (drawn, harmonics, 3), (drawn, 2), (drawn,), (drawn,)]
+        shapes = [(drawn, 3), (drawn, 4), (drawn, 3), (drawn,), (drawn, harmonics, 3), (drawn, 2)]
         gradients = Gradients(projected.ids, *(projected.splats.new_empty(shape) for shape in shapes))
-        records = projected.splats.new_empty(projected.instances, _GEOMETRY_MOMENTS if geometry else _MOMENTS)
-        grad_images = [
-            None if image is None else kernel_input(image) for image in (color, transmittance, depth, normal, error)
-        ]
+        records = projected.splats.new_empty(projected.instances, _MOMENTS[geometry])
+        images = (color, transmittance, depth, normal)
+        grad_images = [None if image is None else kernel_input(image) for image in images]
         launch_over(
             launcher, kernels.blend_backward(geometry), ordered.buckets * _BUCKET,
             projected.camera, self._pass.background, ordered.starts, ordered.bucket_ends,
@@ -210,16 +211,17 @@ def _blend(
     ordered: _SortedInstances,
     view: View,
     background: Tensor,
-    geometry: bool,
+    geometry: int,
     gradient: bool,
 ) -> tuple[RasterOutput, _Rays | None]:
     """Return the images, and the state of the rays if a backward pass may follow."""
     import torch
 
     new, size = projected.splats.new_empty, (view.height, view.width)
-    maps = (new(size), new((*size, 3)), new(size)) if geometry else (None, None, None)
-    output = RasterOutput(new((*size, 3)), new(size), *maps)
-    count, floats = _tiles_of(view), 8 if geometry else 4
+    depth = new(size) if geometry >= kernels.DEPTH else None
+    normal, median_depth = (new((*size, 3)), new(size)) if geometry >= kernels.NORMALS else (None, None)
+    output = RasterOutput(new((*size, 3)), new(size), depth, normal, median_depth)
+    count, floats = _tiles_of(view), _RAY_FLOATS[geometry]
     rays = None
     if gradient:
         reached = new(count, _PIXELS, dtype=torch.int32)
@@ -241,5 +243,5 @@ def _tiles_of(view: View) -> int:
 def _pinhole(view: View) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
     """Return `struct Pinhole` of pinhole.h as float32 words."""
     k = (view.fx, view.fy, view.cx, view.cy)
-    floats = np.array([*view.rotation.ravel(), *view.position, *k, *view.limits, view.near], np.float32)
+    floats = np.array([*view.rotation.ravel(), *view.position, *k, *view.limits, view.near, *view.cutoffs], np.float32)
     return np.concatenate([floats, np.array([view.width, view.height], np.int32).view(np.float32)])

@@ -75,29 +75,29 @@ __device__ inline SplatSample sample_splat(const Splat<float>& s, float x, float
 struct Ray {
     float transmittance;
     Vec<float> color;
-    float depth;  // this and the normal are stored only with geometry
+    float depth;  // this and the normal are stored only if they are rendered
     Vec<float> normal;
 };
-__device__ constexpr int ray_floats(bool geometry) { return geometry ? 8 : 4; }
+__device__ constexpr int ray_floats(int geometry) { return geometry == kNoGeometry ? 4 : geometry == kDepth ? 5 : 8; }
 
 // The rays of a tile are stored value by value, so that the values of neighbouring pixels are contiguous.
-template <bool kWithGeometry>
+template <int kOfGeometry>
 __device__ inline void store_ray(float* to, int pixel, const Ray& ray) {
     to += pixel;
     to[0] = ray.transmittance;
     to[kTilePixels] = ray.color.x, to[2 * kTilePixels] = ray.color.y, to[3 * kTilePixels] = ray.color.z;
-    if (!kWithGeometry) return;
-    to[4 * kTilePixels] = ray.depth;
+    if (kOfGeometry >= kDepth) to[4 * kTilePixels] = ray.depth;
+    if (kOfGeometry < kNormals) return;
     to[5 * kTilePixels] = ray.normal.x, to[6 * kTilePixels] = ray.normal.y, to[7 * kTilePixels] = ray.normal.z;
 }
-template <bool kWithGeometry>
+template <int kOfGeometry>
 __device__ inline Ray load_ray(const float* from, int pixel) {
     from += pixel;
     Ray ray = {};
     ray.transmittance = from[0];
     ray.color = {from[kTilePixels], from[2 * kTilePixels], from[3 * kTilePixels]};
-    if (!kWithGeometry) return ray;
-    ray.depth = from[4 * kTilePixels];
+    if (kOfGeometry >= kDepth) ray.depth = from[4 * kTilePixels];
+    if (kOfGeometry < kNormals) return ray;
     ray.normal = {from[5 * kTilePixels], from[6 * kTilePixels], from[7 * kTilePixels]};
     return ray;
 }

@@ -36,12 +36,13 @@ inline double log2_of<double>(double x) {
 
 namespace {
 
-Pinhole pinhole(const Real* view, int width, int height) {  // rotation, position, fx fy cx cy, limits, near
+Pinhole pinhole(const Real* view, int width, int height) {  // rotation, position, fx fy cx cy, limits, near, cutoffs
     Pinhole at;
     std::copy(view, view + 9, at.rotation);
     std::copy(view + 9, view + 12, at.position);
     at.fx = view[12], at.fy = view[13], at.cx = view[14], at.cy = view[15];
     at.left = view[16], at.right = view[17], at.top = view[18], at.bottom = view[19], at.nearest = view[20];
+    at.min_alpha = view[21], at.min_level = view[22], at.min_transmittance = view[23];
     at.width = width, at.height = height;
     return at;
 }
@@ -73,11 +74,11 @@ void min_squared_norms(int n, const Real* in, Real* out) {  // uu uv vv x0 x1 y0
 }
 
 // images: color (3), transmittance, depth, normal (3) of each pixel; sums: gradients with respect to these 8;
-// gradients, per Gaussian: mean (3), quaternion (4), scale (3), opacity, screen (2), weight, error; sh_gradients:
-// harmonics; boxes: x0 x1 y0 y1 of each ellipse and its reach. Without `sums` it only renders.
+// gradients, per Gaussian: mean (3), quaternion (4), scale (3), opacity, screen (2); sh_gradients: harmonics; boxes: x0
+// x1 y0 y1 of each ellipse and its reach. Without `sums` it only renders.
 void rasterize(int n, int count, const Real* means, const Real* quats, const Real* scales, const Real* opacities,
                const Real* sh, const Real* view, int width, int height, const Real* background, Real* images,
-               Real* median, Real* boxes, const Real* sums, const Real* errors, Real* gradients, Real* sh_gradients) {
+               Real* median, Real* boxes, const Real* sums, Real* gradients, Real* sh_gradients) {
     const Pinhole at = pinhole(view, width, height);
     std::vector<Projected> all(n);
     std::vector<Vec<Real>> free_color(n);
@@ -108,10 +109,10 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
             const Splat<Real>& s = all[i].splat;
             const Real dx = Real(pixel % width) + Real(0.5) - s.x, dy = Real(pixel / width) + Real(0.5) - s.y;
             const Real u = fused(s.uu, dx, s.uv * dy), v = s.vv * dy, alpha = alpha_at(s.level, u, v);
-            if (alpha < kMinAlpha) continue;
+            if (alpha < at.min_alpha) continue;
             const Real clamped = lesser(alpha, Real(kMaxAlpha)), next = left * (1 - clamped);
-            if (next < kMinTransmittance) break;
-            see(i, u, v, clamped, alpha > kMaxAlpha ? Real(0) : Real(1), left, next);
+            if (next < at.min_transmittance) break;
+            see(i, u, v, clamped, alpha <= kMaxAlpha, left, next);
             left = next;
         }
         return left;
@@ -119,7 +120,7 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
     for (int pixel = 0; pixel < width * height; ++pixel) {
         Vec<Real> color{0, 0, 0}, normal{0, 0, 0};
         Real depth = 0, middle = 0;
-        const auto blend = [&](int i, Real u, Real v, Real alpha, Real, Real left, Real next) {
+        const auto blend = [&](int i, Real u, Real v, Real alpha, bool, Real left, Real next) {
             const Splat<Real>& s = all[i].splat;
             const Real plane = fused(s.depth_u, u, fused(s.depth_v, v, s.depth));
             color = fused(alpha * left, s.color, color);
@@ -137,8 +138,8 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
         Real behind = 0;
         for (int k = 0; k < 8; ++k) behind += d[k] * image[k];
         const PixelGradient<Real> g{{d[0], d[1], d[2]}, d[4], {d[5], d[6], d[7]}};
-        visit(pixel, [&](int i, Real u, Real v, Real alpha, Real unclamped, Real left, Real) {
-            add_pixel<true>(all[i].splat, u, v, alpha, unclamped, left, g, errors[pixel], behind, moments[i]);
+        visit(pixel, [&](int i, Real u, Real v, Real alpha, bool unclamped, Real left, Real) {
+            add_pixel<kNormals>(all[i].splat, u, v, alpha, unclamped, left, g, behind, moments[i]);
         });
     }
     if (!sums) return;
@@ -157,10 +158,10 @@ void rasterize(int n, int count, const Real* means, const Real* quats, const Rea
             std::copy(grad, grad + 3, sh_gradients + 3 * (count * i + k));
         }
         g.mean = g.mean + unit_gradient(offset, harmonics_gradient(unit(offset), count, grad_basis));
-        const Real out[15] = {g.mean.x,       g.mean.y,       g.mean.z,   g.quaternion.w, g.quaternion.x,
-                              g.quaternion.y, g.quaternion.z, g.scale.x,  g.scale.y,      g.scale.z,
-                              g.opacity,      g.screen_x,     g.screen_y, m.weight,       m.error};
-        std::copy(out, out + 15, gradients + 15 * i);
+        const Real out[13] = {g.mean.x,       g.mean.y,       g.mean.z,  g.quaternion.w, g.quaternion.x,
+                              g.quaternion.y, g.quaternion.z, g.scale.x, g.scale.y,      g.scale.z,
+                              g.opacity,      g.screen_x,     g.screen_y};
+        std::copy(out, out + 13, gradients + 13 * i);
     }
 }
 }

@@ -192,5 +192,5 @@ def test_negative_colours_are_clamped_to_zero(any_engine):
     image = render_images(any_engine, scene)
     assert not image["color"][..., 0].any() and image["color"][..., 2].max() > 1
     ones = np.ones((32, 32, 3), np.float32)
-    gradients = run_pass(any_engine, scene, ImageGradients(ones, None, None, None, None)).gradients
+    gradients = run_pass(any_engine, scene, ImageGradients(ones, None, None, None)).gradients
     assert gradients["sh"][0, 0, 0] == 0 and (gradients["sh"][0, 0, 1:] > 0).all()

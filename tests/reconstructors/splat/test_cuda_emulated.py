@@ -20,10 +20,11 @@ from reconstructors.splat.cuda import kernels  # noqa: E402
 
 
 def training_step(engine, scene):
-    """Return all results of an engine by name: with and without geometry, the loss, and Adam."""
+    """Return all results of an engine by name: with all images, with depth alone and without, the loss, and Adam."""
     image_gradients = random_image_gradients(scene)
     full = run_pass(engine, scene, image_gradients)
     plain = run_pass(engine, scene, image_gradients._replace(depth=None, normal=None), geometry=False)
+    some = run_pass(engine, scene, image_gradients._replace(normal=None), normals=False)
     k = scene.camera.intrinsics
     image = torch.from_numpy(plain.images["color"].reshape(k.height, k.width, 3)).float()
     loss = engine.kernels.image_loss(image, image.flip(1).contiguous(), 0.2)
@@ -32,6 +33,7 @@ def training_step(engine, scene):
     engine.kernels.adam(parameters, first, second.abs_(), parameters[ids] + 1, ids, 0.01, 3)
     return {
         **{f"full {name}": array for name, array in full.arrays().items()},
+        **{f"some {name}": array for name, array in some.arrays().items()},
         **{f"plain {name}": array for name, array in plain.arrays().items()},
         "drawn": full.drawn,
         **{name: torch.as_tensor(value).numpy() for name, value in loss._asdict().items()},
@@ -160,7 +162,7 @@ def test_without_gradient_nothing_is_stored_for_the_backward_pass():
     )
     assert_same_bits(run_pass(engine, scene, None, rasterizer).images, run_pass(engine, scene).images, "")
     with pytest.raises(AssertionError, match="forward pass"):
-        rasterizer.backward(torch.zeros(22, 37, 3), None, None, None, None)
+        rasterizer.backward(torch.zeros(22, 37, 3), None, None, None)
 
 
 def test_the_morton_order_sorts_interleaved_bits():
@@ -184,6 +186,6 @@ def test_the_morton_order_of_equal_points_and_of_none():
 
 
 def test_constants_are_part_of_the_source():
-    kernel = kernels.blend(True, False)
+    kernel = kernels.blend(kernels.DEPTH, False)
     assert "constexpr int kGeometry = 1;" in kernel.source and "#include" not in kernel.source
     assert replace(kernel, constants=(("kGeometry", 0),)).source != kernel.source

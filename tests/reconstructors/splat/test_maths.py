@@ -32,7 +32,6 @@ def double_precision_source(text):
     digits_of = {
         "kWhitening": "0.84932180028801904",
         "kLn2": "0.69314718055994531",
-        "kMinLevel": "-7.99435343685885794",
         "0.282094792": "0.28209479177387814",
         "0.488602512": "0.48860251190291992",
         "1.09254843": "1.09254843059207907",
@@ -45,7 +44,7 @@ def double_precision_source(text):
         "0.373176333": "0.37317633259011539",
         "1.44530572": "1.44530572132027702",
     }
-    thresholds = r"constexpr float (?:kMinAlpha|kMaxAlpha|kMinTransmittance) .*\n"
+    thresholds = r"constexpr float kMaxAlpha .*\n"
     parts = zip(re.split(thresholds, text), [*re.findall(thresholds, text), ""], strict=True)
     text = "".join(re.sub(r"(?<=[\d.])f\b", "", part) + threshold for part, threshold in parts)
     text = re.sub(r"\bfloat\b", "double", text)
@@ -93,23 +92,23 @@ class Loops:
             )
         )
 
-    def rasterize(self, scene, view, sums, errors):
+    def rasterize(self, scene, view, sums):
         count, harmonics = scene.sh.shape[:2]
         arrays = [np.ascontiguousarray(a, self.type) for a in scene.arrays]
         numbers = [*view.rotation.ravel(), *view.position, view.fx, view.fy, view.cx, view.cy, *view.limits, view.near]
+        numbers += view.cutoffs
         pixels = view.width * view.height
         images, median, boxes = (np.zeros(s, self.type) for s in ((pixels, 8), pixels, (count, 5)))
-        gradients, sh_gradients = np.zeros((count, 15), self.type), np.zeros((count, harmonics, 3), self.type)
+        gradients, sh_gradients = np.zeros((count, 13), self.type), np.zeros((count, harmonics, 3), self.type)
         self.call(
             "rasterize", count, harmonics, *arrays, np.array(numbers, self.type), view.width, view.height,
-            scene.background.astype(self.type), images, median, boxes, sums.astype(self.type), errors.astype(self.type),
-            gradients, sh_gradients,
+            scene.background.astype(self.type), images, median, boxes, sums.astype(self.type), gradients, sh_gradients,
         )  # fmt: skip
         return PassArrays(images, median, gradients, sh_gradients, boxes)
 
 
 class PassArrays(NamedTuple):
-    """Images (P, 8), median depth (P,), gradients and sums (N, 15), gradients of harmonics, and boxes (N, 5)."""
+    """Images (P, 8), median depth (P,), gradients (N, 13), gradients of harmonics, and boxes (N, 5)."""
 
     images: np.ndarray
     median: np.ndarray
@@ -128,7 +127,7 @@ def float_loops(tmp_path_factory):
     return Loops(tmp_path_factory.mktemp("maths"), "float")
 
 
-def reference_pass(scene, view, sums, errors):
+def reference_pass(scene, view, sums):
     """Return the results of the reference rasterizer."""
     size, n = (view.height, view.width), len(scene.means)
     rasterizer = reference.Rasterizer()
@@ -141,17 +140,15 @@ def reference_pass(scene, view, sums, errors):
         image_gradients[:, 4].reshape(size),
         image_gradients[:, 5:].reshape(*size, 3),
     ]
-    pass_gradients = rasterizer.backward(*gradient_images, torch.from_numpy(errors).reshape(size))
+    pass_gradients = rasterizer.backward(*gradient_images)
     images = torch.cat([image.reshape(size[0] * size[1], -1) for image in rendering[:4]], dim=1).numpy()
-    gradients = np.zeros((n, 15))
+    gradients = np.zeros((n, 13))
     parts = [
         pass_gradients.means,
         pass_gradients.quats,
         pass_gradients.scales,
         pass_gradients.opacities,
         pass_gradients.screen,
-        pass_gradients.weight,
-        pass_gradients.error,
     ]
     gradients[pass_gradients.ids] = torch.cat(
         [part if part.ndim == 2 else part[:, None] for part in parts], dim=1
@@ -163,15 +160,15 @@ def reference_pass(scene, view, sums, errors):
 
 def random_gradients(scene, seed=3):
     rng, pixels = np.random.default_rng(seed), scene.camera.intrinsics.width * scene.camera.intrinsics.height
-    return rng.normal(size=(pixels, 8)), rng.random(pixels)
+    return rng.normal(size=(pixels, 8))
 
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_formulas_agree_with_the_reference(double_loops, kind):
-    """In float64: images, gradients and sums."""
+    """In float64: images and gradients."""
     scene = make_scene(kind)
     view, image_gradients = View.of(scene.camera), random_gradients(scene)
-    ours, theirs = double_loops.rasterize(scene, view, *image_gradients), reference_pass(scene, view, *image_gradients)
+    ours, theirs = double_loops.rasterize(scene, view, image_gradients), reference_pass(scene, view, image_gradients)
     assert max_relative_difference(ours, theirs) < rounding_bound(scene, view)
     visible = np.abs(theirs.gradients).sum(axis=1) > 0
     assert (ours.boxes[visible, 4] > 0).all()
@@ -186,7 +183,7 @@ def test_formulas_agree_in_float(float_loops, kind):
     view, image_gradients = View.of(scene.camera), random_gradients(scene)
     assert (
         max_relative_difference(
-            float_loops.rasterize(scene, view, *image_gradients), reference_pass(scene, view, *image_gradients)
+            float_loops.rasterize(scene, view, image_gradients), reference_pass(scene, view, image_gradients)
         )
         < 1e-4
     )
@@ -212,14 +209,14 @@ def max_relative_difference(ours, theirs):
 
 
 def test_boxes_bound_the_ellipses(double_loops):
-    """The half size is sqrt(2 ln(255 opacity) covariance): there the Gaussian times its opacity is 1/255."""
+    """The half size is sqrt(2 ln(opacity / min_alpha) covariance): there alpha is min_alpha."""
     scene = make_scene(scattered_cloud)
     view = View.of(scene.camera)
-    boxes = double_loops.rasterize(scene, view, *random_gradients(scene)).boxes
+    boxes = double_loops.rasterize(scene, view, random_gradients(scene)).boxes
     splats = reference.project(GaussianTensors(*(torch.from_numpy(a).double() for a in scene.arrays)), view)
     assert len(splats.ids) == (boxes[:, 4] > 0).sum()
     spread = torch.linalg.inv(splats.inverse).diagonal(dim1=1, dim2=2)
-    half_sizes = (2 * torch.log(255 * splats.opacities[:, None]) * spread).sqrt()
+    half_sizes = (2 * torch.log(splats.opacities[:, None] / view.cutoffs[0]) * spread).sqrt()
     # 1e-9 of a pixel or of the box: a thousand times the rounding bound of this scene, whose covariances have condition
     # numbers up to 30.
     low, high = (splats.xy - half_sizes).numpy(), (splats.xy + half_sizes).numpy()

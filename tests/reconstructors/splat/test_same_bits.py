@@ -28,7 +28,9 @@ engine, rng = Engine(cpu, "cpu"), np.random.default_rng(1)
 for kind in SCENES:
     scene = make_scene(kind)
     add_digest(kind.__name__, *run_pass(engine, scene, random_image_gradients(scene)).arrays().values())
-    image_gradients = random_image_gradients(scene)._replace(depth=None, normal=None)
+    image_gradients = random_image_gradients(scene)._replace(normal=None)
+    add_digest(kind.__name__ + " depth", *run_pass(engine, scene, image_gradients, normals=False).arrays().values())
+    image_gradients = image_gradients._replace(depth=None)
     add_digest(kind.__name__ + " plain", *run_pass(engine, scene, image_gradients, geometry=False).arrays().values())
 # Enough Gaussians and tiles for several threads.
 many = scattered_cloud(rng, 3000, 210, 130, size=0.06)

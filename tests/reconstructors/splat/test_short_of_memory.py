@@ -22,16 +22,17 @@ def splats(count, width, height):
     harmonics = rng.uniform(0, 1, (count, 1, 3))
     scales, opacities = np.full((count, 3), 0.05), np.full(count, 0.05)
     camera = np.eye(3), np.zeros(3), (100, 100, width / 2, height / 2), (-9, 9, -9, 9)
-    numbers = means, quaternions, scales, opacities, harmonics, *camera
+    cutoffs = 0.01, 1 / 255, np.log2(1 / 255), 1e-4
+    numbers = means, quaternions, scales, opacities, harmonics, *camera, cutoffs
     images = np.zeros((height, width, 3)), np.zeros((height, width))
     arrays = [np.array(array, np.float32) for array in numbers]
-    return *arrays, 0.01, np.zeros(3, np.float32), *(np.array(image, np.float32) for image in images), None, None, None
+    return *arrays, np.zeros(3, np.float32), *(np.array(image, np.float32) for image in images), None, None, None
 
 def gradients(rasterizer, arguments):
     rows, (height, width) = rasterizer.drawn, arguments[11].shape[:2]
     rows_out = [np.empty((rows, *array.shape[1:]), np.float32) for array in arguments[:5]]
-    rest = [np.empty((rows, 2), np.float32), np.empty(rows, np.float32), np.empty(rows, np.float32)]
-    return np.ones((height, width, 3), np.float32), None, None, None, None, np.empty(rows, np.int64), *rows_out, *rest
+    screen = np.empty((rows, 2), np.float32)
+    return np.ones((height, width, 3), np.float32), None, None, None, np.empty(rows, np.int64), *rows_out, screen
 
 def run(operation, count, width, height):
     arguments = splats(count, width, height)
@@ -47,7 +48,7 @@ def run(operation, count, width, height):
             return arguments[11].tobytes()
         backward = gradients(rasterizer, arguments)
         rasterizer.backward(*backward)
-        return backward[6].tobytes()
+        return backward[5].tobytes()
     return run_pass
 
 operation, *size = sys.argv[1], *map(int, sys.argv[2:])

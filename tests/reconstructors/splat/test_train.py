@@ -16,6 +16,7 @@ torch = import_or_skip("torch")
 from splat_training import grey, numbers, truth  # noqa: E402
 
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
+from reconstructors.splat.devices import kernels_of  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model  # noqa: E402
 from reconstructors.splat.rotations import rotate  # noqa: E402
@@ -86,6 +87,26 @@ def test_training_converges_when_the_photographs_no_longer_improve(tmp_path):
     stopped_early.save(tmp_path / "checkpoint.pt", "key")
     rerun = new_training(steps=400, plateau=2.0)
     assert numbers(run_with_checkpoints(rerun, tmp_path / "checkpoint.pt", "key")) == numbers(stopped_early.model)
+
+
+def test_contributions_are_blending_weights_summed_over_pixels():
+    """The weights of all Gaussians sum to alpha at each pixel, whatever their colours."""
+    training = new_training()
+    training.model.sh[:] = -1  # black
+    view_sums = [
+        1
+        - kernels_of(torch.device("cpu"))
+        .Rasterizer()
+        .forward(training.model.tensors, pyramid[0].view, torch.zeros(3), geometry=False)
+        .transmittance
+        for pyramid in training.photographs
+    ]
+    assert float(training.contributions().sum()) == pytest.approx(float(torch.stack(view_sums).sum()), rel=1e-5)
+
+
+def test_low_alphas_are_skipped_until_the_last_steps():
+    schedule, view = Schedule(steps=10, min_alpha=1 / 128, exact_share=0.8), truth()[1][0][0].view
+    assert [schedule.rendered(view, step).min_alpha for step in (0, 7, 8, 9)] == [1 / 128, 1 / 128, 1 / 255, 1 / 255]
 
 
 def test_masked_pixels_do_not_influence_training():
