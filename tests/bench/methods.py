@@ -7,6 +7,7 @@ the mean distance from the cloud to the surface. Prints a table; `--chart` draws
 """
 
 import argparse
+import json
 import os
 import statistics
 import sys
@@ -120,7 +121,9 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=16)
     parser.add_argument("--size", default="300x200")
     parser.add_argument("--cities", type=int, default=len(CITIES), help="number of cities")
-    parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
+    parser.add_argument(
+        "--folder", type=Path, help="folder that keeps the cities and rows; existing ones are used again"
+    )
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -134,8 +137,12 @@ def main() -> None:
             scored_city = city(folder, case, options.images, options.size)
             print(case)
             for number, budget in enumerate(BUDGETS):
-                with tempfile.TemporaryDirectory() as workspace:
-                    rows[number].append(measure(scored_city, folder, budget, Path(workspace)))
+                record = folder.with_name(f"{folder.name}_{budget.method}_{budget.label}.json".replace(" ", "_"))
+                if not record.exists():
+                    with tempfile.TemporaryDirectory() as workspace:
+                        measured = measure(scored_city, folder, budget, Path(workspace))
+                    record.write_text(json.dumps(measured))
+                rows[number].append(Measured(*json.loads(record.read_text())))
                 print(f"{budget.method:6}{budget.label:25}{row(rows[number][-1])}", flush=True)
             means = [(budget, mean(rows[number])) for number, budget in enumerate(BUDGETS)]
             if options.chart:
