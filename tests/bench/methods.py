@@ -121,9 +121,7 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=16)
     parser.add_argument("--size", default="300x200")
     parser.add_argument("--cities", type=int, default=len(CITIES), help="number of cities")
-    parser.add_argument(
-        "--folder", type=Path, help="folder that keeps the cities and rows; existing ones are used again"
-    )
+    parser.add_argument("--folder", type=Path, help="folder that keeps cities and rows, which are used again")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
