@@ -391,8 +391,8 @@ def _sources_note(cloud: Cloud) -> str:
 
 def _color_text(color: NDArray[np.float32]) -> str:
     """Return a color from 0 to 1 as its name or in levels of 255."""
-    levels = tuple(round(255 * float(channel)) for channel in color)
-    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get(levels, f"{levels}")
+    red, green, blue = (round(255 * float(channel)) for channel in color)
+    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
 def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:
