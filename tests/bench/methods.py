@@ -13,7 +13,7 @@ import statistics
 import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from measure import setting
 
@@ -22,6 +22,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from splat_cities import EXTENT, City, city, score_cloud
 
 from pcbench.plugins.run import ReconstructionJob, run
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
 
 CITIES = ("circles, seed 11", "oblique, half texture", "grid, hard")
 
@@ -89,6 +92,15 @@ def mean(rows: list[Measured]) -> Measured:
     return Measured(*map(statistics.fmean, zip(*rows, strict=True)))
 
 
+def plain_ticks(axis: "Axis") -> None:
+    """Label the ticks 1, 2 and 5 of each decade of a logarithmic axis as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
 def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
     """Draw F-score and accuracy against CPU seconds, one line per reconstructor."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -106,8 +118,10 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
     left.set_ylabel("F-score over the visible part, 2 footprints")
     right.set_ylabel("accuracy: cloud to surface, mean [m]")
     right.set_yscale("log")
+    plain_ticks(right.yaxis)
     for axis in (left, right):
         axis.set_xscale("log")
+        plain_ticks(axis.xaxis)
         axis.set_xlabel("CPU seconds")
         axis.margins(0.09, 0.14)
         axis.grid(True, alpha=0.3, which="both")
