@@ -17,7 +17,7 @@ from cuda_emulator import EmulatedCuda, Emulator  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
-from reconstructors.splat.density import Density  # noqa: E402
+from reconstructors.splat.density import Classic  # noqa: E402
 from reconstructors.splat.devices import choose_device  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.optimizer import raise_sh_degree  # noqa: E402
@@ -64,7 +64,9 @@ def new_training(device="cpu"):
         torch.full((GAUSSIANS,), -1.0),
         torch.zeros(GAUSSIANS, 1, 3),
     ).to(torch.device(device))
-    return Training(start, pyramids, Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0)), Density())
+    return Training(
+        start, pyramids, Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0)), Classic(refine_start=STEPS + 1)
+    )
 
 
 def parts(model):
@@ -93,7 +95,7 @@ def assert_similar(ours, theirs, order, tolerance=1e-4):
     np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * tolerance)
 
 
-@pytest.mark.parametrize("steps", [40, pytest.param(STEPS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [65, pytest.param(STEPS, marks=pytest.mark.slow)])
 def test_emulated_training_equals_that_of_the_cpu(steps, monkeypatch):
     cpu_training, kernels = new_training(), EmulatedCuda()
     before = psnr(cpu_training)
@@ -145,9 +147,9 @@ def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     for method in ("_check_model", "_check_convergence"):  # which read values
         monkeypatch.setattr(Training, method, lambda training: None)
     training = new_training("meta")
-    training.run(STEPS // 5)
+    training.run(65)
     assert training.model.degree == 1 and training.psnr[0].is_meta
-    assert kernels.emulator.launched.count("adam") == STEPS  # for each of five kinds of parameters
+    assert kernels.emulator.launched.count("adam") == 5 * 65  # for each of five kinds of parameters
 
 
 def test_reordering_includes_everything_that_belongs_to_the_gaussians():
