@@ -18,7 +18,7 @@ $(BIN)/python:
 
 # An editable install does not rebuild C++ automatically, so the stamps depend on the native sources.
 $(VENV)/.demo: $(BIN)/python $(NATIVE)
-	$(PIP) --editable '.[plot,sfm,mvs,splat]'
+	$(PIP) --editable '.[plot,sfm,mvs,splat,field]'
 	@touch $@
 
 $(VENV)/.all: $(BIN)/python $(NATIVE)
@@ -64,7 +64,7 @@ other_core = CXX=$(1) $(PIP) --no-deps --upgrade --target build/$(2)/site . $(pa
 # captured at the level of Python, so that reports of the sanitizers are visible.
 CORE_TESTS := tests/geometry/test_neighbors.py tests/geometry/test_normals.py $(wildcard tests/geometry/test_mesh*.py) \
   tests/native/test_instruction_sets.py tests/reconstructors/mvs/test_patchmatch.py \
-  tests/reconstructors/splat/test_twins.py
+  tests/reconstructors/splat/test_twins.py tests/reconstructors/field/test_gradients.py
 sanitize: $(VENV)/.all
 	$(call other_core,g++,sanitize,'PCB_SANITIZE=address;undefined')
 	LD_PRELOAD="$$(g++ -print-file-name=libasan.so) $$(g++ -print-file-name=libstdc++.so)" \

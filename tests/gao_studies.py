@@ -9,7 +9,7 @@ from pcbench.deformation import Amplitude, Bin, Deformation, Growth, Trend
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
 from pcbench.report import to_json
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
     TRUTH,
     CameraErrors,
@@ -58,6 +58,7 @@ def scene(name="city_1", bends=(), truth=True, factor=1.0, **changes):
         cloud(MVS, 0.1, 0.2, 0.1, 100.0),
         cloud(MEANS, 0.4, 0.5, 0.1, 300.0),
         cloud(SURFACE, 0.2, 0.3, 0.1, 10.0, extra=True),
+        cloud(FIELD, 0.6, 0.7, 0.1, 200.0),
     )
     views = NewViews(ViewScores(30.0, 0.9), ViewScores(25.0, 0.8), 35, 5, 0.5)
     references = {MVS: (5000, 4000), **({TRUTH: (9000, 8000)} if truth else {})}

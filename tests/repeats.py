@@ -17,6 +17,7 @@ FAST_SETTINGS = {
     "sfm": {"poses": "solve", "features": "1500", "upsample": "no"},
     "mvs": {"backend": "bundled"},
     "splat": {"start": "sfm", "supervision": "none", "steps": "60", "gaussians": "1000", "device": "cpu"},
+    "field": {"steps": "150", "resolution": "64"},
 }
 
 

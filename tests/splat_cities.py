@@ -36,6 +36,8 @@ class CloudScore(NamedTuple):
     Attributes:
         points: number of points of the cloud.
         accuracy: mean distance from the cloud to the true surface, metres.
+        accuracy_by_area: the same if each cubic cell with an edge of one footprint counts once, by one random point. A
+            cloud that has more points where it is accurate does not gain.
         completeness, seen: mean distance from the points of the true cloud to the cloud, over all points and over those
             visible to at least three cameras, metres.
         precision, recall, recall_seen: shares within two pixel footprints.
@@ -43,6 +45,7 @@ class CloudScore(NamedTuple):
 
     points: int
     accuracy: float
+    accuracy_by_area: float
     completeness: float
     seen: float
     precision: float
@@ -61,14 +64,24 @@ class CloudScore(NamedTuple):
 
 
 def city(folder: Path, case: str, images: int, size: str) -> City:
-    """Return the photographed city of a case, synthesized unless the folder exists."""
+    """Return the photographed city of a case, synthesized unless the folder exists.
+
+    A case is a key of `CASES`, or "RIG, seed NUMBER".
+    """
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
         options = ["--extent", EXTENT, "--points", 200_000, "--images", images, "--size", size, "--quiet"]
-        arguments = ["synth", "city", "--out", folder, *options, *CASES[case].split()]
+        arguments = ["synth", "city", "--out", folder, *options, *_options(case).split()]
         subprocess.run([sys.executable, "-m", "pcbench.cli", *map(str, arguments)], check=True)
     scene, reference = read_scene(folder), folder / "truth" / "cloud.ply"
     return City(scene, read_truth(reference, mesh_of(folder, reference), scene.cameras, print))
+
+
+def _options(case: str) -> str:
+    if case in CASES:
+        return CASES[case]
+    rig, seed = case.split(", seed ")
+    return f"--rig {rig} --seed {int(seed)}"
 
 
 def score_cloud(truth: Truth, points: np.ndarray) -> CloudScore:
@@ -78,12 +91,22 @@ def score_cloud(truth: Truth, points: np.ndarray) -> CloudScore:
     truth_rows = rng.permutation(len(truth.cloud))[:MAX_SCORED_POINTS]
     local = points - truth.origin
     to_truth = truth.local_surface.query(local[cloud_rows]).distances
+    by_area = truth.local_surface.query(local[_rows_by_area(local, truth.pixel, rng)]).distances
     from_truth = Index(local).query(truth.cloud.points[truth_rows] - truth.origin).distances
     is_seen, limit = truth.visible[truth_rows], FOOTPRINTS * truth.pixel
     return CloudScore(
         len(points),
         float(to_truth.mean()),
+        float(by_area.mean()),
         float(from_truth.mean()),
         float(from_truth[is_seen].mean()),
         *(float(np.mean(distances <= limit)) for distances in (to_truth, from_truth, from_truth[is_seen])),
     )
+
+
+def _rows_by_area(points: np.ndarray, side: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a random point (M,) of each cubic cell, of at most as many cells as points are scored."""
+    order = rng.permutation(len(points))
+    cells = np.floor(points[order] / side).astype(np.int64)
+    rows = order[np.unique(cells, axis=0, return_index=True)[1]]
+    return rng.permutation(rows)[:MAX_SCORED_POINTS]

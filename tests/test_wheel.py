@@ -15,6 +15,7 @@ MODULES = {
     "pcbench/native/_core",
     "reconstructors/mvs/native/_patchmatch",
     "reconstructors/splat/cpu/_rasterizer",
+    "reconstructors/field/native/_field",
 }
 
 
@@ -65,5 +66,5 @@ def test_entry_points(wheel):
     text = wheel.read(f"{metadata_folder(wheel)}/entry_points.txt").decode()
     for line in ("[console_scripts]", "pcbench=pcbench.cli:main", "[pcbench.reconstructors]"):
         assert line in text.replace(" = ", "=")
-    for name in ("sfm", "mvs", "splat"):
+    for name in ("sfm", "mvs", "splat", "field"):
         assert f"\n{name}=" in text.replace(" = ", "=")

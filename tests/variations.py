@@ -23,6 +23,7 @@ KERNELS = (
     "tests/reconstructors/mvs/test_patchmatch.py",
     "tests/reconstructors/splat/test_rasterize.py",
     "tests/reconstructors/splat/test_twins.py",
+    "tests/reconstructors/field/test_gradients.py",
 )
 TOLERANCES = (
     "tests/deformation/test_polynomials.py",

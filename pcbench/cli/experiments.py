@@ -84,7 +84,7 @@ def bend(
         raise ReconstructionError(f"{out}: none of {len(study.rows)} solutions could be evaluated: see the table there")
 
 
-@experiment.command(short_help="Reproduce Gao et al. 2025: sparse, dense and splat clouds against mvs and the truth.")
+@experiment.command(short_help="Reproduce Gao et al. 2025: sparse, dense, splat and radiance field clouds.")
 @click.argument("scenes", nargs=-1, type=FILE, metavar="[SCENE]...")
 @click.option(
     "--out", type=FILE, metavar="FOLDER", required=True, help="Folder for results; a later run resumes from it."
@@ -135,8 +135,9 @@ def gao(
 
     Images on concentric circles give a sparse cloud, a dense cloud and the centres of Gaussian splats. The clouds are
     cropped, registered, and measured against the dense one by the paper's definitions; in addition in both directions,
-    against the truth, and with the surface of the same splats. SCENE is a folder of photographs, with cameras for
-    --poses given, and optionally truth/ as written by pcbench synth city. Without SCENE, cities are rendered.
+    against the truth, and with the surfaces of the same splats and of a radiance field. SCENE is a folder of
+    photographs, with cameras for --poses given, and optionally truth/ as written by pcbench synth city. Without SCENE,
+    cities are rendered.
 
     \b
     Example: pcbench experiment gao --out gao/

@@ -21,17 +21,22 @@ from pcbench.regular_files import open_regular
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_ALPHA_TYPES = (3, 4, 6)  # palette, grey and RGB: the colour types with an alpha channel or a transparent colour
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
 
 
 class ImageHeader(NamedTuple):
-    """Stored size in pixels (before any EXIF rotation) and GPS position of the antenna, if present."""
+    """Stored size in pixels (before any EXIF rotation), GPS position of the antenna, and whether there is an alpha.
+
+    `gps` is None if the file has no position. `has_alpha` is True for a PNG that may have transparent pixels.
+    """
 
     width: int
     height: int
     gps: Gps | None
+    has_alpha: bool = False
 
 
 def read_image_header(path: Path) -> ImageHeader:
@@ -68,7 +73,8 @@ def _png(file: BinaryIO) -> ImageHeader:
     if len(chunk) < 16 or chunk[4:8] != b"IHDR":
         raise InputError("expected a PNG header, got a truncated file: copy the image again")
     width, height = struct.unpack(">II", chunk[8:])
-    return ImageHeader(width, height, None)
+    kind = file.read(2)  # bit depth and colour type
+    return ImageHeader(width, height, None, len(kind) == 2 and kind[1] in _PNG_ALPHA_TYPES)
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 600_000_000  # per image; survey cameras have up to 450 million
 Size = tuple[int, int]  # width and height in pixels
+_MODES_16_BIT = ("I;16", "I;16L", "I;16B", "I")  # Pillow's names for grey images of 16 bits
+_TO_8_BIT = 255 / 65535
 
 # EXIF tags (CIPA DC-008): the EXIF directory, and in it the size in pixels and the resolution of the focal plane.
 _EXIF_TAG, _PIXEL_SIZE_TAGS, _RESOLUTION_TAGS = 0x8769, (0xA002, 0xA003), (0xA20E, 0xA20F)
@@ -29,6 +31,8 @@ _MAX_EXIF_BYTES = 65_000  # limit of a JPEG segment
 
 def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
     """Decode an image to (height, width, 3) RGB and resize it with a Lanczos filter.
+
+    Values of 16 bits are scaled to 8 bits. An image with an alpha channel is composited over black.
 
     Args:
         path: image file.
@@ -39,6 +43,56 @@ def decode_image(path: Path, size: Size) -> NDArray[np.uint8]:
         MissingExtra: Pillow is not installed.
     """
     return np.array(_load(path, "RGB", size), dtype=np.uint8)
+
+
+def decode_alpha(path: Path, size: Size) -> NDArray[np.uint8] | None:
+    """Decode the alpha channel of an image to (height, width) and resize it with a Lanczos filter.
+
+    Returns:
+        Alpha from 0 (transparent) to 255 (opaque); None if all pixels are opaque.
+
+    Raises:
+        InputError: the image cannot be decoded.
+        MissingExtra: Pillow is not installed.
+    """
+    alpha = np.array(_load(path, "A", size), dtype=np.uint8)
+    return None if alpha.min() == 255 else alpha
+
+
+def decode_luminance(path: Path, size: Size) -> NDArray[np.float32]:
+    """Decode the luminance (height, width) of an image from 0 to 255, not rounded, and resize it with a Lanczos filter.
+
+    The weights of the colours are those of ITU-R BT.601. Grey images of 16 bits keep their precision. Of 16-bit colours
+    Pillow reads the upper 8 bits.
+
+    Args:
+        path: image file.
+        size: (width, height) in pixels.
+
+    Raises:
+        InputError: the image cannot be decoded.
+        MissingExtra: Pillow is not installed.
+    """
+    return np.array(_load(path, "F", size), dtype=np.float32)
+
+
+def decode_gray(path: Path, size: Size) -> NDArray[np.uint8]:
+    """Decode an image to grey values (height, width) and resize it with a Lanczos filter.
+
+    Args:
+        path: image file.
+        size: (width, height) of the result in pixels.
+
+    Raises:
+        InputError: the image cannot be decoded.
+        MissingExtra: Pillow is not installed.
+    """
+    return np.array(_load(path, "L", size), dtype=np.uint8)
+
+
+def opaque_pixels(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return where an alpha channel (height, width) is more than half opaque."""
+    return np.asarray(alpha > 127)
 
 
 def decode_mask(path: Path, size: Size) -> NDArray[np.bool_]:
@@ -139,7 +193,8 @@ def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
                     f"{path}: expected an image of at most {MAX_PIXELS / 1e6:.0f} million pixels, got {file.width} x"
                     f" {file.height}: make it smaller or remove it"
                 )
-            image: Image = file.convert(mode)
+            is_deep = file.mode in _MODES_16_BIT and smooth and mode != "A"
+            image: Image = _scale_to_8_bit(file, mode) if is_deep else _convert(file, mode)
     except (OSError, SyntaxError) as error:
         raise InputError(f"{path}: cannot be decoded ({error}): copy the image again or remove it") from error
     except MemoryError as error:
@@ -147,6 +202,26 @@ def _load(path: Path, mode: str, size: Size, *, smooth: bool = True) -> Image:
     if image.size != size:
         image = image.resize(size, pillow.Resampling.LANCZOS if smooth else pillow.Resampling.NEAREST)
     return image
+
+
+def _scale_to_8_bit(image: Image, mode: str) -> Image:
+    """Convert a grey image of 16 bits to a mode, scaled to 0 to 255: Pillow would clip its values at 255."""
+    pillow = require("PIL.Image")
+    scaled = np.asarray(image.convert("F")) * np.float32(_TO_8_BIT)
+    gray: Image = pillow.fromarray(scaled if mode == "F" else scaled.round().astype(np.uint8))
+    return gray.convert(mode)
+
+
+def _convert(image: Image, mode: str) -> Image:
+    """Convert an image to a mode; "A" gives its alpha channel, and "RGB" and "F" composite it over black."""
+    pillow = require("PIL.Image")
+    has_alpha = image.has_transparency_data
+    if mode == "A":
+        return image.convert("RGBA").getchannel("A") if has_alpha else pillow.new("L", image.size, 255)
+    if mode in ("RGB", "F") and has_alpha:
+        black = pillow.new("RGBA", image.size, (0, 0, 0, 255))
+        image = pillow.alpha_composite(black, image.convert("RGBA")).convert("RGB")
+    return image.convert(mode)
 
 
 @contextmanager

@@ -82,6 +82,7 @@ def read_scene(
         gps={name: header.gps for name, header in headers.items() if header.gps is not None},
         positions=_positions(path / "gps.txt", names, warn),
         masks=_masks(folder, names, headers, _masks_folder(path, masks)),
+        with_alpha=frozenset(name for name, header in headers.items() if header.has_alpha),
         image_scale=float(image_scale),
     )
     return _with_intrinsics(_with_cameras(scene, path, str(cameras), warn), path, warn)

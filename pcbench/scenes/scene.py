@@ -19,7 +19,7 @@ from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.geometry.transform import Similarity
 from pcbench.io.earth_studio import wgs84_from_sphere
 from pcbench.io.files import digest
-from pcbench.scenes.decode import Size, decode_image, decode_mask, resize_image
+from pcbench.scenes.decode import Size, decode_alpha, decode_image, decode_mask, opaque_pixels, resize_image
 from pcbench.scenes.folders import scene_name
 from pcbench.scenes.splits import Split, split_blocks, split_every
 
@@ -46,6 +46,7 @@ class Scene:
         gps: GPS positions from EXIF by image name.
         positions: measured positions (3,) from gps.txt by image name, in metres in their own frame.
         masks: mask files by image name. A mask has the size of its image; black pixels are excluded.
+        with_alpha: names of the images with an alpha channel. Pixels that are at least half transparent are excluded.
         image_scale: working size relative to the stored size, 0 < scale <= 1.
         points: sparse points in the frame of the cameras, if available.
         origin: geographic position of (0, 0, 0) in the frame of the cameras (x east, y north, z up), if known.
@@ -60,6 +61,7 @@ class Scene:
     gps: Mapping[str, Gps] = field(default_factory=dict)
     positions: Mapping[str, FloatArray] = field(default_factory=dict)
     masks: Mapping[str, Path] = field(default_factory=dict)
+    with_alpha: frozenset[str] = frozenset()
     image_scale: float = 1.0
     points: Cloud | None = None
     origin: Gps | None = None
@@ -80,7 +82,7 @@ class Scene:
         return max(1, round(width * self.image_scale)), max(1, round(height * self.image_scale))
 
     def read_image(self, name: str) -> NDArray[np.uint8]:
-        """Read an image at the working size, (height, width, 3) RGB.
+        """Read an image at the working size, (height, width, 3) RGB; transparent pixels are composited over black.
 
         Raises:
             InputError: the image cannot be decoded.
@@ -89,15 +91,28 @@ class Scene:
         return decode_image(self.folder / name, self.size(name))
 
     def read_mask(self, name: str) -> NDArray[np.bool_] | None:
-        """Read the mask of valid pixels, (height, width) at the working size; None if the image has no mask.
+        """Read the mask of valid pixels, (height, width) at the working size; None if all are valid.
+
+        Pixels are valid if the mask is not black there and the image is more than half opaque.
 
         Raises:
-            InputError: the mask cannot be decoded.
+            InputError: the mask or the image cannot be decoded.
             MissingExtra: Pillow is not installed.
         """
-        if name not in self.masks:
-            return None
-        return decode_mask(self.masks[name], self.size(name))
+        mask = decode_mask(self.masks[name], self.size(name)) if name in self.masks else None
+        alpha = self.read_alpha(name)
+        if alpha is None:
+            return mask
+        return opaque_pixels(alpha) if mask is None else mask & opaque_pixels(alpha)
+
+    def read_alpha(self, name: str) -> NDArray[np.uint8] | None:
+        """Read the alpha channel of an image, (height, width) at the working size; None if all pixels are opaque.
+
+        Raises:
+            InputError: the image cannot be decoded.
+            MissingExtra: Pillow is not installed.
+        """
+        return decode_alpha(self.folder / name, self.size(name)) if name in self.with_alpha else None
 
     def write_images(self, folder: Path) -> None:
         """Write the images at the working size to a folder: lossless PNG, or JPEG at quality 97 with full chroma.
@@ -169,6 +184,7 @@ class Scene:
             gps={name: self.gps[name] for name in selected if name in self.gps},
             positions={name: self.positions[name] for name in selected if name in self.positions},
             masks={name: self.masks[name] for name in selected if name in self.masks},
+            with_alpha=self.with_alpha.intersection(selected),
             intrinsics={name: self.intrinsics[name] for name in selected if name in self.intrinsics},
         )
 
@@ -217,6 +233,8 @@ class Scene:
             extent = " x ".join(f"{length:.4g}" for length in np.ptp(positions, axis=0))
             kinds = len({camera.intrinsics for camera in self.cameras.values()})
             lines.append(f"  cameras span {extent}, {kinds} intrinsics")
+        if self.with_alpha:
+            lines.append(f"  alpha channel in {len(self.with_alpha)} images; transparent pixels count as masked")
         if self.intrinsics:
             lines.append(f"  intrinsics for {len(self.intrinsics)} images without a camera")
         if self.points is not None:

@@ -1,8 +1,9 @@
 """Filtering of depth maps: keep confident depths that the maps of other images confirm.
 
-These are the two constraints of Gao et al. on COLMAP's maps. The photometric one is a minimum confidence. The geometric
-one is forward-backward reprojection (Schonberger et al. 2016, section 4.3): another image confirms a depth if the pixel
-returns to itself when the two maps project it there and back. Each point needs at least three images.
+The first two constraints are those of Gao et al. on COLMAP's maps. The photometric one is a minimum confidence. The
+geometric one is forward-backward reprojection (Schonberger et al. 2016, section 4.3): another image confirms a depth if
+the pixel returns to itself when the two maps project it there and back. The third constraint is free space (Merrell et
+al. 2007): more images must confirm a depth than see through it, to a surface behind it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 
 _BLOCK_PIXELS = 1 << 16  # pixels processed at a time: each needs some twenty float64 values of temporary memory
+_MIN_SEEING_CONFIDENCE = 0.5  # a less confident depth behind a point does not contradict it
 _MAX_DEPTH_RATIO = 1.05  # between a plane's depth half a pixel off its centre and at it; steeper normals are unreliable
 
 
@@ -35,7 +37,7 @@ class Criteria:
     """
 
     confidence: float = 0.3
-    views: int = 3
+    views: int = 2
     pixels: float = 2.0
     depth: float = 0.02
     normal_deg: float = 60.0
@@ -62,6 +64,8 @@ def filter_map(
 ) -> FilteredMap:
     """Return the depths that are confident, valid, and confirmed by the maps of the sources.
 
+    More sources must confirm a depth than see through it.
+
     Args:
         camera: pinhole of the map's size.
         depth_map: depth map of the image.
@@ -73,13 +77,16 @@ def filter_map(
     if valid is not None:
         candidates &= valid
     agree = np.zeros((len(sources), *candidates.shape), dtype=np.bool_)
+    seen_through = np.zeros(candidates.shape, dtype=np.uint8)
     for k, (other, map_) in enumerate(sources):
         rows, columns = np.nonzero(candidates)
         for start in range(0, len(rows), _BLOCK_PIXELS):
             at = (rows[start : start + _BLOCK_PIXELS], columns[start : start + _BLOCK_PIXELS])
-            indices = confirm(camera, depth_map, at, other, map_, criteria).indices
-            agree[k, at[0][indices], at[1][indices]] = True
-    kept = candidates & (1 + agree.sum(axis=0) >= criteria.views)
+            confirmation = confirm(camera, depth_map, at, other, map_, criteria)
+            agree[k, at[0][confirmation.indices], at[1][confirmation.indices]] = True
+            seen_through[at[0][confirmation.seen_through], at[1][confirmation.seen_through]] += 1
+    confirmations = agree.sum(axis=0)
+    kept = candidates & (1 + confirmations >= criteria.views) & (confirmations > seen_through)
     return FilteredMap(depth_map.where(kept), agree & kept)
 
 
@@ -110,10 +117,13 @@ class Confirmation(NamedTuple):
     Args:
         indices: (N,) indices into the queried pixels, ascending.
         depths: (N,) depths of the other map's surface at these pixels, in the querying camera.
+        seen_through: (M,) indices of the queried pixels whose points the other image sees through: its surface there
+            is farther away.
     """
 
     indices: IntArray
     depths: FloatArray
+    seen_through: IntArray
 
 
 def confirm(
@@ -145,7 +155,11 @@ def confirm(
     left, row, column = left[usable], row[usable], column[usable]
 
     depths = depths_on_planes(other, other_map, row, column, x[left], y[left])
-    close = np.abs(depths - z[left]) <= criteria.depth * z[left]
+    beyond = depths - z[left]
+    is_seen_through = beyond > criteria.depth * z[left]
+    is_seen_through &= other_map.confidence[row, column] >= _MIN_SEEING_CONFIDENCE
+    seen_through = left[is_seen_through]
+    close = np.abs(beyond) <= criteria.depth * z[left]
     left, row, column, depths = left[close], row[close], column[close], depths[close]
 
     back_u, back_v, back_z = _Warp.between(other, camera).apply(x[left], y[left], depths)
@@ -154,7 +168,7 @@ def confirm(
     normals = depth_map.normal[at[0][left], at[1][left]]
     other_normals = other_map.normal[row, column] @ turn.T.astype(np.float32)
     close &= np.einsum("ni,ni->n", normals, other_normals) >= np.cos(np.radians(criteria.normal_deg))
-    return Confirmation(left[close], back_z[close])
+    return Confirmation(left[close], back_z[close], seen_through)
 
 
 def depths_on_planes(

@@ -17,17 +17,18 @@ import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
-from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.plugins import Reconstruction
+from pcbench.plugins import Gauge, Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
 from pcbench.plugins.stages import stage
+from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
 from reconstructors.mvs.filter import Criteria, filter_map
+from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.fusion import (
     FUSED,
     OverlapSamples,
@@ -39,12 +40,14 @@ from reconstructors.mvs.fusion import (
     write_mesh,
     write_workspace,
 )
+from reconstructors.mvs.halos import remove_halos
 from reconstructors.mvs.maps import read_map, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
-from reconstructors.mvs.sources import MatchedImage, choose_references
-from reconstructors.mvs.sparse import SparseModel, recenter_camera, sparse_from_colmap
+from reconstructors.mvs.sources import MIN_POINTS, MatchedImage, choose_references
+from reconstructors.mvs.sparse import SparseModel, recenter_camera, sparse_from_colmap, without_points
 from reconstructors.mvs.views import IMAGE, ViewCache, luminance, pinhole, stage_location, view_stage
-from reconstructors.sfm.features import join_names
+from reconstructors.sfm.features import NoPointsError, join_names
+from reconstructors.sfm.images import drop_unreadable
 from reconstructors.sfm.sfm import ColmapSfm
 
 MAPS = "maps"  # in the workspace: one folder per image, and the model of their cameras
@@ -53,12 +56,12 @@ MESH = "mesh.ply"  # in the workspace
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
 _OVERLAP_FILE = "links.npz"
 _SFM = "sfm"  # in the workspace: the files of `sfm`
-_MIN_IMAGES = 3  # each sparse point is observed by at least three images
 _MAX_CONFIRMING_VIEWS = 12  # images whose maps may confirm a depth
 _MAX_TEXTURE_SAMPLES = 8  # images from which the share of texture is estimated
 _MAX_SAMPLE_SIDE_PX = 1000  # longer side of these images
-_BYTES_PER_PIXEL = 3 * 20 + 4 + 26  # depth, normal and confidence three times, the photograph, the cloud
+_BYTES_PER_PIXEL = 3 * 20 + 4 + 36  # depth, normal and confidence three times, the photograph, the cloud
 _EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and its sources
+_TWO_IMAGES_NOTE = "two images: no third one confirms the points on which both agree, so more of them are wrong"
 
 
 class _FilteredStages(NamedTuple):
@@ -66,6 +69,17 @@ class _FilteredStages(NamedTuple):
 
     folders: dict[str, Path]
     empty: list[str]
+
+
+class _CameraSolution(NamedTuple):
+    """Cameras, and sparse points if there are any, in the frame of the result; the fields of a `Reconstruction`."""
+
+    cameras: Mapping[str, Camera]
+    sparse: SparseModel
+    gauge: Gauge
+    unit: str | None
+    notes: Sequence[str]
+    residuals: SurveyResiduals
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,8 @@ class DenseMvs:
     By default they are matched at up to 2000 pixels.
     sources: images that each image is matched with; by default up to 8, if as many overlap.
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
-    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point.
+    confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
+    gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
@@ -87,7 +102,7 @@ class DenseMvs:
     sources: int | None = None
     backend: Backend = "auto"
     confidence: float = 0.3
-    views: int = 3
+    views: int = 2
     mesh: bool = False
     seed: int = 0
 
@@ -125,14 +140,13 @@ class DenseMvs:
             raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
-        min_images = max(_MIN_IMAGES, self.views)
-        if len(scene) < min_images:
-            raise InputError(
-                f"expected at least {min_images} images (three, and {self.views} that agree), got {len(scene)}"
-            )
+        if len(scene) < self.views:
+            raise InputError(f"expected at least {self.views} images (views={self.views}), got {len(scene)}")
         backend, why = choose_backend(self.backend)
         solved = self._solve_cameras(scene, workspace)
-        sparse, origin = _local_sparse_model(workspace, solved.cameras)
+        # Fusion computes in float32, which needs small coordinates.
+        origin = next(iter(solved.cameras.values())).position.round()
+        sparse = solved.sparse.recenter(origin)
         references, plan, notes = self._plan_matching(scene, sparse)
         notes += [f"backend {backend}: {why}", *plan.reasons]
 
@@ -157,26 +171,44 @@ class DenseMvs:
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered.folders])
         fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
         counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
-        cloud = read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views)
-        cloud = replace(cloud, points=cloud.points + origin, unit=solved.cloud.unit)
+        cloud = flatten(read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views))
+        cloud = replace(cloud, points=cloud.points + origin, unit=solved.unit)
         notes.append(
             f"{len(filtered.folders)} depth maps fused; median of {np.median(cloud.attributes['views']):.0f} images"
             " per point"
         )
+        if len(filtered.folders) == 2:
+            notes.append(_TWO_IMAGES_NOTE)
         if self.mesh:
             progress("meshing")
             faces = write_mesh(fused / FUSED, workspace / MESH, origin, cloud.unit)
             notes.append(f"Poisson mesh with {faces} faces: {workspace / MESH}")
         return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes], solved.residuals)
 
-    def _solve_cameras(self, scene: Scene, workspace: Path) -> Reconstruction:
-        """Compute cameras and sparse points with `sfm`. With given cameras, one feature scale yields enough points."""
+    def _solve_cameras(self, scene: Scene, workspace: Path) -> _CameraSolution:
+        """Compute cameras and sparse points with `sfm`. With given cameras, one feature scale yields enough points.
+
+        Given cameras also suffice without any point: their viewing volumes bound the depths.
+        """
+        import pycolmap
+
         given = self.poses == "given" or (self.poses == "auto" and bool(scene.cameras))
         progress("sparse points" if given else "cameras and sparse points")
         (workspace / _SFM).mkdir(exist_ok=True)
         # Only the model of this result is used: the minimum number of images per point is applied later.
         sfm = ColmapSfm(poses=self.poses, upsample=not given, min_views=2, seed=self.seed)
-        return sfm.reconstruct(scene, workspace / _SFM)
+        try:
+            solved = sfm.reconstruct(scene, workspace / _SFM)
+        except NoPointsError as error:
+            if not given:
+                raise
+            readable, notes = drop_unreadable(scene.select(scene.cameras), workspace / _SFM)
+            notes.append(f"warning: no sparse points, so the given cameras cannot be checked: {error}")
+            unit = None if scene.origin is None else "m"
+            cameras = readable.cameras
+            return _CameraSolution(cameras, without_points(cameras), "georeferenced", unit, notes, SurveyResiduals())
+        sparse = sparse_from_colmap(pycolmap.Reconstruction(workspace / _SFM / "model"), solved.cameras)
+        return _CameraSolution(solved.cameras, sparse, solved.gauge, solved.cloud.unit, solved.notes, solved.residuals)
 
     def _plan_matching(self, scene: Scene, sparse: SparseModel) -> tuple[list[MatchedImage], MatchingPlan, list[str]]:
         """Choose the sources of each image and the matching plan; the notes name the images that are left out."""
@@ -188,6 +220,11 @@ class DenseMvs:
                 f" views={max(2, max(len(r.sources) for r in references) + 1)}"
             )
         notes = []
+        if len(sparse.points) < MIN_POINTS:
+            notes.append(
+                f"{len(sparse.points)} sparse points are too few for depth ranges: these follow from where the viewing"
+                " volumes of neighbouring cameras meet"
+            )
         if isolated:
             notes.append(
                 f"{len(isolated)} images overlap too little with others to compute depths: {join_names(isolated)}"
@@ -197,7 +234,7 @@ class DenseMvs:
     def _filter_maps(
         self, photographs: ViewCache, references: Sequence[MatchedImage], maps: Mapping[str, Path], workspace: Path
     ) -> _FilteredStages:
-        """Keep the depths that other maps confirm, in one stage per image.
+        """Keep the depths that other maps confirm and that are no halos, in one stage per image.
 
         Raises:
             ReconstructionError: no map has a confirmed depth.
@@ -210,7 +247,8 @@ class DenseMvs:
             def make(folder: Path, name: str = reference.name, sources: Sequence[str] = sources) -> None:
                 camera, view = photographs.cameras[name], photographs.view(name)
                 others = [(photographs.cameras[source], photographs.map(maps[source])) for source in sources]
-                kept, agree = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                filtered = filter_map(camera, photographs.map(maps[name]), others, criteria, view.valid)
+                kept, agree = remove_halos(filtered, view.gray)
                 write_map(folder, kept)
                 np.save(folder / VIEW_COUNTS, np.where(kept.known, 1 + agree.sum(axis=0), 0).astype(np.uint8))
                 overlap = sample_overlap(camera, kept, agree, sources)
@@ -252,18 +290,6 @@ class DenseMvs:
         return stage(workspace, "fused", inputs, make)
 
 
-def _local_sparse_model(workspace: Path, cameras: Mapping[str, Camera]) -> tuple[SparseModel, FloatArray]:
-    """Return the cameras and sparse points of `sfm`, recentred at the first camera, and that origin.
-
-    Fusion computes in float32, which needs small coordinates.
-    """
-    import pycolmap
-
-    model = pycolmap.Reconstruction(workspace / _SFM / "model")
-    origin = next(iter(cameras.values())).position.round()
-    return sparse_from_colmap(model, cameras).recenter(origin), origin
-
-
 def _matched_names(references: Sequence[MatchedImage]) -> list[str]:
     """Return the names of the references and their sources, each once."""
     return list(dict.fromkeys(name for r in references for name in (r.name, *r.sources)))
@@ -281,11 +307,28 @@ def _survey_images(scene: Scene, sparse: SparseModel, references: Sequence[Match
         samples.append(luminance(decode_image(scene.folder / name, size)))
     return ImageSurvey(
         side_px=round(float(np.median([max(k.width, k.height) for k in cameras]))),
-        footprint=float(np.median([r.median_depth / k.fx for r, k in zip(references, cameras, strict=True)])),
+        footprint=median_footprint([r.median_depth for r in references], cameras),
         angle_deg=float(np.median([r.angle_deg for r in references])),
         overlap=float(np.median([len(r.sources) for r in references])),
         textured_share=measure_textured_share(samples),
     )
+
+
+def median_footprint(depths: Sequence[float], cameras: Sequence[Intrinsics]) -> float:
+    """Return the median size of a pixel on the surface, over all pairs of a place and an image that shows it.
+
+    Each image counts by the area that it shows, which is proportional to its pixels and the square of their size.
+    Otherwise close images would count like distant ones, which show most of the surface.
+
+    Args:
+        depths: median depth of each image.
+        cameras: intrinsics of each image.
+    """
+    sizes = np.array([depth / k.fx for depth, k in zip(depths, cameras, strict=True)])
+    areas = np.array([k.width * k.height for k in cameras]) * sizes**2
+    order = np.argsort(sizes)
+    cumulative = np.cumsum(areas[order])
+    return float(sizes[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]])
 
 
 def _check_disk(workspace: Path, cameras: Mapping[str, Camera]) -> None:

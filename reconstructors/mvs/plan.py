@@ -27,7 +27,7 @@ class ImageSurvey:
 
     Args:
         side_px: median of the longer sides of the images.
-        footprint: median size of a pixel at the sparse points, in the unit of the cameras.
+        footprint: median size of a pixel on the surface, in the unit of the cameras.
         angle_deg: median triangulation angle between references and sources.
         overlap: median number of images that could be sources of an image.
         textured_share: share of the patches with texture.

@@ -11,13 +11,12 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.visibility import in_frame
+from reconstructors.mvs.frusta import MIN_ANGLE_DEG, ROUNDING, angle_weights, angles_deg, sample_common_volume
 from reconstructors.mvs.sparse import SparseModel
 
-_MIN_POINTS = 30  # points that an image observes; with fewer, all points in its frame count
+# Points that an image observes; with fewer, all points in its frame count. Models with fewer points are not used.
+MIN_POINTS = 30
 _MIN_SHARED_POINTS = 5  # points that two images must share at a useful angle
-# Triangulation angles. Below the full-weight angle depths become uncertain, below the minimum they would be noise. The
-# images look too different to be matched above the wide angle.
-_MIN_ANGLE_DEG, _FULL_WEIGHT_DEG, _WIDE_ANGLE_DEG, _WIDE_FALLOFF_DEG = 1.0, 10.0, 30.0, 15.0
 _MAX_ANGLE_SOURCES = 4  # sources whose angles are reported
 _DEPTH_MARGIN = 0.25  # share added beyond the nearest and the farthest depth, as COLMAP does
 _DEPTH_TAIL_SHARE = 0.01  # share of the depths ignored at each end, because some are wrong
@@ -46,7 +45,8 @@ def choose_references(sparse: SparseModel, max_sources: int) -> tuple[list[Match
 
     Sources are chosen greedily: each gains most for points that it observes at a good angle and that the sources before
     it leave uncertain. Otherwise all sources could lie on one side, where the same surface is hidden from all of them.
-    Images that share features come first, then images whose frames only contain the points.
+    Images that share features come first, then images whose frames only contain the points. Without points, the
+    viewing volumes of neighbouring cameras determine the sources and the depth range.
 
     Args:
         sparse: cameras and sparse points.
@@ -70,20 +70,23 @@ def choose_references(sparse: SparseModel, max_sources: int) -> tuple[list[Match
 def _choose_sources(sparse: SparseModel, name: str, max_sources: int) -> MatchedImage | None:
     camera = sparse.cameras[name]
     indices = sparse.observed_points(name)
-    by_frame = len(indices) < _MIN_POINTS
+    by_frame = len(indices) < MIN_POINTS
     if by_frame:
         indices = np.flatnonzero(in_frame(camera, sparse.points)).astype(np.int64)
     points = sparse.points[indices]
-    depths = camera.cam_from_world.apply(points)[:, 2]
-    indices, points, depths = indices[depths > 0], points[depths > 0], depths[depths > 0]
     others = [other for other in sparse.names if other != name]
-    if not len(points) or not others:
+    if len(sparse.points) < MIN_POINTS:
+        points = sample_common_volume(camera, [sparse.cameras[other] for other in others])
+    depths = camera.cam_from_world.apply(points)[:, 2]
+    in_front = depths > 0
+    points, depths = points[in_front], depths[in_front]
+    if not len(points):
         return None
     angles = np.stack([angles_deg(camera, sparse.cameras[other], points) for other in others])
     weights = angle_weights(angles) * _relative_resolution(camera, [sparse.cameras[other] for other in others], points)
     chosen = list[int]()
     if not by_frame:
-        chosen = _choose_greedily(weights * _observations(sparse, others, indices), max_sources, chosen)
+        chosen = _choose_greedily(weights * _observations(sparse, others, indices[in_front]), max_sources, chosen)
     # A surface is visible from more images than those in which its features are matched.
     weights *= np.stack([in_frame(sparse.cameras[other], points) for other in others])
     chosen = _choose_greedily(weights, max_sources, chosen)
@@ -101,22 +104,6 @@ def _choose_sources(sparse: SparseModel, name: str, max_sources: int) -> Matched
         float(np.median(depths)),
         float(np.nanmedian(source_angles)),
     )
-
-
-def angles_deg(a: Camera, b: Camera, points: FloatArray) -> FloatArray:
-    """Return the triangulation angles in degrees (N,) of two cameras at points (N, 3)."""
-    u, v = a.position - points, b.position - points
-    across = np.linalg.norm(np.cross(u, v), axis=1)
-    angles: FloatArray = np.degrees(np.arctan2(across, np.einsum("ni,ni->n", u, v)))
-    return angles
-
-
-def angle_weights(degrees: FloatArray) -> FloatArray:
-    """Return weights from 0 to 1 for triangulation angles: high if depths are well determined and images match."""
-    narrow = np.clip(degrees / _FULL_WEIGHT_DEG, 0, 1) ** 2
-    wide = np.exp(-0.5 * (np.maximum(degrees - _WIDE_ANGLE_DEG, 0) / _WIDE_FALLOFF_DEG) ** 2)
-    weights: FloatArray = np.where(degrees < _MIN_ANGLE_DEG, 0.0, narrow * wide)
-    return weights
 
 
 def _relative_resolution(camera: Camera, others: Sequence[Camera], points: FloatArray) -> FloatArray:
@@ -157,14 +144,17 @@ def _choose_greedily(weights: FloatArray, max_count: int, initial: Sequence[int]
 
 def _explain_no_sources(sparse: SparseModel) -> str:
     """Explain why no image has a source."""
-    if not len(sparse.points):
-        return (
-            "no overlap: no point is observed by three images; take more images with more overlap, or provide cameras"
-        )
     positions = np.stack([camera.position for camera in sparse.cameras.values()])
     spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+    if not len(sparse.points):
+        if spread <= ROUNDING * float(np.linalg.norm(positions, axis=1).max()):
+            return "degenerate baselines: all cameras are at one position; take images from different positions"
+        return (
+            "no overlap: no two images share features, and the viewing volumes of no two cameras meet at an angle of"
+            f" {MIN_ANGLE_DEG:g} degree or more; check the cameras, or take images with more overlap"
+        )
     distance = float(np.median(np.linalg.norm(sparse.points - positions.mean(axis=0), axis=1)))
-    if spread < np.radians(_MIN_ANGLE_DEG) * distance:
+    if spread < np.radians(MIN_ANGLE_DEG) * distance:
         return (
             f"degenerate baselines: the cameras lie within {spread:.3g} of one position, and the scene is"
             f" {distance:.3g} away; take images from more distant positions"

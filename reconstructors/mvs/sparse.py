@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
 
+_MIN_VIEWS = 3  # images that observe a point: one of two images may lie anywhere along their common plane
+
+
 @dataclass(frozen=True, eq=False)
 class SparseModel:
     """Cameras and sparse points in one frame.
@@ -54,9 +57,18 @@ def recenter_camera(camera: Camera, origin: FloatArray) -> Camera:
     return replace(camera, cam_from_world=Similarity(pose.rotation, pose.translation + pose.rotation @ origin))
 
 
-def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera], min_views: int = 3) -> SparseModel:
-    """Return the points of a COLMAP model that at least `min_views` images observe, in the order of their ids."""
+def without_points(cameras: Mapping[str, Camera]) -> SparseModel:
+    """Return a model of cameras only."""
     from scipy.sparse import csc_matrix
+
+    return SparseModel(cameras, np.empty((0, 3)), csc_matrix((0, len(cameras)), dtype=np.int8))
+
+
+def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera]) -> SparseModel:
+    """Return the points of a COLMAP model that three images observe, or both of two, in the order of their ids."""
+    from scipy.sparse import csc_matrix
+
+    min_views = min(_MIN_VIEWS, len(cameras))
 
     column = {name: k for k, name in enumerate(cameras)}
     column_of = {int(number): column[image.name] for number, image in model.images.items() if image.name in column}

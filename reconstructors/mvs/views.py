@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,14 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
-from pcbench.scenes.decode import decode_image, decode_mask
+from pcbench.scenes.decode import decode_alpha, decode_gray, decode_image, decode_mask, opaque_pixels
 from reconstructors.mvs.maps import read_depth, read_map
 from reconstructors.mvs.patchmatch import GrayView
+from reconstructors.sfm.contrast import stretch_contrast
 
-VIEWS = "views"  # in the workspace: one folder per image with image.png and, for a masked image, mask.png
-IMAGE, MASK = "image.png", "mask.png"
+# In the workspace: one folder per image with image.png, mask.png if it is masked, and alpha.png if it is transparent.
+VIEWS = "views"
+IMAGE, MASK, ALPHA = "image.png", "mask.png", "alpha.png"
 _MAX_WIDENING = 1.25  # size of the pinhole's image relative to the photograph; a wide lens's corners are cropped
 
 
@@ -62,29 +65,41 @@ def view_stage(scene: Scene, camera: Camera, target: Camera, workspace: Path) ->
     def make(folder: Path) -> None:
         from PIL import Image
 
-        image, valid = undistort(scene, camera, target.intrinsics)
+        image, valid, alpha = undistort(scene, camera, target.intrinsics)
         Image.fromarray(image).save(folder / IMAGE, compress_level=1)
         if valid is not None:
             Image.fromarray(np.where(valid, np.uint8(255), np.uint8(0))).save(folder / MASK)
+        if alpha is not None:
+            Image.fromarray(alpha).save(folder / ALPHA)
 
     return stage(*stage_location(workspace / VIEWS, camera.name), inputs, make)
 
 
 def read_view(folder: Path, camera: Camera) -> GrayView:
-    """Read a view from its stage, in grey, with its mask.
+    """Read a view from its stage, in grey, with its mask; pixels that are at least half transparent are masked too.
+
+    The contrast of dark and faint views is stretched.
 
     Raises:
         InputError: the image cannot be decoded.
     """
     size = (camera.intrinsics.width, camera.intrinsics.height)
-    rgb = decode_image(folder / IMAGE, size)
+    gray = _weigh_colors(decode_image(folder / IMAGE, size))
     valid = decode_mask(folder / MASK, size) if (folder / MASK).is_file() else None
-    return GrayView(luminance(rgb), camera, valid)
+    if (folder / ALPHA).is_file():
+        opaque = opaque_pixels(decode_gray(folder / ALPHA, size))
+        valid = opaque if valid is None else valid & opaque
+    stretched = stretch_contrast(gray)
+    return GrayView(gray.round().astype(np.uint8) if stretched is None else stretched, camera, valid)
 
 
 def luminance(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return grey values (H, W) of colours (H, W, 3), with the weights of ITU-R BT.601."""
-    return np.asarray((rgb @ np.array([0.299, 0.587, 0.114], np.float32)).round(), dtype=np.uint8)
+    return np.asarray(_weigh_colors(rgb).round(), dtype=np.uint8)
+
+
+def _weigh_colors(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.asarray(rgb @ np.array([0.299, 0.587, 0.114], np.float32), dtype=np.float32)
 
 
 def pinhole(camera: Camera, scale: float) -> Camera:
@@ -120,14 +135,25 @@ def _undistorted_bounds(k: Intrinsics) -> tuple[float, float, float, float]:
     return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
 
-def undistort(scene: Scene, camera: Camera, target: Intrinsics) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+class Undistorted(NamedTuple):
+    """An undistorted photograph.
+
+    Attributes:
+        image: (H, W, 3) colors, composited over black where the photograph is transparent.
+        valid: (H, W) False where the mask is black or outside the photograph; None if all pixels are valid.
+        alpha: (H, W) from 0 (transparent) to 255 (opaque); None if all pixels are opaque.
+    """
+
+    image: NDArray[np.uint8]
+    valid: NDArray[np.bool_] | None
+    alpha: NDArray[np.uint8] | None = None
+
+
+def undistort(scene: Scene, camera: Camera, target: Intrinsics) -> Undistorted:
     """Resample the photograph of a camera to a pinhole of the same pose.
 
     The photograph is first resized to the pinhole's focal length with an antialiasing filter, then undistorted with
     cubic interpolation.
-
-    Returns:
-        The image (H, W, 3), and a mask (H, W) of its valid pixels; None if all are valid.
 
     Raises:
         InputError: the photograph or its mask cannot be decoded.
@@ -137,15 +163,17 @@ def undistort(scene: Scene, camera: Camera, target: Intrinsics) -> tuple[NDArray
     size, name = (source.width, source.height), camera.name
     image = decode_image(scene.folder / name, size)
     mask = decode_mask(scene.masks[name], size) if name in scene.masks else None
+    alpha = decode_alpha(scene.folder / name, size) if name in scene.with_alpha else None
     if source.is_pinhole:
-        return image, mask
+        return Undistorted(image, mask, alpha)
     at = _distorted_coordinates(source, target)
     inside: NDArray[np.bool_] = np.asarray((at >= 0).all(axis=2) & (at < size).all(axis=2))
     resampled = _resample(image, at)
+    resampled_alpha = None if alpha is None else _resample(alpha[..., None], at)[..., 0]
     if mask is not None:
         column, row = np.floor(np.where(inside[..., None], at, 0)).astype(np.int64).transpose(2, 0, 1)
         inside &= mask[row, column]
-    return resampled, None if inside.all() else inside
+    return Undistorted(resampled, None if inside.all() else inside, resampled_alpha)
 
 
 def _distorted_coordinates(source: Intrinsics, target: Intrinsics) -> FloatArray:
@@ -157,11 +185,12 @@ def _distorted_coordinates(source: Intrinsics, target: Intrinsics) -> FloatArray
 
 
 def _resample(image: NDArray[np.uint8], at: FloatArray) -> NDArray[np.uint8]:
-    """Interpolate an image (H, W, 3) at coordinates (h, w, 2); beyond its border the border pixels repeat."""
+    """Interpolate an image (H, W, C) at coordinates (h, w, 2); beyond its border the border pixels repeat."""
     from scipy.ndimage import map_coordinates
 
     rows_columns = [at[..., 1] - 0.5, at[..., 0] - 0.5]
     channels = [
-        map_coordinates(image[..., c].astype(np.float32), rows_columns, order=3, mode="nearest") for c in range(3)
+        map_coordinates(image[..., c].astype(np.float32), rows_columns, order=3, mode="nearest")
+        for c in range(image.shape[2])
     ]
     return np.stack(channels, axis=-1).clip(0, 255).round().astype(np.uint8)

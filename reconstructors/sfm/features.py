@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +14,16 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
+from pcbench.scenes.decode import decode_luminance
+from reconstructors.sfm.contrast import stretch_contrast
 
 DATABASE = "database.db"  # file name in each stage's folder
+_STRETCHED = "stretched.json"  # in the features' stage: names of the images whose contrast was stretched
 MIN_FEATURES = 50  # per image: with fewer, hardly any pair has enough matches after ratio test and RANSAC
+
+
+class NoPointsError(ReconstructionError):
+    """The photographs do not determine any point: they have too few features, matches or overlap."""
 
 
 class LensGroup(NamedTuple):
@@ -26,6 +35,8 @@ class LensGroup(NamedTuple):
 
 def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsample: bool) -> Path:
     """Extract features of all images; return the stage's folder with the database.
+
+    The contrast of dark and faint images is stretched first, only for the features.
 
     Args:
         scene: Images and known cameras.
@@ -50,14 +61,21 @@ def extract_features(scene: Scene, workspace: Path, max_features: int, *, upsamp
         extraction = pycolmap.FeatureExtractionOptions()
         extraction.sift.max_num_features = max_features
         extraction.sift.first_octave = -1 if upsample else 0
-        pycolmap.extract_features(
-            database,
-            images,
-            image_names=list(scene.images),
-            reader_options=reader,
-            extraction_options=extraction,
-            device=pycolmap.Device.cpu,
-        )
+        stretched = folder / "stretched"
+        faint = _write_stretched(scene, stretched)
+        sufficient = [name for name in scene.images if name not in faint]
+        for source, chosen in ((images, sufficient), (stretched, faint)):
+            if chosen:
+                pycolmap.extract_features(
+                    database,
+                    source,
+                    image_names=chosen,
+                    reader_options=reader,
+                    extraction_options=extraction,
+                    device=pycolmap.Device.cpu,
+                )
+        shutil.rmtree(stretched, ignore_errors=True)
+        (folder / _STRETCHED).write_text(json.dumps(faint), encoding="utf-8")
 
     inputs = {
         "pycolmap": pycolmap.__version__,
@@ -87,11 +105,39 @@ def working_images(scene: Scene, workspace: Path) -> Path:
     return stage(workspace, "images", inputs, lambda folder: scene.write_images(folder))
 
 
-def _write_masks(scene: Scene, folder: Path) -> Path | None:
-    """Write the masks at the working size under the names that COLMAP expects; None if no image has a mask."""
+def _write_stretched(scene: Scene, folder: Path) -> list[str]:
+    """Write the images of low contrast, stretched, in grey; return their names."""
     from PIL import Image
 
-    for name in scene.images if scene.masks else ():
+    faint = []
+    for name in scene.images:
+        stretched = stretch_contrast(decode_luminance(scene.folder / name, scene.size(name)))
+        if stretched is not None:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            # PNG for any name: COLMAP recognizes the format by its content, and JPEG would add noise.
+            Image.fromarray(stretched).save(folder / name, format="PNG", compress_level=1)
+            faint.append(name)
+    return faint
+
+
+def describe_stretched(features: Path) -> list[str]:
+    """Return a note on the images whose contrast was stretched for the features, if there are any."""
+    names = json.loads((features / _STRETCHED).read_text(encoding="utf-8"))
+    if not names:
+        return []
+    return [f"{len(names)} dark or faint images: their contrast is stretched to find features: {join_names(names)}"]
+
+
+def _write_masks(scene: Scene, folder: Path) -> Path | None:
+    """Write the masks at the working size under the names that COLMAP expects; None if no image has a mask.
+
+    Pixels that are at least half transparent are masked too.
+    """
+    from PIL import Image
+
+    if not (scene.masks or scene.with_alpha):
+        return None
+    for name in scene.images:
         path = folder / "masks" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         mask = scene.read_mask(name)
@@ -99,7 +145,7 @@ def _write_masks(scene: Scene, folder: Path) -> Path | None:
             width, height = scene.size(name)
             mask = np.ones((height, width), dtype=bool)
         Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(path)
-    return folder / "masks" if scene.masks else None
+    return folder / "masks"
 
 
 def count_features(features: Path) -> dict[str, int]:
@@ -120,13 +166,13 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
         scene: Images.
 
     Raises:
-        ReconstructionError: Fewer than two images have enough features.
+        NoPointsError: Fewer than two images have enough features.
     """
     too_few = [name for name in scene.images if counts.get(name, 0) < MIN_FEATURES]
     if not too_few:
         return []
     if len(scene) - len(too_few) < 2:
-        raise ReconstructionError(
+        raise NoPointsError(
             f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
             f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )

@@ -34,7 +34,9 @@ def map_images(
     def make(folder: Path) -> None:
         images = working_images(scene, workspace)
         if mapper == "incremental":
-            pycolmap.incremental_mapping(verified / DATABASE, images, folder, _incremental_options(refine, seed))
+            pycolmap.incremental_mapping(
+                verified / DATABASE, images, folder, _incremental_options(refine, seed, len(scene))
+            )
         else:
             # The global mapper changes two-view geometries in the database: use a copy.
             database = folder / DATABASE
@@ -91,7 +93,7 @@ def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Pat
             verified / DATABASE,
             working_images(scene, workspace),
             folder / "0",
-            options=_incremental_options("none", seed),
+            options=_incremental_options("none", seed, len(scene)),
             refine_intrinsics=False,
         )
         check_written(folder / "0")
@@ -100,13 +102,14 @@ def triangulate(verified: Path, scene: Scene, workspace: Path, seed: int) -> Pat
     return stage(workspace, "triangulation", inputs, make)
 
 
-def _incremental_options(refine: Refine, seed: int) -> Any:
+def _incremental_options(refine: Refine, seed: int, images: int) -> Any:
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
-    options.min_model_size = 3
+    options.min_model_size = min(3, images)
+    options.triangulation.ignore_two_view_tracks = images > 2
     options.ba_refine_focal_length = refine in ("all", "focal")
     options.ba_refine_extra_params = refine in ("all", "distortion")
     options.mapper.abs_pose_refine_focal_length = refine in ("all", "focal")

@@ -16,7 +16,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.systems import cpu_count
-from reconstructors.sfm.features import DATABASE, LensGroup, shared_intrinsics
+from reconstructors.sfm.features import DATABASE, LensGroup, NoPointsError, shared_intrinsics
 
 _MIN_INLIERS = 15  # inliers of a usable pair: COLMAP's default
 _MIN_PAIRS_PER_PROCESS = 25  # a process takes 0.3 s to start, a pair 0.01 to 0.2 s
@@ -109,7 +109,7 @@ def check_verified(verified: Path, counts: Mapping[str, int]) -> None:
         counts: Number of features by image name.
 
     Raises:
-        ReconstructionError: No pair has enough verified matches.
+        NoPointsError: No pair has enough verified matches.
     """
     import pycolmap
 
@@ -117,7 +117,7 @@ def check_verified(verified: Path, counts: Mapping[str, int]) -> None:
     _, inliers = database.read_two_view_geometry_num_inliers()
     database.close()
     if max(inliers, default=0) < _MIN_INLIERS:
-        raise ReconstructionError(
+        raise NoPointsError(
             f"no pair verified: {len(counts)} images have {int(np.median(list(counts.values())))} features (median),"
             " but no two images agree on a geometry: they show different scenes, or the overlap is too small"
         )

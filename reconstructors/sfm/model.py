@@ -14,6 +14,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import intrinsics_from_colmap
+from reconstructors.sfm.features import NoPointsError
 
 Refine = Literal["all", "focal", "distortion", "none"]  # intrinsics to solve for
 
@@ -92,18 +93,18 @@ def cloud_of(model: Any, min_views: int, unit: str | None) -> tuple[Cloud, list[
         unit: Unit of the coordinates.
 
     Raises:
-        ReconstructionError: There are no such points.
+        NoPointsError: There are no such points.
     """
     all_points = [point for _, point in sorted(model.points3D.items())]
     views = np.array([_view_count(point) for point in all_points], dtype=np.int32)
     points = [point for point, n in zip(all_points, views, strict=True) if n >= min_views]
     if not all_points:
-        raise ReconstructionError(
+        raise NoPointsError(
             "no point is triangulated: no three images show the same place from positions that are far enough apart"
             " (1.5 degrees): take more images, from different positions"
         )
     if not points:
-        raise ReconstructionError(
+        raise NoPointsError(
             f"none of {len(all_points)} points is observed by {min_views} images: take more images, or use --set"
             " min_views=2"
         )

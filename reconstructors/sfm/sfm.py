@@ -24,6 +24,7 @@ from reconstructors.sfm.features import (
     MIN_FEATURES,
     check_features,
     count_features,
+    describe_stretched,
     extract_features,
     join_names,
     working_images,
@@ -111,10 +112,12 @@ class ColmapSfm:
 
         features = extract_features(scene, workspace, self.features, upsample=self.upsample)
         counts = count_features(features)
-        notes += check_features(counts, scene)
+        notes += [*describe_stretched(features), *check_features(counts, scene)]
 
         matching, pairs = choose_pairs(scene, self.matching)
         notes.append(f"{matching} matching, {len(pairs)} pairs")
+        if scene.with_alpha:
+            notes.append(f"{len(scene.with_alpha)} images have an alpha channel: transparent pixels count as masked")
         matches = match_pairs(features, pairs, workspace)
         verified = verify_matches(matches, scene, workspace, self.seed)
         check_verified(verified, counts)

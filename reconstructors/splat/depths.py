@@ -1,10 +1,10 @@
-"""Depth and normal maps rendered from Gaussians, and the overlap between images."""
+"""Depth and normal maps rendered from a model (Gaussians or a radiance field), and the overlap between images."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,28 @@ from pcbench.geometry.cameras import Camera
 from reconstructors.mvs.maps import DepthMap
 from reconstructors.mvs.sources import MatchedImage, choose_references
 from reconstructors.mvs.sparse import SparseModel
-from reconstructors.splat.devices import kernels_of
-from reconstructors.splat.model import Gaussians, LocalFrame
+from reconstructors.splat.interface import RasterOutput
+from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.photographs import NEAREST
 from reconstructors.splat.view import View
 
 _CACHE_BYTES = 512 * 2**20  # maximum size of the cached maps
 _BYTES_PER_PIXEL = 4 + 12 + 4 + 3 + 4
 _DEPTH_DISAGREEMENT_PX = 2.0  # difference of mean and median depth, in pixel footprints, that halves the confidence
-_MAX_OVERLAP_SAMPLES = 3000  # Gaussians from which the overlap of images is computed
-_MIN_SAMPLE_OPACITY = 0.5  # minimum opacity of these Gaussians, unless all are below it
-_MAX_RELATIVE_DEPTH_DIFFERENCE = 0.05  # difference of depth between a visible Gaussian and the rendered surface
+_MAX_OVERLAP_SAMPLES = 3000  # points from which the overlap of images is computed
+_MAX_RELATIVE_DEPTH_DIFFERENCE = 0.05  # difference of depth between a visible point and the rendered surface
+
+
+class SurfaceModel(Protocol):
+    """A model in a `LocalFrame` whose renderings show a surface."""
+
+    def render_geometry(self, view: View) -> RasterOutput:
+        """Render the colors, transmittances, depths, normals and median depths of a view."""
+        ...
+
+    def surface_points(self) -> NDArray[np.float64]:
+        """Return points (N, 3) on or close behind the surface."""
+        ...
 
 
 class RenderedMap(NamedTuple):
@@ -47,33 +58,28 @@ class RenderedMaps:
 
     The most recent maps are cached, up to 512 MiB, so that memory does not grow with the number of images.
 
-    The depth of a pixel is the median along its ray: the depth of the plane of the Gaussian behind which the
-    transmittance is below one half. At an edge it is the depth of one side, not a mixture. The confidence is the alpha
+    The depth of a pixel is the median along its ray, behind which the transmittance is below one half; of Gaussians it
+    is the depth of the plane of one. At an edge it is the depth of one side, not a mixture. The confidence is the alpha
     of the pixel, divided by 1 + (difference of mean and median depth / two footprints)^2.
 
     Args:
-        gaussians: the model.
+        model: the model.
         frame: its frame.
         cameras: pinholes in the world by image name.
         max_confirming_views: number of maps that are used at the same time.
     """
 
     def __init__(
-        self, gaussians: Gaussians, frame: LocalFrame, cameras: Mapping[str, Camera], max_confirming_views: int
+        self, model: SurfaceModel, frame: LocalFrame, cameras: Mapping[str, Camera], max_confirming_views: int
     ) -> None:
         self.cameras = {name: frame.camera(camera) for name, camera in cameras.items()}
-        kernels = kernels_of(gaussians.means.device)
-        self._rasterizer = kernels.Rasterizer()
-        self._gaussians = gaussians.tensors
+        self._model = model
         largest = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
         self.of = lru_cache(max(max_confirming_views + 1, _CACHE_BYTES // (_BYTES_PER_PIXEL * largest)))(self._render)
 
     def _render(self, name: str) -> RenderedMap:
         camera = self.cameras[name]
-        background = self._gaussians.means.new_zeros(3)
-        output = self._rasterizer.forward(
-            self._gaussians, View.of(camera, NEAREST), background, geometry=True, gradient=False
-        )
+        output = self._model.render_geometry(View.of(camera, NEAREST))
         assert output.depth is not None and output.normal is not None and output.median_depth is not None
         color, transmittance = output.color.cpu().numpy(), output.transmittance.cpu().numpy()
         depth, median = output.depth.cpu().numpy(), output.median_depth.cpu().numpy()
@@ -104,18 +110,16 @@ class Overlap(NamedTuple):
     footprint: float
 
 
-def find_overlap(gaussians: Gaussians, depths: RenderedMaps, max_sources: int) -> Overlap:
-    """Match each image with at most `max_sources` others that see the same opaque Gaussians at good angles.
+def find_overlap(model: SurfaceModel, depths: RenderedMaps, max_sources: int) -> Overlap:
+    """Match each image with at most `max_sources` others that see the same points of the surface at good angles.
 
     Raises:
         ReconstructionError: no image shows a surface, or no two images overlap.
     """
     from scipy.sparse import csc_matrix
 
-    opacities = gaussians.opacities.detach().cpu().numpy()
-    opaque = np.flatnonzero(opacities >= min(_MIN_SAMPLE_OPACITY, opacities.max(initial=0)))
-    sampled = opaque[:: max(1, len(opaque) // _MAX_OVERLAP_SAMPLES)]
-    points = gaussians.means.detach().cpu().numpy()[sampled].astype(np.float64)
+    points = model.surface_points()
+    points = points[:: max(1, len(points) // _MAX_OVERLAP_SAMPLES)]
     visibility, footprints = [], []
     for name, camera in depths.cameras.items():
         depth_map = depths.of(name).depth_map

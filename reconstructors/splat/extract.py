@@ -22,7 +22,7 @@ from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import with_time_left
 from reconstructors.mvs.filter import Criteria, confirm, world_points
 from reconstructors.mvs.sources import MatchedImage
-from reconstructors.splat.depths import RenderedMaps, find_overlap
+from reconstructors.splat.depths import RenderedMaps, SurfaceModel, find_overlap
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame
 from reconstructors.splat.rotations import rotate
 from reconstructors.splat.voxels import Points, Voxels, concatenate_points
@@ -83,7 +83,7 @@ def means(
 
 
 def surface(
-    gaussians: Gaussians,
+    model: SurfaceModel,
     frame: LocalFrame,
     cameras: Mapping[str, Camera],
     *,
@@ -101,7 +101,7 @@ def surface(
     `confidence` is between 0 and 1, `views` is the number of images that agree on a point.
 
     Args:
-        gaussians: the model.
+        model: the model.
         frame: its frame.
         cameras: pinholes in the world by image name.
         criteria: criteria by which depths are kept and confirmed.
@@ -115,8 +115,8 @@ def surface(
         raise InputError(f"expected at least {criteria.views} cameras to confirm depths, got {len(cameras)}")
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0):
         raise InputError(f"expected a positive edge length of the voxels, got {voxel}")
-    depths = RenderedMaps(gaussians, frame, cameras, _MAX_CONFIRMING_VIEWS)
-    overlap = find_overlap(gaussians, depths, _MAX_CONFIRMING_VIEWS)
+    depths = RenderedMaps(model, frame, cameras, _MAX_CONFIRMING_VIEWS)
+    overlap = find_overlap(model, depths, _MAX_CONFIRMING_VIEWS)
     voxels = Voxels(overlap.footprint if voxel is None else voxel / frame.unit)
     point_count = 0
     for reference in with_time_left(overlap.references, "surface"):
@@ -126,8 +126,7 @@ def surface(
             voxels.add(points, uncertainty**-2, uncertainty)
     if not point_count:
         raise ReconstructionError(
-            f"no surface: no {criteria.views} images agree on any depth: train with more steps, check the cameras, or"
-            " use the means of the Gaussians (cloud=means)"
+            f"no surface: no {criteria.views} images agree on any depth: train with more steps, and check the cameras"
         )
     points = voxels.fuse()
     return Cloud(
@@ -165,7 +164,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
         ray_depths = np.full((1 + len(others), len(block[0])), np.nan)
         ray_depths[0] = depth_map.depth[block]
         for k, (other, other_map) in enumerate(others, start=1):
-            matched, depths_on_ray = confirm(camera, depth_map, block, other, other_map, criteria)
+            matched, depths_on_ray, _ = confirm(camera, depth_map, block, other, other_map, criteria)
             ray_depths[k, matched] = depths_on_ray
         views = np.isfinite(ray_depths).sum(axis=0)
         enough = views >= criteria.views
@@ -181,6 +180,7 @@ def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: C
                 rendered.colors[block].astype(np.float64),
                 depth_map.confidence[block].astype(np.float64),
                 views[enough],
+                np.zeros(len(footprint)),
             )
         )
     return concatenate_points(parts), np.concatenate(uncertainties) if uncertainties else np.empty(0)

@@ -12,7 +12,9 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.transform import Similarity
-from reconstructors.splat.interface import GaussianTensors
+from reconstructors.splat.devices import kernels_of
+from reconstructors.splat.interface import GaussianTensors, RasterOutput
+from reconstructors.splat.view import View
 
 if TYPE_CHECKING:
     import torch
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
 SH_DC = 0.28209479177387814  # the spherical harmonic of degree 0
 _INITIAL_OPACITY = 0.1
+_OPAQUE = 0.5  # minimum opacity of the Gaussians on the surface, unless all are below it
 _SPACING_NEIGHBORS = 3  # neighbors whose mean distance is the initial size of a Gaussian
 
 
@@ -137,6 +140,18 @@ class Gaussians:
             ((colors - 0.5) / SH_DC)[:, None, :],
         )
         return cls(*(torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in parts))
+
+    def render_geometry(self, view: View) -> RasterOutput:
+        """Render a view with depths and normals over black (see `reconstructors.splat.depths.SurfaceModel`)."""
+        rasterizer = kernels_of(self.means.device).Rasterizer()
+        return rasterizer.forward(self.tensors, view, self.means.new_zeros(3), geometry=True, gradient=False)
+
+    def surface_points(self) -> FloatArray:
+        """Return the means (M, 3) of the opaque Gaussians."""
+        opacities = self.opacities.detach().cpu().numpy()
+        opaque = opacities >= min(_OPAQUE, opacities.max(initial=0))
+        means: FloatArray = self.means.detach().cpu().numpy()[opaque].astype(np.float64)
+        return means
 
     def select(self, rows: Tensor) -> Gaussians:
         """Return the Gaussians selected by indices or a mask."""

@@ -211,7 +211,8 @@ class Parsimonious(Density["Training"]):
         first_step, start = self._timer
         step_ms = 1000 * (time.process_time() - start) / max(1, training.step - first_step)
         psnr = tuple(
-            float(np.mean(evaluate(model, [pyramid[0] for pyramid in block]))) for block in self._held_out_blocks
+            float(np.mean(evaluate(model, [pyramid[0] for pyramid in block], training.background.color[0])))
+            for block in self._held_out_blocks
         )
         return Budget(len(model), model.degree, psnr, step_ms)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.scenes.decode import decode_image, decode_mask
-from reconstructors.mvs.views import IMAGE, MASK
+from pcbench.scenes.decode import decode_gray, decode_image, decode_mask
+from reconstructors.mvs.views import ALPHA, IMAGE, MASK
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.view import View
 
@@ -30,23 +30,30 @@ class Photograph(NamedTuple):
     Attributes:
         name: name of its image.
         view: the pinhole in the frame of the model.
-        color: (H, W, 3) uint8.
+        color: (H, W, 3) uint8, composited over black where the photograph is transparent.
         valid: (H, W) bool, False where a mask hides the photograph; None if no mask does.
+        alpha: (H, W) uint8 from 0 (transparent) to 255 (opaque); None if the photograph is opaque.
     """
 
     name: str
     view: View
     color: Tensor
     valid: Tensor | None
+    alpha: Tensor | None = None
 
     @property
     def has_valid_pixels(self) -> bool:
         """Return whether the mask leaves any pixel."""
         return self.valid is None or bool(self.valid.any())
 
-    def target(self) -> Tensor:
-        """Return the colors (H, W, 3) as float32 from 0 to 1, 0 where a mask hides them."""
+    def over(self, background: Tensor) -> Tensor:
+        """Return the colors (H, W, 3) over a background color (3,), as float32 from 0 to 1."""
         color = self.color.float() / 255
+        return color if self.alpha is None else color + (1 - self.alpha.float() / 255)[..., None] * background
+
+    def target(self, background: Tensor) -> Tensor:
+        """Return the colors (H, W, 3) over a background color (3,), 0 where a mask hides them."""
+        color = self.over(background)
         return color if self.valid is None else color * self.valid[..., None]
 
 
@@ -73,12 +80,14 @@ def read_photographs(
         size = (camera.intrinsics.width, camera.intrinsics.height)
         color = decode_image(folder / IMAGE, size)
         valid = decode_mask(folder / MASK, size) if (folder / MASK).is_file() else None
+        alpha = decode_gray(folder / ALPHA, size) if (folder / ALPHA).is_file() else None
         pyramid = []
         for level in range(levels):
             if level > 0:
                 if min(color.shape[:2]) < 2 * _MIN_SIDE_PX:
                     break
                 color, valid = _halve(color), None if valid is None else _all_valid(valid)
+                alpha = None if alpha is None else _halve(alpha)
                 camera = replace(camera, intrinsics=_halve_intrinsics(camera.intrinsics))
             pyramid.append(
                 Photograph(
@@ -86,6 +95,7 @@ def read_photographs(
                     View.of(camera, NEAREST),
                     torch.from_numpy(color).to(device),
                     None if valid is None else torch.from_numpy(valid).to(device),
+                    None if alpha is None else torch.from_numpy(alpha).to(device),
                 )
             )
         pyramids.append(pyramid)
@@ -103,9 +113,9 @@ def _blocks(image: NDArray[Any]) -> NDArray[Any]:
     return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, *image.shape[2:])
 
 
-def _halve(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halve(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the rounded means of 2 x 2 blocks."""
-    return np.asarray((_blocks(color).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4, dtype=np.uint8)
+    return np.asarray((_blocks(image).astype(np.uint16).sum(axis=(1, 3)) + 2) // 4, dtype=np.uint8)
 
 
 def _all_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:

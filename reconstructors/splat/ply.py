@@ -4,11 +4,13 @@ All properties are floats: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (all of r
 opacity (logits), scale_0..2 (logarithms of standard deviations), rot_0..3 (wxyz). Coordinates and sizes are the
 world's. Viewers expect rows of floats and draw in float32. If float32 has too few digits for the world's coordinates,
 they are written relative to a local origin near the scene; a comment line gives the origin, and pcbench adds it on
-reading. Models of Huang et al. 2024 (2DGS) have no scale_2: their discs become very flat Gaussians.
+reading. Another comment gives the color behind the Gaussians. Models of Huang et al. 2024 (2DGS) have no scale_2: their
+discs become very flat Gaussians.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +32,16 @@ _DISC_FLATNESS = 1e-4  # thickness of a disc, relative to its shorter axis
 _MAX_SH_DEGREE = 3
 
 
-def write_model(path: Path, gaussians: Gaussians, frame: LocalFrame) -> None:
+def write_model(
+    path: Path, gaussians: Gaussians, frame: LocalFrame, *, background: Sequence[float] | None = None
+) -> None:
     """Write Gaussians of a local frame as a PLY file in the world.
+
+    Args:
+        path: the file.
+        gaussians: the model.
+        frame: its frame.
+        background: red, green and blue from 0 to 1 behind the Gaussians, written as a comment.
 
     Raises:
         OSError: the file cannot be written; an existing one is then unchanged.
@@ -50,6 +60,8 @@ def write_model(path: Path, gaussians: Gaussians, frame: LocalFrame) -> None:
         numbered = {f"{name}_{k}": column for k, column in enumerate(values.T)} if values.ndim == 2 else {name: values}
         columns |= numbered
     about = {ABOUT: " ".join(f"{x:.0f}" for x in origin)} if origin.any() else {}
+    if background is not None:
+        about["background"] = " ".join(f"{channel:.4f}" for channel in background)
     write_vertices(path, {name: column.astype(np.float32) for name, column in columns.items()}, about)
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 from pcbench.io.files import atomic_write
 from pcbench.plugins.progress import progress
 from pcbench.progress import duration
 from reconstructors.splat.model import Gaussians
-from reconstructors.splat.train import Training
 
 if TYPE_CHECKING:
     import torch
@@ -23,7 +20,43 @@ _CHECKPOINT_INTERVAL_S = 30.0  # seconds between two checkpoints: the most work 
 _PROGRESS_INTERVAL_S = 2.0  # seconds between two progress messages
 
 
-def run_with_checkpoints(training: Training, checkpoint: Path, key: str) -> Gaussians:
+Model_co = TypeVar("Model_co", covariant=True)
+
+
+class Resumable(Protocol[Model_co]):
+    """A training of a model that writes and reads checkpoints."""
+
+    step: int
+    converged: bool
+
+    @property
+    def model(self) -> Model_co:
+        """The model in its current state."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """Number of steps until the end."""
+        ...
+
+    def status(self) -> str:
+        """Return quality and size of the model for a progress message."""
+        ...
+
+    def run(self, until: int, on_step: Callable[[Self], None] | None = None) -> None:
+        """Train up to a step or until convergence, calling `on_step` after each step."""
+        ...
+
+    def save(self, path: Path, key: str) -> None:
+        """Write a checkpoint, which `load` continues only with the same `key`."""
+        ...
+
+    def load(self, path: Path, key: str) -> bool:
+        """Continue from a checkpoint; return False if it has another key."""
+        ...
+
+
+def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: str) -> Model_co:
     """Train to the end and return the model; resume from `checkpoint` if it exists, and remove it afterwards.
 
     Args:
@@ -33,20 +66,16 @@ def run_with_checkpoints(training: Training, checkpoint: Path, key: str) -> Gaus
     """
     if checkpoint.is_file() and not training.load(checkpoint, key):
         checkpoint.unlink()
-    total, start, steps_run = training.schedule.steps, time.monotonic(), 0
+    total, start, steps_run = training.steps, time.monotonic(), 0
     last_checkpoint = last_message = start
 
-    def on_step(training: Training) -> None:
+    def on_step(training: Resumable[Model_co]) -> None:
         nonlocal last_checkpoint, last_message, steps_run
         now = time.monotonic()
         steps_run += 1  # not the difference of steps, which may go back
         if now - last_message > _PROGRESS_INTERVAL_S:
             left = (now - start) / steps_run * (total - training.step)
-            psnr = [value for value in map(float, training.psnr) if not math.isnan(value)]
-            progress(
-                f"training: step {training.step:,} of {total:,}, PSNR {np.mean(psnr):.1f} dB,"
-                f" {len(training.model):,} Gaussians, {duration(left)} left"
-            )
+            progress(f"training: step {training.step:,} of {total:,}, {training.status()}, {duration(left)} left")
             last_message = now
         if now - last_checkpoint > _CHECKPOINT_INTERVAL_S:
             training.save(checkpoint, key)

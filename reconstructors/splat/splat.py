@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import errno
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
@@ -30,12 +31,14 @@ from reconstructors.mvs.mvs import MAPS, DenseMvs
 from reconstructors.mvs.views import pinhole, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
+from reconstructors.splat.background import Background, BackgroundChoice
+from reconstructors.splat.combine import combine
 from reconstructors.splat.density import GAO2025, Classic, Density
 from reconstructors.splat.devices import choose_device
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.optimizer import GAO2025_LEARNING_RATES, LearningRates
 from reconstructors.splat.parsimony import Curve, Parsimonious
-from reconstructors.splat.photographs import Pyramid, read_photographs
+from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import read_supervision
@@ -44,6 +47,7 @@ from reconstructors.splat.train import Schedule, Training, render
 MODEL = "point_cloud.ply"  # in the stage `model`
 PARAMETERS = "model.pt"  # beside it: the parameters in the frame of training
 FINAL_STEP = "steps.txt"  # beside it: the step after which training ended
+BACKGROUND = "background.txt"  # beside it: the color behind the Gaussians, from 0 to 1
 CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 
 # Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
@@ -51,6 +55,7 @@ INITIAL_MVS = DenseMvs(views=2, confidence=0.1)
 
 _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface
+_MIN_START_SHARE = 0.5  # initial points, as a share of `gaussians`, below which a note warns that none are added
 _MIN_SELECTION_IMAGES = 4  # training images needed to choose the number of Gaussians on held-out ones
 _BYTES_PER_GAUSSIAN = 1000  # parameters, gradients, moments and instances in the tiles of an image
 _TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is chosen
@@ -72,9 +77,13 @@ class GaussianSplatting:
     spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
     the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et
     al.
-    cloud: the `surface` that at least three images agree on, or the `means` of all Gaussians, as Gao et al. use them;
-    min_opacity: the least opacity of those means, 0 to 1.
+    cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
+    the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
+    all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
     steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
+    background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
+    the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
+    transparent where they are.
     image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
     `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
     that training may use.
@@ -86,11 +95,12 @@ class GaussianSplatting:
     start: Literal["mvs", "sfm", "random"] = "mvs"
     supervision: Literal["mvs", "none"] = "mvs"
     density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
-    cloud: Literal["surface", "means"] = "surface"
+    cloud: Literal["combined", "surface", "means"] = "combined"
     min_opacity: float = 0.0
     steps: int = 3000
     gaussians: int = 50_000
     sh_degree: int = 2
+    background: BackgroundChoice = "auto"
     image_side: int = 640
     hold_out: HoldOut = "none"
     memory: float = 4.0
@@ -183,17 +193,22 @@ class GaussianSplatting:
                 f"no Gaussian was added: density={self.density} starts at step {rules.refine_start:,} and stops after"
                 f" {rules.refine_stop_share:.0%} of the steps; set more steps"
             )
+        notes += self._few_points_note(len(initial.cloud))
         last_step = int((model_folder / FINAL_STEP).read_text(encoding="utf-8"))
         early = f" of {self.steps:,}: training converged" if last_step < self.steps else ""
         notes.append(
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
+        background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
+        notes += self._background_notes([pyramid[0] for pyramid in photographs], background)
         if split.test:
-            self._write_views(workspace / VIEWS_FOLDER, scene, split, model, photographs)
+            self._write_views(workspace / VIEWS_FOLDER, scene, split, model, background, photographs)
             notes.append(f"renderings: pcbench views {workspace / VIEWS_FOLDER}")
         else:
             shutil.rmtree(workspace / VIEWS_FOLDER, ignore_errors=True)  # renderings of an earlier model
-        cloud = self._extract_cloud(model, frame, pinholes)
+        cloud = self._extract_cloud(model, frame, pinholes, initial.cloud, workspace / self.start / MAPS)
+        if "stereo" in cloud.attributes:
+            notes.append(_sources_note(cloud))
         return Reconstruction(
             Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=initial.cloud.unit),
             initial.gauge,
@@ -211,6 +226,7 @@ class GaussianSplatting:
             self.steps,
             self.gaussians,
             self.sh_degree,
+            self.background,
             self.image_side,
             self.seed,
         )
@@ -285,6 +301,7 @@ class GaussianSplatting:
         if self._uses_depths:
             supervised = [pyramids[name] for name in split.train]
             supervision = read_supervision(workspace / self.start / MAPS, supervised, frame.unit)
+        background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
         model = initial_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
             model.to(photographs[0][0].color.device),
@@ -297,32 +314,85 @@ class GaussianSplatting:
             ),
             density,
             supervision,
+            background,
         )
         model = run_with_checkpoints(training, workspace / "checkpoint.pt", key)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
         (folder / FINAL_STEP).write_text(str(training.step), encoding="utf-8")
+        color = background.color[0].tolist()
+        np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
         save_model(folder / PARAMETERS, model)
-        write_model(folder / MODEL, model, frame)
+        write_model(folder / MODEL, model, frame, background=color)
+
+    def _few_points_note(self, points: int) -> Iterator[str]:
+        """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""
+        if self.start == "random" or self._densification or points >= _MIN_START_SHARE * self.gaussians:
+            return
+        remedy = "density=classic" if self.start == "mvs" else "density=classic, which adds them, or start=mvs"
+        yield (
+            f"few Gaussians: training starts at the {points:,} points of start={self.start}, and density={self.density}"
+            f" adds none up to gaussians={self.gaussians:,}; set {remedy}"
+        )
+
+    def _background_notes(self, photographs: list[Photograph], color: NDArray[np.float32]) -> Iterator[str]:
+        """Yield how transparent photographs were used, and which color was learned behind opaque ones."""
+        transparent = sum(photograph.alpha is not None for photograph in photographs)
+        if transparent:
+            colors = self.background if self.background in ("black", "white") else "random colors"
+            yield (
+                f"{transparent} of {len(photographs)} photographs have transparent pixels: trained over {colors},"
+                f" rendered over {_color_text(color)}"
+            )
+        if self.background in ("auto", "learned") and transparent < len(photographs) and color.any():
+            yield f"color behind the Gaussians, learned: {_color_text(color)}"
 
     def _write_views(
-        self, folder: Path, scene: Scene, split: Split, model: Gaussians, photographs: list[Pyramid]
+        self,
+        folder: Path,
+        scene: Scene,
+        split: Split,
+        model: Gaussians,
+        color: NDArray[np.float32],
+        photographs: list[Pyramid],
     ) -> None:
         full_size = {pyramid[0].name: pyramid[0] for pyramid in photographs}
+        background = model.means.new_tensor(color)
 
         def pictures(name: str) -> ViewImages:
             photograph = full_size[name]
             valid = None if photograph.valid is None else photograph.valid.cpu().numpy()
-            rendering = render(model, photograph.view).cpu().numpy()
-            return ViewImages(name, rendering, photograph.color.cpu().numpy(), valid)
+            rendering = render(model, photograph.view, background).cpu().numpy()
+            return ViewImages(name, rendering, photograph.over(background).cpu().numpy(), valid)
 
         progress("rendering the images")
         write_views(folder, scene.name, "splat", split, pictures)
 
-    def _extract_cloud(self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera]) -> Cloud:
+    def _extract_cloud(
+        self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera], initial: Cloud, maps: Path
+    ) -> Cloud:
+        """Return the cloud of the setting; `initial` and the folder `maps` are points and depth maps of start=mvs."""
         if self.cloud == "means":
             return extract.means(model, frame, min_opacity=self.min_opacity or None)
-        return extract.surface(model, frame, pinholes)
+        surface = extract.surface(model, frame, pinholes)
+        if self.cloud == "surface" or self.start != "mvs":
+            return surface
+        return combine(surface, initial, model, frame, pinholes, maps)
+
+
+def _sources_note(cloud: Cloud) -> str:
+    """Describe where the points of a combined cloud come from."""
+    stereo = cloud.attributes["stereo"]
+    return (
+        f"{np.mean(stereo == 1):.0%} of the points come from mvs alone, {np.mean(stereo == 0):.0%} from the Gaussians"
+        " alone, the others from both: attribute stereo"
+    )
+
+
+def _color_text(color: NDArray[np.float32]) -> str:
+    """Return a color from 0 to 1 as its name or in levels of 255."""
+    red, green, blue = (round(255 * float(channel)) for channel in color)
+    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
 def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 WEIGHT = 3.0
+CRITERIA = Criteria(views=3)  # depths on which two images agree start the training but do not supervise it
 
 
 class DepthGradients(NamedTuple):
@@ -69,7 +70,7 @@ class Supervision:
 def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) -> Supervision:
     """Read the depth maps that `mvs` keeps, resampled to photographs of the same cameras.
 
-    Only depths that meet the default criteria of `mvs` are used, although its initial points may meet weaker ones.
+    Only depths that meet `CRITERIA` are used, although the initial points of `mvs` may meet weaker ones.
 
     Args:
         maps: folder with a map per image and the model of their pinholes.
@@ -79,12 +80,12 @@ def read_supervision(maps: Path, photographs: Sequence[Pyramid], unit: float) ->
     import torch
 
     pinholes = {camera.name: camera for camera in read_colmap_cameras(maps)}
-    criteria, depths = Criteria(), {}
+    depths = {}
     for pyramid in photographs:
         name = pyramid[0].name
         if name in pinholes:
             depth_map, counts = read_map(maps / name), np.load(maps / name / VIEW_COUNTS)
-            depth_map = depth_map.where((depth_map.confidence >= criteria.confidence) & (counts >= criteria.views))
+            depth_map = depth_map.where((depth_map.confidence >= CRITERIA.confidence) & (counts >= CRITERIA.views))
             local = [
                 resample_depths(photograph.view, pinholes[name], depth_map) / np.float32(unit) for photograph in pyramid
             ]

@@ -12,6 +12,7 @@ import numpy as np
 
 from pcbench.errors import ReconstructionError
 from pcbench.io.files import atomic_write
+from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
 from reconstructors.splat.model import SH_DC, Gaussians
@@ -113,12 +114,14 @@ class Training:
         schedule: Schedule,
         density: Density[Training],
         supervision: Supervision | None = None,
+        background: Background | None = None,
     ):
         self.model = model
         self.photographs = photographs
         self.schedule = schedule
         self.density = density
         self.supervision = supervision
+        self.background = background or Background(device=model.means.device)
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.converged = False
@@ -132,6 +135,11 @@ class Training:
     def steps(self) -> int:
         """Number of steps of the schedule."""
         return self.schedule.steps
+
+    def status(self) -> str:
+        """Return mean PSNR and number of Gaussians for a progress message."""
+        psnr = [value for value in map(float, self.psnr) if not math.isnan(value)]
+        return f"PSNR {np.mean(psnr):.1f} dB, {len(self.model):,} Gaussians"
 
     def run(self, until: int, on_step: Callable[[Training], None] | None = None) -> None:
         """Train up to a step or until convergence, calling `on_step` after each step.
@@ -235,8 +243,7 @@ class Training:
             contributions[gradients.ids] += gradients.sh[:, 0, 0]
         return contributions / SH_DC
 
-    def _render(self, view: View, *, geometry: bool = False) -> RasterOutput:
-        background = self.model.means.new_zeros(3)
+    def _render(self, view: View, background: Tensor, *, geometry: bool = False) -> RasterOutput:
         return self._rasterizer.forward(self.model.tensors, view, background, geometry=geometry, normals=False)
 
     def _next_photograph(self) -> tuple[int, Photograph]:
@@ -257,15 +264,17 @@ class Training:
             self.optimizer.raise_degree()
         index, photograph = self._next_photograph()
         model = self.model
+        background = self.background.behind(photograph, self.rng())
         view = schedule.rendered(photograph.view, self.step)
-        rendering = self._render(view, geometry=self.supervision is not None)
-        target = photograph.target()
+        rendering = self._render(view, background, geometry=self.supervision is not None)
+        target = photograph.target(background)
         image = rendering.color if photograph.valid is None else rendering.color * photograph.valid[..., None]
         loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
         gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
         gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
+        self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
         if self.density.needs_screen_gradients:
             self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
@@ -283,6 +292,7 @@ class Training:
             "means": self._mean_psnr,
             "ended": self.converged,
             "seen": tuple(self.screen_gradients),
+            "background": self.background.state(),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
         with atomic_write(path) as file:
@@ -299,22 +309,24 @@ class Training:
         self.model, first, second = (Gaussians(*part) for part in state["parts"])
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, state["density"])
+        self.background.restore(state["background"])
         self.psnr, self._mean_psnr, self.converged = state["psnr"], state["means"], state["ended"]
         return True
 
 
-def render(model: Gaussians, view: View) -> Tensor:
-    """Return the rendered image (H, W, 3) of a view, clamped to 0 to 1."""
+def render(model: Gaussians, view: View, background: Tensor | None = None) -> Tensor:
+    """Return the rendered image (H, W, 3) of a view over a color (3,), by default black, clamped to 0 to 1."""
     rasterizer = kernels_of(model.means.device).Rasterizer()
-    background = model.means.new_zeros(3)
+    background = model.means.new_zeros(3) if background is None else background
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
-def evaluate(model: Gaussians, photographs: Sequence[Photograph]) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels."""
+def evaluate(model: Gaussians, photographs: Sequence[Photograph], background: Tensor | None = None) -> list[float]:
+    """Return the PSNR of each photograph in dB, over its valid pixels; the background (3,) is black by default."""
+    background = model.means.new_zeros(3) if background is None else background
     scores = []
     for photograph in photographs:
-        square = (render(model, photograph.view) - photograph.color.float() / 255) ** 2
+        square = (render(model, photograph.view, background) - photograph.over(background)) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores

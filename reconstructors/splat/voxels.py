@@ -25,6 +25,7 @@ class Points(NamedTuple):
         colors: (N, 3) 0 to 255.
         confidence: (N,) 0 to 1.
         views: (N,) numbers of images that agree.
+        stereo: (N,) shares of dense stereo, 0 to 1.
     """
 
     points: FloatArray
@@ -32,6 +33,7 @@ class Points(NamedTuple):
     colors: FloatArray
     confidence: FloatArray
     views: IntArray
+    stereo: FloatArray
 
     def select(self, selection: NDArray[Any]) -> Points:
         """Return the points of a mask (N,) or of indices (M,)."""
@@ -51,7 +53,7 @@ class _Grid:
     def __init__(self, side: float) -> None:
         self.side = side
         self.keys: IntArray = np.empty(0, np.int64)
-        self._sums: FloatArray = np.empty((0, 11))
+        self._sums: FloatArray = np.empty((0, 12))
         self._views: IntArray = np.empty(0, np.int64)
         self._pending: list[tuple[IntArray, FloatArray, IntArray]] = []
 
@@ -71,6 +73,7 @@ class _Grid:
             new_points.normals,
             new_points.colors,
             new_points.confidence,
+            new_points.stereo,
         ]
         rows = (weights[:, None] * np.column_stack(values))[near]
         self._pending.append((keys, rows, new_points.views[near]))
@@ -91,7 +94,7 @@ class _Grid:
     def means(self, selection: NDArray[np.bool_]) -> Points:
         """Return the weighted means of the cells of a mask (N,), with unit normals and the maximum of views."""
         mean = self._sums[selection, 1:] / self._sums[selection, :1]
-        return Points(mean[:, :3], unit(mean[:, 3:6])[0], mean[:, 6:9], mean[:, 9], self._views[selection])
+        return Points(mean[:, :3], unit(mean[:, 3:6])[0], mean[:, 6:9], mean[:, 9], self._views[selection], mean[:, 10])
 
 
 class Voxels:
@@ -132,5 +135,5 @@ def concatenate_points(parts: Sequence[Points]) -> Points:
     """Return the points of all parts, one part after the other."""
     if not parts:
         none = np.empty((0, 3))
-        return Points(none, none, none, np.empty(0), np.empty(0, np.int64))
+        return Points(none, none, none, np.empty(0), np.empty(0, np.int64), np.empty(0))
     return Points(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -75,3 +75,12 @@ def test_folding_distortion_is_refused():
     k = Intrinsics(320, 200, 110, 110, 160, 100, (-0.6, 0, 0, 0))
     with check_error():
         k.directions(np.array([[0.0, 0.0], [160, 100]]))
+
+
+def test_points_beside_a_camera_project_nowhere_without_warnings():
+    camera = Camera("a", Intrinsics.from_fov(640, 480, 45.0), look_at([0, 0, 0], [0, 1, 0]))
+    beside = np.array([[1.0, 0, 0], [0, 0, 1], [1, 0, -2], [0, 0, 0]])
+    with np.errstate(all="raise"):
+        pixels, depths = camera.project(beside)
+    assert not np.isfinite(pixels).all(axis=1).any()
+    assert (depths <= 0).all()

@@ -27,8 +27,9 @@ NAMESPACES = {
     NATIVE / "points": "pcbench",
     RECONSTRUCTORS / "mvs" / "native": "pcbench::mvs",
     RECONSTRUCTORS / "splat" / "cpu": "pcbench::splat",
+    RECONSTRUCTORS / "field" / "native": "pcbench::field",
 }
-for_all_loops = pytest.mark.parametrize("folder", NAMESPACES, ids=["points", "patchmatch", "rasterizer"])
+for_all_loops = pytest.mark.parametrize("folder", NAMESPACES, ids=["points", "patchmatch", "rasterizer", "field"])
 
 
 def compile_unit(folder, isa, *flags, out: Path):

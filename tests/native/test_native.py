@@ -7,11 +7,14 @@ import pytest
 from repository import ROOT
 
 from pcbench.native import _core
+from reconstructors.field.native import _field
 from reconstructors.mvs.native import _patchmatch
 from reconstructors.splat.cpu import _rasterizer
 
+MODULES = {"core": _core, "patchmatch": _patchmatch, "rasterizer": _rasterizer, "field": _field}
 
-@pytest.mark.parametrize("module", [_core, _patchmatch, _rasterizer], ids=["core", "patchmatch", "rasterizer"])
+
+@pytest.mark.parametrize("module", MODULES.values(), ids=MODULES)
 def test_committed_stub_is_current(module, tmp_path):
     generated = tmp_path / "module.pyi"
     subprocess.run(

@@ -77,6 +77,7 @@ def test_digest_covers_pcbench_and_its_reconstructors():
         "pcbench/native/_core",
         "reconstructors/mvs/native/_patchmatch",
         "reconstructors/splat/cpu/_rasterizer",
+        "reconstructors/field/native/_field",
     } <= compiled_modules
     assert {"reconstructors/splat/train.py", "reconstructors/splat/maths.h", "pcbench/measure/scores.py"} <= set(files)
     assert any(name.startswith("reconstructors/splat/cuda/") and name.endswith(".cu") for name in files)

@@ -26,9 +26,9 @@ def test_sparse_points_are_the_same_under_all_conditions(photographs, tmp_path, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["mvs", "splat"])
+@pytest.mark.parametrize("method", ["mvs", "splat", "field"])
 def test_dense_points_are_the_same_under_all_conditions(photographs, tmp_path, method):
-    if method == "splat":
+    if method != "mvs":
         import_or_skip("torch")
     runs = [repeat(method, photographs, tmp_path / str(k), conditions) for k, conditions in enumerate(CONDITIONS)]
     assert runs[0].points > 100

@@ -63,6 +63,33 @@ def test_masks(photographs):
         read_scene(photographs)
 
 
+def test_transparent_pixels_count_as_masked(photographs):
+    """Colors are composited over black; an alpha channel that is opaque everywhere changes nothing."""
+    images = photographs / "images"
+    rgb = np.asarray(Image.open(images / "3.png"))
+    alpha = np.full((48, 64), 255, np.uint8)
+    Image.fromarray(np.dstack([rgb, alpha])).save(images / "4.png")
+    alpha[:24], alpha[24:26] = 0, 128
+    Image.fromarray(np.dstack([rgb, alpha])).save(images / "3.png")
+    mask = np.full((48, 64), 255, np.uint8)
+    mask[:, :32] = 0
+    scene = read_scene(photographs)
+    assert scene.with_alpha == {"3.png", "4.png"}
+    assert scene.select(["0.png", "3.png"]).with_alpha == {"3.png"}
+    check_text("\n".join(scene.describe()[1:]))
+    np.testing.assert_array_equal(scene.read_alpha("3.png"), alpha)
+    np.testing.assert_array_equal(scene.read_mask("3.png"), alpha > 0)
+    shown = scene.read_image("3.png")
+    assert not shown[:24].any()
+    np.testing.assert_allclose(shown[24:26], rgb[24:26] * (128 / 255), atol=1)
+    np.testing.assert_array_equal(shown[26:], rgb[26:])
+    for name in ("4.png", "0.png"):
+        assert scene.read_alpha(name) is scene.read_mask(name) is None
+    (photographs / "masks").mkdir()
+    Image.fromarray(mask).save(photographs / "masks/3.png")
+    np.testing.assert_array_equal(read_scene(photographs).read_mask("3.png"), (alpha > 0) & (mask > 0))
+
+
 def test_image_scale_scales_cameras_and_images(photographs, tmp_path):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
     full_scene, half_scene = read_scene(photographs), read_scene(photographs, image_scale=0.5)

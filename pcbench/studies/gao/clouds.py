@@ -24,7 +24,7 @@ from pcbench.studies.gao.plan import SPARSE, CloudMethod, GaoJob, methods
 
 CLOUD_FILE, CAMERAS_FOLDER = "cloud.ply", "cameras"
 _RUN_FILE, _RUNS_FOLDER, WORK_FOLDER = "run.json", "runs", "work"
-_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0}  # rough durations, for progress bars
+_EXPECTED_S = {"sfm": 60.0, "mvs": 240.0, "splat": 240.0, "field": 240.0}  # rough durations, for progress bars
 
 
 @dataclass(frozen=True)

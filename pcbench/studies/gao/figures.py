@@ -13,7 +13,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import DOCUMENT, SCHEMA, TRUTH, GaoStudy, SceneResult, read_study, references
 
 # Draws the pictures of an experiment's folder.
@@ -26,9 +26,10 @@ _COLORS = {
     MVS: "#009e73",
     MEANS: "#d55e00",
     SURFACE: "#cc79a7",
+    FIELD: "#e69f00",
     _CAMERAS_ALONE: "#444444",
 }  # palette of Okabe and Ito
-_MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D"}
+_MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D", FIELD: "v"}
 _GREY, _CAMERA_COLOR, _FOCUS_COLOR = "#777777", "#0072b2", "#d55e00"
 _THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 

@@ -40,7 +40,18 @@ from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_
 from pcbench.studies.gao.figures import PICTURES
 from pcbench.studies.gao.injection import inject_deformations
 from pcbench.studies.gao.page import article
-from pcbench.studies.gao.plan import MVS, SPARSE, SPLAT, SURFACE, Cities, GaoJob, default_region, focus_point, methods
+from pcbench.studies.gao.plan import (
+    FIELD,
+    MVS,
+    SPARSE,
+    SPLAT,
+    SURFACE,
+    Cities,
+    GaoJob,
+    default_region,
+    focus_point,
+    methods,
+)
 from pcbench.studies.gao.results import (
     DOCUMENT,
     SCHEMA,
@@ -131,7 +142,7 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
     paths = list(all_scenes)
     scenes: list[SceneResult] = []
     reports: list[Path] = []
-    rendered: dict[str, Path] = {}
+    rendered: dict[tuple[str, str], Path] = {}
     for number, (name, path) in enumerate(folders_by_name(paths, _RESERVED_NAMES).items()):
         after = _SCENE_S * (len(paths) - number - 1)
 
@@ -144,11 +155,13 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
         found = _run_scene(job, name, path, all_scenes[path], folder, scene_step)
         scenes.append(found.result)
         reports += found.reports
-        rendered |= {} if found.views is None else {name: found.views}
+        rendered |= {(name, workspace): views for workspace, views in found.views.items()}
     views = _score_views(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
-    scenes = [replace(s, views=_new_views(scored[s.name]) if s.name in scored else None) for s in scenes]
-    study = GaoStudy(job.poses, methods(job)[-1].settings, tuple(scenes), provenance=provenance(job.seed))
+    of_splats = {name: _new_views(scene) for (name, workspace), scene in scored.items() if workspace == SPLAT}
+    scenes = [replace(scene, views=of_splats.get(scene.name)) for scene in scenes]
+    splat = next(method.settings for method in methods(job) if method.name == SURFACE)
+    study = GaoStudy(job.poses, splat, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
     write_results(out, KIND, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
     drawn, views_drawn = _draw(out, reports, views, step) if figures else (Drawn([]), Drawn([]))
@@ -167,7 +180,7 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
 class _SceneOutcome:
     result: SceneResult
     reports: list[Path]
-    views: Path | None
+    views: dict[str, Path]  # folders of rendered views, by workspace
 
 
 def _run_scene(
@@ -208,9 +221,10 @@ def _run_scene(
         clouds=tuple(_cloud_result(m, evaluations) for m in made),
         injected=injected,
     )
-    drawn = any(m.cloud is not None for m in made if m.method.workspace == SPLAT)
+    rendering = [m.method.workspace for m in made if m.cloud is not None and m.method.workspace in (SPLAT, FIELD)]
+    views = {workspace: find_views(out / WORK_FOLDER / workspace) for workspace in rendering}
     reports = [of.folder for of in evaluations.values() if of.folder is not None]
-    return _SceneOutcome(result, reports, find_views(out / WORK_FOLDER / SPLAT) if drawn else None)
+    return _SceneOutcome(result, reports, {workspace: folder for workspace, folder in views.items() if folder})
 
 
 def _crop_truth(truth: Path | None, crop: str) -> Cloud | None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pcbench.deformation import Deformation, Trend
 from pcbench.measure.wording import ratio_in_words
 from pcbench.report.words import join_words, length
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import TRUTH, GaoStudy, InjectedDeformation, ReferenceEvaluation, SceneResult
 from pcbench.studies.gao.table import failures
 
@@ -116,7 +116,7 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
         f" {length(forth, study.unit)} RMS (c→r), and the visible truth from mvs by {length(back, study.unit)} RMS"
         " (r→c)."
     )
-    for name in (SPARSE, MEANS, SURFACE):
+    for name in (SPARSE, MEANS, SURFACE, FIELD):
         found = _LengthChange.between(study, (name, MVS), (name, TRUTH), _c2r_rms)
         if found is not None:
             word = found.word("worse than against mvs", "as accurate as against mvs", "better than against mvs")
@@ -131,12 +131,18 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
         )
 
 
-def _chamfer_order(study: GaoStudy, reference: str, names: Sequence[str] = (SPARSE, MEANS, SURFACE)) -> list[str]:
-    """Rank clouds by their Chamfer distance, best first: geometric means over the scenes that have all of them."""
+def _chamfer_order(
+    study: GaoStudy, reference: str, names: Sequence[str] = (SPARSE, MEANS, SURFACE, FIELD)
+) -> list[str]:
+    """Rank clouds by their Chamfer distance, best first: geometric means over the scenes that have all of them.
+
+    A cloud that no scene has is left out.
+    """
+    names = [name for name in names if any(scene.evaluation(name, reference) for scene in study.scenes)]
     rows = [[scene.evaluation(name, reference) for name in names] for scene in study.scenes]
     chamfers = [[of.measures.chamfer for of in row if of is not None and of.measures is not None] for row in rows]
     whole = [row for row in chamfers if len(row) == len(names)]
-    if not whole:
+    if not whole or not names:
         return []
     means = [_geometric_mean([row[k] for row in whole]) for k in range(len(names))]
     return [name for _, name in sorted(zip(means, names, strict=True))]

@@ -21,7 +21,7 @@ def article(study: ViewStudy, figures: Sequence[str] = ()) -> Article:
     scenes = [scene.views.scene for scene in study.scenes]
     sections = [ArticleSection("Scores", score_blocks(study))]
     if figures:
-        sections.append(ArticleSection("Worst, median and best views", view_pictures(figures)))
+        sections.append(ArticleSection("Pictures, from the worst to the best view", view_pictures(figures)))
     return Article(
         kind="Rendered views",
         title=f"Rendered views of {scenes[0] if len(scenes) == 1 else pluralize(len(scenes), 'scene')}",

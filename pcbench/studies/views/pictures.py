@@ -16,6 +16,7 @@ from pcbench.report.colors import SEQUENTIAL, Range, robust_maximum
 from pcbench.report.figures import Figures, ink
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
+from pcbench.report.words import join_words
 from pcbench.scenes.views import RenderedView, ViewImages
 from pcbench.studies.folder import unique_name
 from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
@@ -46,25 +47,30 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 def _picture(scene: ScoredScene, look: Figures) -> Picture:
     def draw(path: Path) -> bool:
-        of = "held-out views" if scene.select(test=True) else "training views (none was held out)"
-        count = len(_eligible_views(scene))
-        title = f"{scene.views.scene}, {scene.views.method}: worst, median and best by PSNR of {count} {of}"
-        draw_views(select_views(scene), title, path, look)
+        draw_views(select_views(scene), title_of(scene), path, look)
         return True
 
     return Picture(draw)
 
 
+def title_of(scene: ScoredScene) -> str:
+    """Return the title of a scene's picture: which of its views it shows."""
+    kind = "held-out views" if scene.select(test=True) else "training views (none was held out)"
+    words = join_words(list(select_views(scene)))
+    return f"{scene.views.scene}, {scene.views.method}: {words} by PSNR of {len(_eligible_views(scene))} {kind}"
+
+
 def select_views(scene: ScoredScene) -> dict[str, ScoredView]:
     """Return the worst, median and best held-out view by PSNR, or training view if none was held out.
 
-    There are fewer if the scene has less than three views.
+    Of an even number of views, the worse of the two in the middle is the median view. Of two views none is: their
+    median score is the mean of both.
     """
     ranked = sorted(_eligible_views(scene), key=lambda scored: (scored.scores.psnr, scored.view.name))
-    words = {(len(ranked) - 1) // 2: "median", 0: "worst", len(ranked) - 1: "best"}  # of two views, none is median
     if len(ranked) == 1:
         return {"only": ranked[0]}
-    return {words[k]: ranked[k] for k in sorted(words)}
+    middle = {"median": ranked[(len(ranked) - 1) // 2]} if len(ranked) > 2 else {}
+    return {"worst": ranked[0], **middle, "best": ranked[-1]}
 
 
 def _eligible_views(scene: ScoredScene) -> tuple[ScoredView, ...]:

@@ -20,7 +20,7 @@ def make_cameras(count=4, step=0.6):
 
 def filter_first(views, maps, criteria=None, valid=None):
     sources = list(zip(views[1:], maps[1:], strict=True))
-    return filter_map(views[0], maps[0], sources, criteria or Criteria(), valid)
+    return filter_map(views[0], maps[0], sources, criteria or Criteria(views=3), valid)
 
 
 def in_source_frames(views, depth_map):
@@ -72,7 +72,8 @@ def test_contradicted_depths_are_removed(change, criteria, is_kept):
     views = make_cameras()
     maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
     true_map, _ = filter_first(views, maps)
-    filtered_map, _ = filter_first(views, [distort_left_half(maps[0], **change), *maps[1:]], Criteria(**criteria))
+    distorted_map = distort_left_half(maps[0], **change)
+    filtered_map, _ = filter_first(views, [distorted_map, *maps[1:]], Criteria(views=3, **criteria))
     left = np.arange(160) < 80
     # Points that move along their rays also move in the other frames.
     assert (filtered_map.known & left).sum() == (
@@ -90,6 +91,31 @@ def test_minimum_number_of_views():
         assert filtered_map.known.sum() == pytest.approx((view_counts >= min_views).sum(), abs=10)
     assert (view_counts == 5).any()
     assert (view_counts == 2).any()
+
+
+@pytest.mark.parametrize(
+    ("confirming", "seeing_through", "confidence", "is_kept"),
+    [(1, 0, 1.0, True), (1, 1, 1.0, False), (2, 1, 1.0, True), (2, 2, 1.0, False), (1, 3, 0.4, True)],
+)
+def test_depths_that_other_images_see_through_are_removed(confirming, seeing_through, confidence, is_kept):
+    """In some images a plate floats above the ground; others see the ground there, with some confidence."""
+    views = make_cameras(1 + confirming + seeing_through, step=0.1)
+    ground_maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in views]
+    plate_maps = [plane_map(camera, (0, 0, 1), 0.5) for camera in views[: 1 + confirming]]
+    seen = ground_maps[1 + confirming :]
+    seen_maps = [DepthMap(m.depth, m.normal, np.full_like(m.confidence, confidence)) for m in seen]
+    filtered_map, agreement = filter_first(views, [*plate_maps, *seen_maps], Criteria(views=2))
+    inner = np.s_[40:80, 60:100]
+    assert filtered_map.known[inner].all() == filtered_map.known[inner].any() == is_kept
+    assert agreement[:, *inner].all(axis=(1, 2)).tolist() == [is_kept] * confirming + [False] * seeing_through
+
+
+def test_hidden_depths_are_not_contradicted():
+    """Two images show the ground; three others show a plate in front of it."""
+    views = make_cameras(5, step=0.1)
+    maps = [plane_map(camera, (0, 0, 1), 0.0 if k < 2 else 0.5) for k, camera in enumerate(views)]
+    filtered_map, _ = filter_first(views, maps, Criteria(views=2))
+    assert filtered_map.known[40:80, 60:100].all()
 
 
 def test_low_confidence_and_masked_pixels_are_removed_and_confirm_nothing():

@@ -49,7 +49,8 @@ def fuse_maps(folder, cameras, maps, image=None):
     overlaps, folders, images, counts = {}, {}, {}, {}
     for k, (camera, depth_map) in enumerate(zip(cameras, maps, strict=True)):
         others = [j for j in range(len(cameras)) if j != k]
-        filtered_map, agreement = filter_map(camera, depth_map, [(cameras[j], maps[j]) for j in others], Criteria())
+        sources = [(cameras[j], maps[j]) for j in others]
+        filtered_map, agreement = filter_map(camera, depth_map, sources, Criteria(views=3))
         folders[camera.name] = folder / f"map{k}"
         folders[camera.name].mkdir()
         write_map(folders[camera.name], filtered_map)

@@ -54,7 +54,7 @@ def test_lens_distortion_is_removed(scene, scale):
     target = pinhole(camera, scale)
     assert target.intrinsics.is_pinhole
     assert target.intrinsics.fx == pytest.approx(scale * 430)
-    image, valid = undistort(scene, camera, target.intrinsics)
+    image, valid, _ = undistort(scene, camera, target.intrinsics)
     assert image.shape == (target.intrinsics.height, target.intrinsics.width, 3)
     # The pinhole's image contains the entire photograph: this lens has barrel distortion.
     assert 1 < target.intrinsics.width / (scale * 480) < 1.25
@@ -108,7 +108,25 @@ def test_masks_are_undistorted_and_stored(scene, tmp_path):
     camera = scene.cameras["left/a.png"]
     target = pinhole(camera, 1.0)
     view = read_view(view_stage(scene, camera, target, tmp_path), target)
-    np.testing.assert_array_equal(view.valid, undistort(scene, camera, target.intrinsics)[1])
+    np.testing.assert_array_equal(view.valid, undistort(scene, camera, target.intrinsics).valid)
+
+
+@pytest.mark.parametrize("intrinsics", [corner.standard_intrinsics(), LENS], ids=["pinhole", "lens"])
+def test_transparent_pixels_are_masked_and_their_alpha_is_stored(tmp_path, intrinsics):
+    (tmp_path / "images").mkdir()
+    camera = corner.cameras(1, intrinsics)[0]
+    alpha = np.zeros((360, 480), np.uint8)
+    alpha[:, 240:] = 255
+    Image.fromarray(np.dstack([corner.photograph(camera), alpha])).save(tmp_path / "images" / camera.name)
+    write_colmap_model(tmp_path / "sparse", [camera])
+    scene, target = read_scene(tmp_path), pinhole(camera, 1.0)
+    folder = view_stage(scene, camera, target, tmp_path / "work")
+    pixels, _ = camera.project(camera.position + rays_of(target) @ camera.cam_from_world.rotation)
+    is_opaque = (pixels[..., 0] >= 240).reshape(target.intrinsics.height, target.intrinsics.width)
+    assert ((np.asarray(Image.open(folder / "alpha.png")) > 127) == is_opaque).mean() > 0.995
+    inside = ((pixels >= 0) & (pixels < [480, 360])).all(axis=-1).reshape(is_opaque.shape)
+    assert (read_view(folder, target).valid == (is_opaque & inside)).mean() > 0.995
+    assert (folder / "mask.png").is_file() == (intrinsics is LENS)  # the alpha does not change the mask
 
 
 def test_luminance():

@@ -19,7 +19,7 @@ from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import find_plugin
 from pcbench.scenes import read_scene
 from reconstructors.sfm.alignment import camera_errors
-from reconstructors.sfm.features import count_features, extract_features
+from reconstructors.sfm.features import DATABASE, count_features, extract_features
 from reconstructors.sfm.mapping import largest_component
 from reconstructors.sfm.sfm import ColmapSfm
 
@@ -279,6 +279,24 @@ def test_images_without_a_mask_keep_their_features(photographs, tmp_path):
     scene = read_scene(photographs, masks=masks_folder)
     counts = count_features(extract_features(scene, tmp_path, 500, upsample=False))
     assert [name for name in scene.images if not counts[name]] == ["003.png"]
+
+
+def test_transparent_pixels_have_no_features(photographs, tmp_path):
+    import pycolmap
+
+    shutil.copytree(photographs, tmp_path / "scene")
+    for path in (tmp_path / "scene/images").iterdir():
+        alpha = np.full((360, 480), 255, np.uint8)
+        alpha[:, :240] = 0
+        Image.fromarray(np.dstack([np.asarray(Image.open(path).convert("RGB")), alpha])).save(path)
+    scene = read_scene(tmp_path / "scene")
+    features = extract_features(scene, tmp_path, 500, upsample=False)
+    assert min(count_features(features).values()) > 100
+    database = pycolmap.Database.open(features / DATABASE)
+    for image in database.read_all_images():
+        assert database.read_keypoints(image.image_id)[:, 0].min() >= 240
+    database.close()
+    check_text(next(note for note in ColmapSfm(**QUICK).reconstruct(scene, tmp_path).notes if "alpha" in note))
 
 
 def write_scene(folder, images):

@@ -4,15 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact_maps import plane_map
 from optional import import_or_skip
 from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.cloud import Cloud
+from pcbench.io.colmap_model import write_colmap_model
+from reconstructors.mvs.maps import write_map
 
 torch = import_or_skip("torch")
 
 from reconstructors.splat import depths as depths_module  # noqa: E402
+from reconstructors.splat.combine import DepthAgreement, add_map, combine  # noqa: E402
 from reconstructors.splat.depths import RenderedMaps, find_overlap  # noqa: E402
 from reconstructors.splat.extract import SURFACE_CRITERIA, means, surface  # noqa: E402
 from reconstructors.splat.model import SH_DC, Gaussians, LocalFrame  # noqa: E402
@@ -158,7 +163,7 @@ def test_points_are_averaged_by_weight_and_coarse_ones_only_fill_gaps():
     def make_points(*rows, views=3):
         n = len(rows)
         up = np.tile([0.0, 0.0, 1.0], (n, 1))
-        return Points(np.array(rows, float), up, np.full((n, 3), 10.0), np.ones(n), np.full(n, views))
+        return Points(np.array(rows, float), up, np.full((n, 3), 10.0), np.ones(n), np.full(n, views), np.zeros(n))
 
     voxels = Voxels(1.0)
     voxels.add(make_points((0.2, 0.5, 0.5), (0.6, 0.5, 0.5)), np.array([3.0, 1.0]), np.zeros(2))
@@ -192,3 +197,95 @@ def test_means_are_filtered_by_opacity_and_size():
     assert len(means(model, WORLD, min_opacity=0.5, max_axis=1.5)) == len(model) - 20
     with check_error():
         means(model, WORLD, max_axis=1e-6)
+
+
+def write_stereo_maps(folder, cameras):
+    """Write exact maps of the plane z = 0, as `mvs` keeps them."""
+    folder.mkdir()
+    write_colmap_model(folder, list(cameras.values()))
+    for name, camera in cameras.items():
+        (folder / name).mkdir()
+        write_map(folder / name, plane_map(camera, (0.0, 0.0, 1.0), 0.0))
+
+
+def make_stereo_cloud(points):
+    n = len(points)
+    views = {"views": np.full(n, 3, np.int32)}
+    return Cloud(points, np.tile([0.0, 0.0, 1.0], (n, 1)), np.full((n, 3), 90, np.uint8), views)
+
+
+def plane_points(rng, count, x_range=(-1.0, 1.0)):
+    return np.column_stack([rng.uniform(*x_range, count), rng.uniform(-1, 1, count), np.zeros(count)])
+
+
+def test_stereo_fills_what_gaussians_lack_and_points_that_no_map_confirms_are_left_out(tmp_path):
+    """The Gaussians cover one half of the plane. The world's unit is not the model's."""
+    frame, rng = LocalFrame(np.zeros(3), 50.0), np.random.default_rng(1)
+    cameras = cameras_on_circle()
+    model = make_plane()
+    model = model.select(model.means[:, 0] < -1.0)
+    world_cameras = {name: scaled_camera(camera, 50.0) for name, camera in cameras.items()}
+    write_stereo_maps(tmp_path / "maps", world_cameras)
+    plane, above = plane_points(rng, 4000), plane_points(rng, 200) + [0, 0, 2 * FOOTPRINT]
+    stereo = make_stereo_cloud(50 * np.concatenate([plane, above]))
+    gaussians_surface = surface(model, frame, world_cameras)
+    assert gaussians_surface.points[:, 0].max() < 50 * 0.9  # the discs fade out
+    cloud = combine(gaussians_surface, stereo, model, frame, world_cameras, tmp_path / "maps")
+    assert np.abs(cloud.points[:, 2]).max() < 50 * 0.3 * FOOTPRINT
+    share = cloud.attributes["stereo"]
+    far = cloud.points[:, 0] > gaussians_surface.points[:, 0].max() + 50 * FOOTPRINT
+    assert far.sum() > 50 and (share[far] == 1).all()
+    assert ((share > 0) & (share < 1)).any() and (share == 0).any()
+    assert (cloud.attributes["views"] >= 3).all() and cloud.attributes["confidence"].max() > 0.9
+
+
+def scaled_camera(camera, unit):
+    pose = camera.cam_from_world
+    return replace(camera, cam_from_world=replace(pose, translation=unit * pose.translation))
+
+
+def test_the_more_certain_depth_replaces_the_other(tmp_path):
+    """The Gaussians lie a third of a footprint above the plane that all stereo maps show on one half."""
+    cameras, model = cameras_on_circle(), make_plane()
+    model = replace(model, means=model.means + torch.tensor([0.0, 0.0, FOOTPRINT / 3]))
+    write_stereo_maps(tmp_path / "maps", cameras)
+    gaussians_surface = surface(model, WORLD, cameras)
+    stereo = make_stereo_cloud(plane_points(np.random.default_rng(2), 20_000, (0.0, 1.0)))
+    cloud = combine(gaussians_surface, stereo, model, WORLD, cameras, tmp_path / "maps")
+    with_stereo = (cloud.points[:, 0] > 0.1) & (np.abs(cloud.points[:, :2]).max(axis=1) < 0.9)
+    without_stereo = cloud.points[:, 0] < -0.1
+    assert with_stereo.sum() > 500 and without_stereo.sum() > 500
+    assert np.mean(np.abs(cloud.points[with_stereo, 2]) < 0.1 * FOOTPRINT) > 0.95
+    assert np.median(cloud.points[without_stereo, 2]) > 0.3 * FOOTPRINT
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 50.0])
+def test_maps_agree_by_the_distance_of_their_surface(tilt_deg):
+    """The distance is perpendicular to the surface, in footprints, from any direction."""
+    (camera,) = cameras_on_circle(1, tilt_deg=tilt_deg).values()
+    heights = np.array([0.0, 0.2, 0.39, 0.41, 3.0]) * FOOTPRINT
+    points = np.column_stack([np.zeros((5, 2)), heights])
+    up, down = np.tile([0.0, 0.0, 1.0], (5, 1)), np.tile([0.0, 0.0, -1.0], (5, 1))
+    depth_map = plane_map(camera, (0.0, 0.0, 1.0), 0.0)
+    for normals, expected in ((up, [1, (1 - 0.25) ** 2, (1 - (0.39 / 0.4) ** 2) ** 2, 0, 0]), (down, [0] * 5)):
+        agreement = DepthAgreement(np.zeros(5), np.full(5, np.inf))
+        add_map(agreement, points, normals, camera, depth_map)
+        np.testing.assert_allclose(agreement.maps, expected, atol=1e-3)
+        assert np.isfinite(agreement.footprint).all() == (normals is up)
+
+
+def test_a_point_behind_the_camera_or_off_the_map_agrees_with_nothing():
+    (camera,) = cameras_on_circle(1).values()
+    points = np.array([[0.0, 0.0, 2 * DISTANCE], [50.0, 0.0, 0.0]])
+    agreement = DepthAgreement(np.zeros(2), np.full(2, np.inf))
+    add_map(agreement, points, np.tile([0.0, 0.0, 1.0], (2, 1)), camera, plane_map(camera, (0.0, 0.0, 1.0), 0.0))
+    assert (agreement.maps == 0).all() and np.isinf(agreement.footprint).all()
+
+
+def test_no_map_near_the_points_is_an_error(tmp_path):
+    """The stereo cloud and the surface are of another place."""
+    cameras, model = cameras_on_circle(), make_plane()
+    write_stereo_maps(tmp_path / "maps", cameras)
+    elsewhere = make_stereo_cloud(np.array([[1000.0, 0.0, 0.0], [1001.0, 0.0, 0.0]]))
+    with check_error(ReconstructionError):
+        combine(elsewhere, elsewhere, model, WORLD, cameras, tmp_path / "maps")

@@ -1,5 +1,7 @@
 """The reconstructor around the training: masks, keys of checkpoints, and the limit of memory."""
 
+import shutil
+
 import numpy as np
 import pytest
 import textured_corner as corner
@@ -10,6 +12,7 @@ from wording import check_error, check_text
 from pcbench.geometry.cloud import Cloud
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
+from pcbench.scenes.views import read_views
 
 torch = import_or_skip("torch")
 
@@ -49,6 +52,13 @@ def train(tmp_path, monkeypatch):
         return plugin.GaussianSplatting(**settings).reconstruct(scene, tmp_path / "work")
 
     return run
+
+
+def add_a_ninth_photograph(folder):
+    """Add a photograph, so that each 8th can be held out."""
+    shutil.rmtree(folder)
+    folder.mkdir()
+    corner.write_scene(folder, corner.cameras(9, corner.standard_intrinsics(64, 48)))
 
 
 def test_a_hidden_photograph_is_not_used_for_evaluation(train, tmp_path):
@@ -91,6 +101,49 @@ def test_the_note_gives_the_last_step(train, monkeypatch):
         plugin, "Schedule", lambda **settings: Schedule(**settings, plateau=np.inf, downscale_shares=(0, 0))
     )
     check_text(next(note for note in train(density="fixed", steps=100).notes if "after step 30 of 100" in note))
+
+
+def test_a_note_reports_that_no_gaussian_is_added_to_few_points(train):
+    def notes(**settings):
+        return [note for note in train(**settings).notes if "few Gaussians" in note]
+
+    for density in ("fixed", "parsimonious"):
+        (note,) = notes(density=density, gaussians=2000)
+        assert "at the 400 points" in check_text(note)
+    assert not notes(density="classic", gaussians=2000)
+    assert not notes(density="fixed", gaussians=800)
+
+
+def test_transparent_photographs_are_trained_and_rendered_as_such(train, tmp_path):
+    """Photographs and renderings of `pcbench views` are over white, or over the color that is set."""
+    add_a_ninth_photograph(tmp_path / "corner")
+    for path in (tmp_path / "corner/images").iterdir():
+        alpha = np.full((48, 64), 255, np.uint8)
+        alpha[:, :20] = 0
+        Image.fromarray(np.dstack([np.asarray(Image.open(path)), alpha])).save(path)
+    settings = {"hold_out": "every", "density": "fixed", "steps": 200}
+    for background, level in (("auto", 255), ("black", 0)):
+        notes = train(background=background, **settings).notes
+        check_text(next(note for note in notes if "transparent pixels" in note))
+        views = read_views(tmp_path / "work")
+        images = [view.read() for view in views.views]
+        assert all(image.mask is None and (image.photograph[:, :20] == level).all() for image in images)
+        # The upper left corner shows no plane.
+        assert np.mean([np.abs(image.rendering[:10, :10].astype(int) - level) for image in images]) < 4
+        model = tmp_path / "work/model/point_cloud.ply"
+        assert f"comment background {level / 255:.4f}".encode() in model.read_bytes()[:500]
+
+
+def test_the_learned_background_is_a_note_and_stays_with_the_model(train, tmp_path):
+    """The photographs' background is grey; a second run uses the finished model again."""
+    add_a_ninth_photograph(tmp_path / "corner")
+    texts = []
+    for _ in range(2):
+        reconstruction = train(background="learned", hold_out="every", density="fixed", steps=100)
+        texts.append(next(note for note in reconstruction.notes if "learned" in note))
+    assert check_text(texts[0]) == texts[1]
+    color = np.loadtxt(tmp_path / "work/model/background.txt")
+    assert texts[0].endswith("({}, {}, {})".format(*np.rint(255 * color).astype(int)))
 
 
 def test_a_note_reports_that_training_is_too_short_to_densify(train):

@@ -8,6 +8,7 @@ import textured_corner as corner
 from exact_maps import corner_map, plane_map
 from optional import import_or_skip
 from splat_scenes import scattered_cloud
+from wording import check_text
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
@@ -111,7 +112,7 @@ def wall():
 
 
 def save_map(folder, depth_map, counts):
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     write_map(folder, depth_map)
     np.save(folder / VIEW_COUNTS, np.broadcast_to(np.uint8(counts), depth_map.depth.shape))
 
@@ -185,7 +186,12 @@ class InexactMvs:
         rng = np.random.default_rng(4)
         points = rng.uniform(0, corner.SIDE / 2, (3, 300, 3))
         points[range(3), :, range(3)] = rng.normal(0, 0.15, (3, 300))
-        cloud = Cloud(points.reshape(-1, 3), colors=np.full((900, 3), 128, np.uint8))
+        cloud = Cloud(
+            points.reshape(-1, 3),
+            np.repeat(np.eye(3), 300, axis=0),
+            np.full((900, 3), 128, np.uint8),
+            {"views": np.full(900, 3, np.int32)},
+        )
         return Reconstruction(cloud, "georeferenced", scene.cameras)
 
 
@@ -194,10 +200,18 @@ def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypat
     scene_folder = tmp_path / "corner"
     scene_folder.mkdir()
     scene = read_scene(corner.write_scene(scene_folder, corner.cameras(6, corner.standard_intrinsics(96, 72))))
-    errors = {}
+    errors, clouds = {}, {}
     for supervision_setting in ("mvs", "none"):
         workspace = tmp_path / supervision_setting
         workspace.mkdir()
         splat = plugin.GaussianSplatting(supervision=supervision_setting, density="fixed", steps=100, gaussians=900)
-        errors[supervision_setting] = corner.distances(splat.reconstruct(scene, workspace).cloud.points).mean()
-    assert errors["mvs"] < 0.6 * errors["none"]
+        for kind in ("surface", "combined"):
+            reconstruction = replace(splat, cloud=kind).reconstruct(scene, workspace)
+            clouds[kind, supervision_setting] = reconstruction
+            errors[kind, supervision_setting] = corner.distances(reconstruction.cloud.points).mean()
+    assert errors["surface", "mvs"] < 0.6 * errors["surface", "none"]
+    initial = InexactMvs().reconstruct(scene, tmp_path / "mvs/mvs").cloud
+    assert errors["combined", "mvs"] < 0.5 * corner.distances(initial.points).mean()
+    assert "stereo" in clouds["combined", "mvs"].cloud.attributes
+    assert "stereo" not in clouds["surface", "mvs"].cloud.attributes
+    check_text(next(note for note in clouds["combined", "mvs"].notes if "from mvs" in note))

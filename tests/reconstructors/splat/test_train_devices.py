@@ -17,6 +17,7 @@ from cuda_emulator import EmulatedCuda, Emulator  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
+from reconstructors.splat.background import Background  # noqa: E402
 from reconstructors.splat.density import Classic  # noqa: E402
 from reconstructors.splat.devices import choose_device  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
@@ -31,7 +32,7 @@ GAUSSIANS, STEPS = 60, 200
 
 
 def truth():
-    """Return a model and six images of it from around; the second has a mask."""
+    """Return a model and six images of it from around; the second has a mask, the third an alpha channel."""
     scene = scattered_cloud(np.random.default_rng(8), GAUSSIANS, width=32, height=24, degree=1, size=0.25)
     means, quats, scales, opacities, sh = (torch.from_numpy(array) for array in scene.arrays)
     model = Gaussians(means, quats, scales.log(), torch.logit(opacities.clamp(0.3, 0.95)), sh * 0.5)
@@ -42,7 +43,8 @@ def truth():
         position = (4 * np.cos(angle), 4 * np.sin(angle), 1.5)
         view = View.of(replace(scene.camera, cam_from_world=look_at(position, (0, 0, 0))))
         color = (render(model, view) * 255).round().to(torch.uint8)
-        pictures.append(Photograph(str(k), view, color, valid if k == 1 else None))
+        alpha = torch.where(color.max(dim=2).values > 0, 255, 0).to(torch.uint8)
+        pictures.append(Photograph(str(k), view, color, valid if k == 1 else None, alpha if k == 2 else None))
     return model, pictures
 
 
@@ -54,8 +56,8 @@ def new_training(device="cpu"):
     model, pictures = TRUTH
     pyramids = []
     for picture in pictures:
-        valid = None if picture.valid is None else picture.valid.to(device)
-        pyramids.append([picture._replace(color=picture.color.to(device), valid=valid)])
+        color, valid, alpha = (None if part is None else part.to(device) for part in picture[2:])
+        pyramids.append([picture._replace(color=color, valid=valid, alpha=alpha)])
     noise = torch.from_numpy(np.random.default_rng(9).normal(size=(GAUSSIANS, 3)).astype(np.float32))
     start = Gaussians(
         model.means + 0.05 * noise,
@@ -64,9 +66,9 @@ def new_training(device="cpu"):
         torch.full((GAUSSIANS,), -1.0),
         torch.zeros(GAUSSIANS, 1, 3),
     ).to(torch.device(device))
-    return Training(
-        start, pyramids, Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0)), Classic(refine_start=STEPS + 1)
-    )
+    schedule = Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0))
+    background = Background((0.4, 0.4, 0.4), device, is_learned=True, is_random=True)
+    return Training(start, pyramids, schedule, Classic(refine_start=STEPS + 1), background=background)
 
 
 def parts(model):
@@ -149,7 +151,8 @@ def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     training = new_training("meta")
     training.run(65)
     assert training.model.degree == 1 and training.psnr[0].is_meta
-    assert kernels.emulator.launched.count("adam") == 5 * 65  # for each of five kinds of parameters
+    # For each of five kinds of parameters, and for the background of the five photographs that are opaque.
+    assert kernels.emulator.launched.count("adam") == 5 * 65 + 54
 
 
 def test_reordering_includes_everything_that_belongs_to_the_gaussians():

@@ -15,7 +15,7 @@ from pcbench.report import Figures
 from pcbench.report.article import markdown
 from pcbench.studies.gao.figures import pictures
 from pcbench.studies.gao.page import article
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE
+from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import SCHEMA, TRUTH, CloudResult, ReferenceEvaluation, read_study
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import cost_table, csv_text, failures, measures_table
@@ -43,18 +43,21 @@ def test_sentences_report_gains_and_costs():
     ):
         assert value in text
     # Swapped: means that are more accurate than the sparse points, but less complete.
-    sparse, mvs, means, surface = scene().clouds
+    sparse, mvs, means, surface, field = scene().clouds
     swapped = replace(
-        scene(), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE))
+        scene(),
+        clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), replace(surface, name=SURFACE), field),
     )
     assert "0.5 m RMS becomes 2 m" in check_changed_sentences(swapped)
-    unchanged = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface))
+    unchanged = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface, field))
     check_changed_sentences(unchanged)
 
 
 def test_scenes_are_averaged_and_counted():
-    sparse, mvs, means, surface = scene().clouds
-    opposite = replace(scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface))
+    sparse, mvs, means, surface, field = scene().clouds
+    opposite = replace(
+        scene("b"), clouds=(replace(means, name=SPARSE), mvs, replace(sparse, name=MEANS), surface, field)
+    )
     text = check_changed_sentences(scene("a"), scene("c", factor=4.0), opposite)
     # Geometric means: 2, 8 and 0.5 m become 0.5, 2 and 2 m.
     assert "2 m RMS becomes 1.26 m (1.6 times smaller, in 2 of 3 scenes)" in text
@@ -66,8 +69,8 @@ def test_sentences_report_errors_hidden_by_mvs():
         "by 0.141 m RMS (c→r)",
         "by 0.224 m RMS (r→c)",
         "0.1 m RMS becomes 0.141 m",
-        "splat-surface before splat-means before sparse",
-        "mvs before splat-surface before splat-means before sparse",
+        "splat-surface before splat-means before field before sparse",
+        "mvs before splat-surface before splat-means before field before sparse",
     ):
         assert value in text
     check_changed_sentences(scene(truth=False))
@@ -122,7 +125,7 @@ def test_sentences_report_verdicts():
 
 
 def test_failure_is_a_row_and_a_sentence():
-    sparse, mvs, _, surface = scene().clouds
+    sparse, mvs, _, surface, field = scene().clouds
     failed_scene = replace(
         scene(),
         clouds=(
@@ -130,6 +133,7 @@ def test_failure_is_a_row_and_a_sentence():
             mvs,
             CloudResult(MEANS, failure="out of memory"),
             replace(surface, against=(ReferenceEvaluation(MVS, failure="too few points"), *surface.against[1:])),
+            field,
         ),
         views=None,
     )
@@ -143,7 +147,7 @@ def test_failure_is_a_row_and_a_sentence():
     rows_of_first_scene = {(row[0], row[1]): row for row in rows[scene_indices[0] + 1 : scene_indices[1]]}
     assert (MEANS, "failed") in rows_of_first_scene
     assert rows_of_first_scene[(SURFACE, MVS)][3] == "failed"
-    assert len(rows) - scene_indices[1] == 1 + 3 + 4
+    assert len(rows) - scene_indices[1] == 1 + 4 + 5
     assert "(3.9 times smaller)" in " ".join(result.sentences)  # the other scene still counts
     failed_rows = [row for row in csv.DictReader(csv_text(result).splitlines()) if row["failure"]]
     assert [(row["cloud"], row["failure"]) for row in failed_rows] == [
@@ -156,8 +160,8 @@ def test_tables_and_csv_of_a_study():
     result = study(scene())
     header, *rows = measures_table(result)
     assert all(len(row) == len(header) for row in rows)
-    assert [(row[0], row[1]) for row in rows[:3]] == [(SPARSE, MVS), (MEANS, MVS), (SURFACE, MVS)]
-    assert [row[0] for row in rows[3:]] == [SPARSE, MVS, MEANS, SURFACE]
+    assert [(row[0], row[1]) for row in rows[:4]] == [(SPARSE, MVS), (MEANS, MVS), (SURFACE, MVS), (FIELD, MVS)]
+    assert [row[0] for row in rows[4:]] == [SPARSE, MVS, MEANS, SURFACE, FIELD]
     first_row = dict(zip(header, rows[0], strict=True))
     assert (first_row["points"], first_row["cropped"]) == ("1,000", "900")
     # Mean squares of 0.1 m and 2 m.
@@ -168,17 +172,17 @@ def test_tables_and_csv_of_a_study():
         "3",
     )
     assert first_row["bend RMS"] == "0.01 [0.009, 0.011]"
-    assert dict(zip(header, rows[3], strict=True))["D2 mesh"] == "–"  # the truth has no Poisson mesh
+    assert dict(zip(header, rows[4], strict=True))["D2 mesh"] == "–"  # the truth has no Poisson mesh
     seconds = {
         row[0]: row[2]
         for row in cost_table(study(scene(clouds=(replace(scene().clouds[0], resumed=True), *scene().clouds[1:]))))
     }
-    assert seconds == {"": "seconds", SPARSE: "≥ 30", MVS: "100", MEANS: "300", SURFACE: "+ 10"}
+    assert seconds == {"": "seconds", SPARSE: "≥ 30", MVS: "100", MEANS: "300", SURFACE: "+ 10", FIELD: "200"}
     csv_rows = list(csv.DictReader(csv_text(result).splitlines()))
-    assert len(csv_rows) == 7
+    assert len(csv_rows) == 9
     assert float(csv_rows[0]["d1_back_mse"]) == pytest.approx(4.0)
     text = markdown(article(result, None))
-    assert text.count("\n| ") == 2 + 8 + 5
+    assert text.count("\n| ") == 2 + 10 + 6
     assert "sparse, against mvs" in text
 
 
@@ -220,6 +224,6 @@ def test_conditional_verdicts_are_stated_together():
     }
     bends = {(SPARSE, TRUTH): assumed["none"], (MEANS, TRUTH): assumed["none"], (MVS, TRUTH): assumed["affine"]}
     text = check_changed_sentences(scene(bends=bends))
-    assert "splat-surface is not deformed; if their poses are right, mvs is stretched" in text
+    assert "splat-surface and field are not deformed; if their poses are right, mvs is stretched" in text
     one = "\n".join(study(scene(bends={(SPARSE, TRUTH): assumed["none"]})).sentences)
     assert "if its pose is right, sparse is not deformed" in one

@@ -26,7 +26,7 @@ from pcbench.studies.gao import clouds, gao
 from pcbench.studies.gao.cameras import camera_deformation, camera_errors, cameras_in_cloud_frame, retriangulate
 from pcbench.studies.gao.evaluation import evaluate_against, visible_truth
 from pcbench.studies.gao.gao import run_gao
-from pcbench.studies.gao.plan import MEANS, MVS, SPARSE, SURFACE, GaoJob, default_region, focus_point, methods
+from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
     TRUTH,
     read_study,
@@ -200,6 +200,7 @@ def test_splat_clouds_differ_in_one_setting():
     means, surface = methods_by_name[MEANS], methods_by_name[SURFACE]
     assert means.workspace == surface.workspace
     assert {k for k in means.settings if means.settings[k] != surface.settings[k]} == {"cloud"}
+    assert methods_by_name[FIELD].settings["hold_out"] == means.settings["hold_out"]
     assert (means.settings["start"], means.settings["steps"], means.settings["density"]) == ("sfm", "7", "gao2025")
 
 
@@ -296,7 +297,7 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     assert "splat-means" in out_text
     assert "memory=0.001" in out_text
     failed_study = read_study(out)
-    assert [bool(cloud.failure) for cloud in failed_study.scenes[0].clouds] == [False, False, True, True]
+    assert [bool(cloud.failure) for cloud in failed_study.scenes[0].clouds] == [False, False, True, True, False]
     assert failed_study.scenes[0].views is None
     assert "mvs deviates from the truth by 0." in out_text  # the other clouds were measured
 
@@ -306,7 +307,8 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     (scene,) = read_study(out).scenes
     assert scene.references[TRUTH][1] > scene.references[MVS][1] / 100 > 0
     assert all(not cloud.failure for cloud in scene.clouds)
-    sparse, mvs, means, surface = scene.clouds
+    sparse, mvs, means, surface, field = scene.clouds
+    assert field.evaluation(TRUTH).r2c_rms < sparse.evaluation(TRUTH).r2c_rms
     assert means.points > 1.2 * sparse.points  # splats were densified
     assert surface.seconds < means.seconds  # one training for both
     assert mvs.evaluation(TRUTH).r2c_rms < sparse.evaluation(TRUTH).r2c_rms
@@ -315,10 +317,11 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
         assert (out / f"figures/{name}.png").stat().st_size > 10_000
     for name in (SPARSE, MEANS, SURFACE):
         assert (out / f"city_1/against-mvs/figures/{name}_poisson_distance.png").stat().st_size > 10_000
-    assert (out / "views/figures/city_1_splat.png").stat().st_size > 10_000
+    for name in ("splat", "field"):
+        assert (out / f"views/figures/city_1_{name}.png").stat().st_size > 10_000
     page = check_page_of_study((out / "report.html").read_text(encoding="utf-8"))
     assert page.values("href") == ["./city_1/against-mvs/report.html", "./city_1/against-truth/report.html"]
-    assert len(page.values("src")) == 4
+    assert len(page.values("src")) == 5
     contents = {path: path.read_bytes() for path in (out / "experiment.csv", out / "gao.md")}
     assert run("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "steps=1200")[:2] == (0, out_text)
     assert all(path.read_bytes() == text for path, text in contents.items())

@@ -24,7 +24,7 @@ from pcbench.scenes.splits import split_every
 from pcbench.scenes.views import ViewImages, write_views
 from pcbench.studies.folder import write_files
 from pcbench.studies.views.page import article
-from pcbench.studies.views.pictures import draw_views, select_views
+from pcbench.studies.views.pictures import draw_views, select_views, title_of
 from pcbench.studies.views.runs import ViewsJob, run_views
 from pcbench.studies.views.scores import read_scores, score_files, score_views
 from pcbench.studies.views.table import sentences, table
@@ -158,8 +158,10 @@ def test_worst_median_and_best_views_are_selected(tmp_path):
         "median": "16.png",
         "best": "0.png",
     }
+    check_text(title_of(scene))
     (scene,) = score_views([write_view_folder(tmp_path / "b", count=9)], perceptual=NO_PERCEPTUAL_METRICS).scenes
     assert {word: s.view.name for word, s in select_views(scene).items()} == {"worst": "8.png", "best": "0.png"}
+    assert "median" not in check_text(title_of(scene))
 
 
 def test_picture_shows_photograph_rendering_and_error(tmp_path):

@@ -1,0 +1,2 @@
+#define PCB_ISA baseline
+#include "kernels_isa.h"

@@ -1,0 +1,59 @@
+"""Smoothing of a fused cloud where its surface is flat.
+
+Fusion merges only depths that agree closely. The errors that remain at neighboring points come from several maps and
+are largely independent, so that a plane through the neighbors is more accurate than a single point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.neighbors import Index
+
+_NEIGHBORS = 20  # points of a plane, the point itself included; their radius is about 2.5 times the point spacing
+_MAX_ANGLE_DEG = 30.0  # between the normals of a plane and of its points
+_MIN_PARALLEL_SHARE = 0.9  # share of the neighbors with a parallel normal on flat surface; edges have fewer
+_MAX_SHIFT = 1 / 3  # of the radius of the neighbors, somewhat less than the point spacing, so that steps remain
+_BLOCK_POINTS = 1 << 14  # points processed at a time: each needs some 200 float64 values of temporary memory
+
+
+def flatten(cloud: Cloud) -> Cloud:
+    """Return a cloud whose points on flat surface are moved along its normal onto planes through their neighbors.
+
+    A plane has the mean normal of 20 nearest points and passes through their median along this normal. The surface is
+    flat if nine tenths of these points have normals within 30 degrees of the plane's. A point on flat surface moves to
+    the plane and takes its normal. Points at edges, on thin walls and on steps higher than the point spacing stay where
+    they are.
+
+    Args:
+        cloud: cloud with normals.
+    """
+    if len(cloud) < _NEIGHBORS:
+        return cloud
+    assert cloud.normals is not None
+    index, points, normals = Index(cloud.points), cloud.points.copy(), cloud.normals.copy()
+    for start in range(0, len(cloud), _BLOCK_POINTS):
+        rows = np.arange(start, min(start + _BLOCK_POINTS, len(cloud)))
+        neighbors = index.query(cloud.points[rows], _NEIGHBORS)
+        neighbor_normals = cloud.normals[neighbors.indices]
+        planes = neighbor_normals.sum(axis=1)
+        planes /= np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), np.finfo(float).tiny)
+        cosines = _dot(neighbor_normals, planes[:, None])
+        is_parallel = cosines >= np.cos(np.radians(_MAX_ANGLE_DEG))
+        offsets = _dot(cloud.points[neighbors.indices] - cloud.points[rows, None], planes[:, None])
+        shift = np.median(offsets, axis=1)
+        is_flat = is_parallel.mean(axis=1) >= _MIN_PARALLEL_SHARE
+        is_flat &= np.abs(shift) <= _MAX_SHIFT * neighbors.distances[:, -1]
+        points[rows[is_flat]] += shift[is_flat, None] * planes[is_flat]
+        normals[rows[is_flat]] = planes[is_flat]
+    return replace(cloud, points=points, normals=normals)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the scalar products of vectors along the last axis."""
+    products: FloatArray = np.einsum("...i,...i->...", a, b)
+    return products

@@ -1,0 +1,168 @@
+"""Training: resumed runs, seeds, masks, empty fields, and the same bits for any threads and instruction set."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from field_training import arrays_of, new_training
+from optional import import_or_skip
+from repository import TESTS
+from wording import check_error
+
+torch = import_or_skip("torch")
+
+from pcbench.errors import ReconstructionError  # noqa: E402
+from reconstructors.field.train import Pixels  # noqa: E402
+from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
+
+
+@pytest.mark.parametrize("stop", [7, 12, 13, 29])
+def test_a_resumed_training_gives_the_same_bits(tmp_path, stop):
+    """Also right before and after voxels are halved, which is at step 12."""
+    uninterrupted = new_training()
+    uninterrupted.run(40)
+    first = new_training()
+    first.run(stop)
+    first.save(tmp_path / "checkpoint.npz", "key")
+    second = new_training()
+    assert not second.load(tmp_path / "checkpoint.npz", "another key") and second.step == 0
+    field = run_with_checkpoints(second, tmp_path / "checkpoint.npz", "key")
+    assert arrays_of(field) == arrays_of(uninterrupted.model)
+    assert not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_the_field_is_determined_by_the_seed():
+    runs = [new_training(seed=seed) for seed in (0, 0, 1)]
+    for run in runs:
+        run.run(20)
+    first, second, other = (arrays_of(run.model) for run in runs)
+    assert first == second != other
+
+
+def test_training_improves_the_photographs():
+    training = new_training(steps=200)
+    training.run(10)
+    first = np.mean(training._errors)
+    training.run(200)
+    assert np.mean(training._errors[-10:]) < 0.1 * first
+
+
+def test_masked_pixels_are_not_drawn():
+    photographs = [pyramid[0] for pyramid in new_training()._photographs[:3]]
+    marked = []
+    for number, photograph in enumerate(photographs):
+        valid = torch.zeros(photograph.color.shape[:2], dtype=torch.bool)
+        valid[3 * number : 3 * number + 5, 4:9] = True
+        valid = valid if number != 1 else None
+        color = torch.full_like(photograph.color, 10 * number)
+        if valid is not None:
+            color[valid] = 200 + number
+        marked.append(photograph._replace(color=color, valid=valid))
+    rays, colors = Pixels(marked).draw(np.random.default_rng(0), 2000)
+    drawn = set(np.unique((255 * colors).round()))
+    assert drawn == {200, 10, 202}
+    position = marked[0].view.position
+    assert ((rays.origins == position).all(axis=1) == ((255 * colors[:, 0]).round() == 200)).all()
+    assert np.linalg.norm(rays.directions, axis=1) == pytest.approx(1)
+
+
+def test_an_empty_field_is_an_error():
+    training = new_training()
+    training.model.values[:, 0] = -1
+    with check_error(ReconstructionError):
+        training.run(5)
+
+
+def test_a_diverged_training_is_an_error():
+    training = new_training()
+    training.model.values[:, 1:] = np.nan
+    with check_error(ReconstructionError):
+        training.run(5)
+
+
+DIGEST_SCRIPT = """
+import json, sys
+sys.path[:0] = {path!r}
+from field_training import arrays_of, new_training, new_view
+from reconstructors.field.native import _field
+training = new_training()
+training.run(30)
+output = training.model.render_geometry(new_view())
+images = [part.numpy().tobytes().hex() for part in output]
+import hashlib
+digest = hashlib.sha256(repr((arrays_of(training.model), images, training._errors)).encode()).hexdigest()
+print(json.dumps([_field.isa(), digest]))
+"""
+
+
+def run_digest_script(**environment):
+    """Return the results of a fresh process."""
+    script = DIGEST_SCRIPT.format(path=[str(TESTS)])
+    return subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
+    )
+
+
+@pytest.fixture(scope="module")
+def baseline_digest():
+    process = run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
+    assert process.returncode == 0, process.stderr
+    isa, digest = json.loads(process.stdout)
+    assert isa == "baseline"
+    return digest
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
+def test_threads_and_instruction_sets_give_the_same_bits(baseline_digest, isa, threads):
+    """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""
+    process = run_digest_script(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
+    if "PCBENCH_ISA: expected an instruction set that this machine supports" in process.stderr:
+        isa, process = "baseline", run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
+    assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr
+
+
+MEMORY_SCRIPT = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+sys.path[:0] = {path!r}
+from field_training import gradients_of, new_training
+training = new_training(rays=int(sys.argv[1]))
+gradients_of(new_training())()  # starts all threads
+compute = gradients_of(training)
+expected = compute()
+failures, headroom = 0, 0
+_, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
+while True:
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + headroom, hard_limit))
+    try:
+        result = compute()
+        break
+    except MemoryError:
+        failures += 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
+    headroom += 1 << 18
+print(failures, result == expected)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_running_out_of_memory_raises_a_memory_error(threads):
+    """The limit rises in small steps, so that each large allocation fails once; the final result is that without a
+    limit."""
+    process = subprocess.run(
+        [sys.executable, "-c", MEMORY_SCRIPT.format(path=[str(TESTS)]), "20000"],
+        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 0, process.stderr
+    failures, is_same = process.stdout.split()
+    assert int(failures) > 3 and is_same == "True"
