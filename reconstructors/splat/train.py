@@ -103,7 +103,7 @@ class Training:
     Attributes:
         model: the Gaussians.
         step: number of steps done.
-        screen_gradients: gradients accumulated for densification.
+        screen_gradients: gradients accumulated for densification; zero if the strategy does not need them.
         psnr: PSNR of each photograph when it was last used, in dB; reading an entry synchronises with the GPU.
         converged: whether the photographs no longer improve.
     """
@@ -257,6 +257,8 @@ class Training:
         return index, pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
 
     def _train_step(self) -> None:
+        import torch
+
         schedule, order = self.schedule, self._kernels.morton_order
         if order is not None and self.step % _MORTON_SORT_INTERVAL == 0:
             self.reorder(order(self.model.means))
@@ -273,14 +275,14 @@ class Training:
         weight = gain if photograph.valid is None else gain * photograph.valid[..., None]
         image = rendering.color * weight
         gradient = self._kernels.image_loss(image, target, schedule.ssim_weight).gradient * weight
-        difference = image - target
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
         gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
         self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
-        self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
-        self.psnr[index] = _psnr((difference**2).mean())
+        if self.density.needs_screen_gradients:
+            self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
+        self.psnr[index] = _psnr(torch.nn.functional.mse_loss(image, target))
 
     def save(self, path: Path, key: str) -> None:
         """Write a checkpoint, which `load` continues only with the same `key`."""
