@@ -69,7 +69,7 @@ def rasterize(
     Memory beside the given tensors, until the gradient has been computed: 44 bytes per pixel, most of them returned; 36
     bytes per Gaussian for its mean relative to the camera, and a float32 copy of each tensor of another type; and the
     buffers of the rasterizer. On the CPU these take about 100 bytes per Gaussian and 32 bytes for each Gaussian in each
-    tile of 16 x 16 pixels that it touches, 100 bytes with gradients.
+    tile of 16 x 16 pixels that it touches, 92 bytes with gradients.
 
     Args:
         means: (N, 3) in the world.
