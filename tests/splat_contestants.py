@@ -98,8 +98,8 @@ class Contestant(Protocol):
 class Ours:
     """The rasterizer of this package, including the sums for densification; with or without depth and normals."""
 
-    def __init__(self, picture: Picture, *, geometry: bool = False) -> None:
-        self._picture, self._geometry = picture, geometry
+    def __init__(self, picture: Picture, *, geometry: bool = False, normals: bool = True) -> None:
+        self._picture, self._images = picture, {"geometry": geometry, "normals": normals}
         self._kernels = kernels_of(picture.target.device)
         self.rasterizer = self._kernels.Rasterizer()
         self._background = torch.zeros(3, device=picture.target.device)
@@ -107,12 +107,12 @@ class Ours:
         self._moments = [(torch.zeros_like(rows), torch.zeros_like(rows)) for rows in self._rows]
         pixels = picture.target.shape[0] * picture.target.shape[1]
         self._grad_depth = torch.full_like(picture.target[..., 0], 1 / pixels) if geometry else None
-        self._grad_normal = torch.full_like(picture.target, 1 / pixels) if geometry else None
+        self._grad_normal = torch.full_like(picture.target, 1 / pixels) if geometry and normals else None
         self._step = 0
 
     def forward(self) -> None:
         self._gaussians = self._picture.parameters.gaussians()
-        output = self.rasterizer.forward(self._gaussians, self._picture.view, self._background, geometry=self._geometry)
+        output = self.rasterizer.forward(self._gaussians, self._picture.view, self._background, **self._images)
         self.image, self.transmittance = output.color, output.transmittance
 
     def loss(self) -> None:

@@ -16,6 +16,7 @@ from pcbench.plugins.stages import stage, stage_key
 from reconstructors.mvs import patchmatch
 from reconstructors.mvs.maps import write_map
 from reconstructors.mvs.plan import MatchingPlan
+from reconstructors.mvs.planar import fill_plain_surface
 from reconstructors.mvs.sources import MatchedImage
 from reconstructors.mvs.views import ViewCache, stage_location
 
@@ -66,7 +67,10 @@ class Matching:
         return stage(*stage_location(workspace / PHOTOMETRIC_FOLDER, reference.name), inputs, make)
 
     def refine_geometric(self, reference: MatchedImage, photometric: Mapping[str, Path], workspace: Path) -> Path:
-        """Return the stage of an image's map that is refined with the depths of its sources, if these have maps."""
+        """Return the stage of an image's map that is refined with the depths of its sources, if these have maps.
+
+        Plain surface is filled afterwards.
+        """
         photographs = self.photographs
         sources = [name for name in reference.sources if name in photometric]
         names = (reference.name, *sources)
@@ -86,7 +90,7 @@ class Matching:
                 iterations=self.plan.geometric_iterations,
                 seed=self.seed,
             )
-            write_map(folder, depth_map)
+            write_map(folder, fill_plain_surface(reference_view, source_views, depth_map))
 
         return stage(*stage_location(workspace / GEOMETRIC_FOLDER, reference.name), inputs, make)
 

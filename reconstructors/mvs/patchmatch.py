@@ -170,8 +170,8 @@ class _SearchState(NamedTuple):
             reference.gray, pinhole, valid, nearest, farthest, float(np.median(motions)), min_variance, seed
         )
         for i, source in enumerate(sources):
-            forward = _projection_between(reference.camera, source.camera)
-            backward = _projection_between(source.camera, reference.camera)
+            forward = projection_between(reference.camera, source.camera)
+            backward = projection_between(source.camera, reference.camera)
             visible = None if source.valid is None else source.valid.astype(np.float32)
             matcher.add_source(source.gray, forward, None if depths is None else depths[i], backward, visible)
         matcher.run(self.planes, self.cost, self.view_costs, iterations, first_sweep)
@@ -217,7 +217,7 @@ def _zero_based_matrix(camera: Camera) -> FloatArray:
     return matrix
 
 
-def _projection_between(one: Camera, other: Camera) -> NDArray[np.float32]:
+def projection_between(one: Camera, other: Camera) -> NDArray[np.float32]:
     """Return the (3, 4) map from homogeneous pixels times depth of one camera to those of the other."""
     relative = other.cam_from_world @ one.cam_from_world.inverse()
     rotation = _zero_based_matrix(other) @ relative.rotation @ np.linalg.inv(_zero_based_matrix(one))
@@ -227,7 +227,7 @@ def _projection_between(one: Camera, other: Camera) -> NDArray[np.float32]:
 
 def _pixels_per_depth(one: Camera, other: Camera, depth_range: tuple[float, float]) -> float:
     """Return how many pixels the centre of `one` moves in `other` per unit of inverse depth."""
-    projection = _projection_between(one, other).astype(np.float64)
+    projection = projection_between(one, other).astype(np.float64)
     centre = np.array([one.intrinsics.cx, one.intrinsics.cy, 1.0])
     inverse = 0.5 * (1 / depth_range[0] + 1 / depth_range[1])
     at = projection[:, :3] @ centre + projection[:, 3] * inverse

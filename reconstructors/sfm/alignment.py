@@ -70,7 +70,7 @@ def align(model: Any, scene: Scene, survey: ControlSurvey, requested: Align, ref
     except InputError as error:
         if requested != "auto":
             raise ReconstructionError(f"cannot be aligned to {target}: {error}") from error
-        return level_model(model, [f"not aligned to {target}: {error}", *_unscored_note(survey)])
+        return level_model(model, [f"warning: not aligned to {target}: {error}", *_unscored_note(survey)])
     _transform(model, transform)
     notes = [note]
     if target == "control":

@@ -9,6 +9,7 @@ error: on synthetic cities the mean error is inversely proportional to their num
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.plugins.progress import with_time_left
 from reconstructors.mvs.filter import Criteria, depths_on_planes
+from reconstructors.mvs.flatten import flatten
 from reconstructors.mvs.maps import DepthMap, read_map
 from reconstructors.splat.depths import RenderedMaps
 from reconstructors.splat.model import Gaussians, LocalFrame
@@ -36,7 +38,7 @@ _LIMITS = Criteria()  # limits of `mvs` on the differences of depths and normals
 
 
 class DepthAgreement(NamedTuple):
-    """How well depth maps agree on points.
+    """The number of depth maps that agree on each of N points.
 
     Attributes:
         maps: (N,) number of maps that agree. A map whose surface is d footprints from the point counts
@@ -60,7 +62,8 @@ def combine(
 
     The expected error of a point is two footprints of a pixel, or four for the surface of the Gaussians, divided by the
     number of maps that agree. Points with an expected error above four footprints are left out. The others are averaged
-    in voxels of the size of their error, weighted by its inverse square.
+    in voxels of the size of their error, weighted by its inverse square, and moved onto planes where the surface is
+    flat, as those of `mvs` are.
 
     The cloud has normals, colors, and the attributes `confidence`, which is n / (n + 1) if n maps agree, `views`, the
     number of images that agree, and `stereo`, the share of a point that comes from dense stereo: 0 for a point of the
@@ -75,7 +78,7 @@ def combine(
         stereo_maps: folder of the depth maps of `mvs`.
 
     Raises:
-        ReconstructionError: no map agrees on any point.
+        ReconstructionError: no map agrees on any point closely enough.
     """
     clouds = (surface, stereo)
     points = [frame.to_local(cloud.points) for cloud in clouds]
@@ -87,14 +90,15 @@ def combine(
                 block = slice(start, start + _BLOCK_POINTS)
                 part = DepthAgreement(agreement.maps[block], agreement.footprint[block])
                 add_map(part, local_points[block], cloud.normals[block], camera, depth_map)
-    near = np.concatenate([agreement.footprint[np.isfinite(agreement.footprint)] for agreement in agreements])
-    if not len(near):
+    errors_px = (_RENDERED_ERROR_PX, _STEREO_ERROR_PX)
+    selections = [a.maps >= error_px / _MAX_ERROR_PX for a, error_px in zip(agreements, errors_px, strict=True)]
+    if not any(kept.any() for kept in selections):
         raise ReconstructionError("no depth map has a surface near the points: check that the cameras are the same")
-    voxels = Voxels(_VOXEL_PX * float(np.median(near)))
-    for cloud, local_points, agreement, error_px in zip(
-        clouds, points, agreements, (_RENDERED_ERROR_PX, _STEREO_ERROR_PX), strict=True
+    footprints = np.concatenate([a.footprint for a in agreements])
+    voxels = Voxels(_VOXEL_PX * float(np.median(footprints[np.isfinite(footprints)])))
+    for cloud, local_points, agreement, kept, error_px in zip(
+        clouds, points, agreements, selections, errors_px, strict=True
     ):
-        kept = agreement.maps >= error_px / _MAX_ERROR_PX
         maps = agreement.maps[kept]
         error = error_px * agreement.footprint[kept] / maps
         assert cloud.normals is not None and cloud.colors is not None
@@ -109,16 +113,14 @@ def combine(
         )
         voxels.add(selected, error**-2, error)
     fused = voxels.fuse()
-    return Cloud(
-        frame.to_world(fused.points),
-        fused.normals,
-        fused.colors.round().astype(np.uint8),
-        {
-            "confidence": fused.confidence.astype(np.float32),
-            "views": fused.views.astype(np.int32),
-            "stereo": fused.stereo.astype(np.float32),
-        },
-    )
+    attributes = {
+        "confidence": fused.confidence.astype(np.float32),
+        "views": fused.views.astype(np.int32),
+        "stereo": fused.stereo.astype(np.float32),
+    }
+    colors = fused.colors.round().astype(np.uint8)
+    cloud = flatten(Cloud(fused.points, fused.normals, colors, attributes))
+    return replace(cloud, points=frame.to_world(cloud.points))
 
 
 def _all_maps(

@@ -88,6 +88,8 @@ TrainingT = TypeVar("TrainingT", contravariant=True)  # the type of training tha
 class Density(Generic[TrainingT]):
     """Densification strategy; the base class changes nothing."""
 
+    needs_screen_gradients = False  # whether `Training` accumulates them
+
     def control(self, training: TrainingT) -> None:
         """Change the model through `keep` and `add` of the training; called after each step."""
 
@@ -121,6 +123,8 @@ class Classic(Density[Densifiable]):
         reset_opacity: maximum opacity after a reset.
         max_gaussians: maximum number of Gaussians.
     """
+
+    needs_screen_gradients = True
 
     refine_start: int = 500
     refine_stop_share: float = 0.5

@@ -35,6 +35,7 @@ from reconstructors.splat.background import Background, BackgroundChoice
 from reconstructors.splat.combine import combine
 from reconstructors.splat.density import GAO2025, Classic, Density
 from reconstructors.splat.devices import choose_device
+from reconstructors.splat.exposure import Exposure, read_gains, write_gains
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.optimizer import GAO2025_LEARNING_RATES, LearningRates
 from reconstructors.splat.parsimony import Curve, Parsimonious
@@ -42,11 +43,12 @@ from reconstructors.splat.photographs import Photograph, Pyramid, read_photograp
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import read_supervision
-from reconstructors.splat.train import Schedule, Training, render
+from reconstructors.splat.train import Schedule, Training, evaluate, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
 PARAMETERS = "model.pt"  # beside it: the parameters in the frame of training
 FINAL_STEP = "steps.txt"  # beside it: the step after which training ended
+GAINS = "gains.csv"  # beside it: the brightness of each training photograph relative to the model
 BACKGROUND = "background.txt"  # beside it: the color behind the Gaussians, from 0 to 1
 CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
 
@@ -56,6 +58,7 @@ INITIAL_MVS = DenseMvs(views=2, confidence=0.1)
 _PYRAMID_LEVELS = 3  # sizes of each photograph
 _MIN_IMAGES = 3  # images that must agree on a point of the surface
 _MIN_START_SHARE = 0.5  # initial points, as a share of `gaussians`, below which a note warns that none are added
+_MIN_GAIN_RATIO = 1.3  # of the brightest and the darkest photograph, from which a note reports both
 _MIN_SELECTION_IMAGES = 4  # training images needed to choose the number of Gaussians on held-out ones
 _BYTES_PER_GAUSSIAN = 1000  # parameters, gradients, moments and instances in the tiles of an image
 _TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is chosen
@@ -84,6 +87,7 @@ class GaussianSplatting:
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
     transparent where they are.
+    exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
     image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
     `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
     that training may use.
@@ -101,6 +105,7 @@ class GaussianSplatting:
     gaussians: int = 50_000
     sh_degree: int = 2
     background: BackgroundChoice = "auto"
+    exposure: bool = False
     image_side: int = 640
     hold_out: HoldOut = "none"
     memory: float = 4.0
@@ -201,6 +206,9 @@ class GaussianSplatting:
         )
         background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
         notes += self._background_notes([pyramid[0] for pyramid in photographs], background)
+        if (model_folder / GAINS).is_file():
+            held_out = [pyramid[0] for pyramid in photographs if pyramid[0].name in split.test]
+            notes += _exposure_note(read_gains(model_folder / GAINS), model, held_out, background)
         if split.test:
             self._write_views(workspace / VIEWS_FOLDER, scene, split, model, background, photographs)
             notes.append(f"renderings: pcbench views {workspace / VIEWS_FOLDER}")
@@ -227,6 +235,7 @@ class GaussianSplatting:
             self.gaussians,
             self.sh_degree,
             self.background,
+            self.exposure,
             self.image_side,
             self.seed,
         )
@@ -315,11 +324,14 @@ class GaussianSplatting:
             density,
             supervision,
             background,
+            Exposure(split.train, background.color.device) if self.exposure else None,
         )
         model = run_with_checkpoints(training, workspace / "checkpoint.pt", key)
         if isinstance(density, Parsimonious) and density.curve is not None:
             density.curve.write(folder / CURVE)
         (folder / FINAL_STEP).write_text(str(training.step), encoding="utf-8")
+        if training.exposure is not None:
+            write_gains(folder / GAINS, training.exposure.gains)
         color = background.color[0].tolist()
         np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
         save_model(folder / PARAMETERS, model)
@@ -389,10 +401,27 @@ def _sources_note(cloud: Cloud) -> str:
     )
 
 
+def _exposure_note(
+    gains: Mapping[str, float], model: Gaussians, held_out: list[Photograph], color: NDArray[np.float32]
+) -> Iterator[str]:
+    """Yield how much the exposures differ, with the PSNR of held-out views without and with a gain, if they do."""
+    dark, bright = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
+    if gains[bright] < _MIN_GAIN_RATIO * gains[dark]:
+        return
+    scores = ""
+    if held_out:
+        background = model.means.new_tensor(color)
+        raw, fitted = (
+            np.mean(evaluate(model, held_out, background, fit_exposure=fit_exposure)) for fit_exposure in (False, True)
+        )
+        scores = f"; PSNR of held-out views {raw:.2f} dB as rendered, {fitted:.2f} dB with their brightness fitted too"
+    yield f"brightness of the photographs from {gains[dark]:.2f} ({dark}) to {gains[bright]:.2f} ({bright}){scores}"
+
+
 def _color_text(color: NDArray[np.float32]) -> str:
     """Return a color from 0 to 1 as its name or in levels of 255."""
-    levels = tuple(round(255 * float(channel)) for channel in color)
-    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get(levels, f"{levels}")
+    red, green, blue = (round(255 * float(channel)) for channel in color)
+    return {(0, 0, 0): "black", (255, 255, 255): "white"}.get((red, green, blue), f"({red}, {green}, {blue})")
 
 
 def initial_model(cloud: Cloud, frame: LocalFrame, max_gaussians: int, seed: int, *, random: bool = False) -> Gaussians:

@@ -15,6 +15,7 @@ from pcbench.io.files import atomic_write
 from reconstructors.splat.background import Background
 from reconstructors.splat.density import Density, ScreenGradients
 from reconstructors.splat.devices import kernels_of
+from reconstructors.splat.exposure import Exposure, least_squares_gain
 from reconstructors.splat.model import SH_DC, Gaussians
 from reconstructors.splat.optimizer import LearningRates, Optimizer, lower_sh_degree, raise_sh_degree
 from reconstructors.splat.photographs import Photograph, Pyramid
@@ -102,7 +103,7 @@ class Training:
     Attributes:
         model: the Gaussians.
         step: number of steps done.
-        screen_gradients: gradients accumulated for densification.
+        screen_gradients: gradients accumulated for densification; zero if the strategy does not need them.
         psnr: PSNR of each photograph when it was last used, in dB; reading an entry synchronises with the GPU.
         converged: whether the photographs no longer improve.
     """
@@ -115,6 +116,7 @@ class Training:
         density: Density[Training],
         supervision: Supervision | None = None,
         background: Background | None = None,
+        exposure: Exposure | None = None,
     ):
         self.model = model
         self.photographs = photographs
@@ -122,6 +124,7 @@ class Training:
         self.density = density
         self.supervision = supervision
         self.background = background or Background(device=model.means.device)
+        self.exposure = exposure
         self.step = 0
         self.psnr: list[float | Tensor] = [math.nan] * len(photographs)
         self.converged = False
@@ -254,6 +257,8 @@ class Training:
         return index, pyramid[min(self.schedule.level(self.step), len(pyramid) - 1)]
 
     def _train_step(self) -> None:
+        import torch
+
         schedule, order = self.schedule, self._kernels.morton_order
         if order is not None and self.step % _MORTON_SORT_INTERVAL == 0:
             self.reorder(order(self.model.means))
@@ -265,18 +270,19 @@ class Training:
         background = self.background.behind(photograph, self.rng())
         view = schedule.rendered(photograph.view, self.step)
         rendering = self._render(view, background, geometry=self.supervision is not None)
-        target = photograph.target(background)
-        image = rendering.color if photograph.valid is None else rendering.color * photograph.valid[..., None]
-        loss = self._kernels.image_loss(image, target, schedule.ssim_weight)
-        gradient = loss.gradient if photograph.valid is None else loss.gradient * photograph.valid[..., None]
-        difference = image - target
+        gain = 1.0 if self.exposure is None else self.exposure.update(photograph, rendering, background)
+        target = photograph.target(gain * background)
+        weight = gain if photograph.valid is None else gain * photograph.valid[..., None]
+        image = rendering.color * weight
+        gradient = self._kernels.image_loss(image, target, schedule.ssim_weight).gradient * weight
         depth_gradients = self.supervision.gradients(photograph, rendering) if self.supervision else DepthGradients()
         gradients = self._rasterizer.backward(gradient, depth_gradients.transmittance, depth_gradients.depth, None)
         self.step += 1
         self.background.learn(photograph, gradient, rendering.transmittance, self._kernels.adam, self.step)
         self.optimizer.step(model, gradients, schedule.rates, self.step / schedule.steps, self.step)
-        self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
-        self.psnr[index] = _psnr((difference**2).mean())
+        if self.density.needs_screen_gradients:
+            self.screen_gradients.add(gradients, photograph.view.width, photograph.view.height)
+        self.psnr[index] = _psnr(torch.nn.functional.mse_loss(image, target))
 
     def save(self, path: Path, key: str) -> None:
         """Write a checkpoint, which `load` continues only with the same `key`."""
@@ -291,6 +297,7 @@ class Training:
             "ended": self.converged,
             "seen": tuple(self.screen_gradients),
             "background": self.background.state(),
+            "exposure": None if self.exposure is None else self.exposure.state(),
             "parts": [_tensors(part) for part in (self.model, self.optimizer.first, self.optimizer.second)],
         }
         with atomic_write(path) as file:
@@ -308,6 +315,8 @@ class Training:
         self.optimizer = Optimizer(self.model, self._kernels.adam, first, second)
         self.density.restore(self, state["density"])
         self.background.restore(state["background"])
+        if self.exposure is not None:
+            self.exposure.restore(state["exposure"])
         self.psnr, self._mean_psnr, self.converged = state["psnr"], state["means"], state["ended"]
         return True
 
@@ -319,12 +328,28 @@ def render(model: Gaussians, view: View, background: Tensor | None = None) -> Te
     return rasterizer.forward(model.tensors, view, background, geometry=False, gradient=False).color.clamp(0, 1)
 
 
-def evaluate(model: Gaussians, photographs: Sequence[Photograph], background: Tensor | None = None) -> list[float]:
-    """Return the PSNR of each photograph in dB, over its valid pixels; the background (3,) is black by default."""
+def evaluate(
+    model: Gaussians,
+    photographs: Sequence[Photograph],
+    background: Tensor | None = None,
+    *,
+    fit_exposure: bool = False,
+) -> list[float]:
+    """Return the PSNR of each photograph in dB, over its valid pixels.
+
+    Args:
+        model: the Gaussians.
+        photographs: the photographs.
+        background: (3,) color behind the Gaussians, by default black.
+        fit_exposure: whether to multiply each rendering by the gain that fits its photograph best.
+    """
     background = model.means.new_zeros(3) if background is None else background
     scores = []
     for photograph in photographs:
-        square = (render(model, photograph.view, background) - photograph.over(background)) ** 2
+        rendering, target = render(model, photograph.view, background), photograph.over(background)
+        if fit_exposure:
+            rendering = (rendering * least_squares_gain(target, rendering, photograph.valid)).clamp(0, 1)
+        square = (rendering - target) ** 2
         valid = square if photograph.valid is None else square[photograph.valid]
         scores.append(float(_psnr(valid.double().mean())))
     return scores

@@ -7,12 +7,13 @@ the mean distance from the cloud to the surface. Prints a table; `--chart` draws
 """
 
 import argparse
+import json
 import os
 import statistics
 import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from measure import setting
 
@@ -21,6 +22,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from splat_cities import EXTENT, City, city, score_cloud
 
 from pcbench.plugins.run import ReconstructionJob, run
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
 
 CITIES = ("circles, seed 11", "oblique, half texture", "grid, hard")
 
@@ -38,13 +42,13 @@ _FIXED = {"density": "fixed", "gaussians": "10000"}
 BUDGETS = (
     Budget("sfm", "2,000 features", {"features": "2000", "upsample": "no"}),
     Budget("sfm", "default", {}),
-    Budget("mvs", "half size", {}, 0.5),
+    Budget("mvs", "0.6 of the size", {}, 0.6),
     Budget("mvs", "default", {}),
     Budget("splat", "10,000, 100 steps", _FIXED | {"steps": "100"}),
-    Budget("splat", "10,000, 400 steps", _FIXED | {"steps": "400"}),
+    Budget("splat", "10,000, 300 steps", _FIXED | {"steps": "300"}),
     Budget("field", "64 voxels, 200 steps", {"resolution": "64", "steps": "200"}),
     Budget("field", "128 voxels, 300 steps", {"resolution": "128", "steps": "300"}),
-    Budget("field", "128 voxels, 800 steps", {"resolution": "128", "steps": "800"}),
+    Budget("field", "128 voxels, 700 steps", {"resolution": "128", "steps": "700"}),
 )
 LINE_STYLES = {
     "sfm": ("#0072b2", "o"),
@@ -65,12 +69,10 @@ class Measured(NamedTuple):
     fscore: float
 
 
-def measure(scored_city: City, budget: Budget, workspace: Path) -> Measured:
+def measure(scored_city: City, folder: Path, budget: Budget, workspace: Path) -> Measured:
     """Run a reconstructor in a new workspace and compare its cloud with the true surface."""
-    assert scored_city.scene.folder is not None
-    job = ReconstructionJob(
-        budget.method, scored_city.scene.folder, {"poses": "given"} | budget.settings, image_scale=budget.image_scale
-    )
+    settings = {"poses": "given"} | budget.settings
+    job = ReconstructionJob(budget.method, folder, settings, image_scale=budget.image_scale)
     outcome = run(job, workspace)
     score = score_cloud(scored_city.truth, outcome.require_reconstruction().cloud.points)
     memory = (outcome.peak_rss_bytes or 0) / 2**20
@@ -90,6 +92,15 @@ def mean(rows: list[Measured]) -> Measured:
     return Measured(*map(statistics.fmean, zip(*rows, strict=True)))
 
 
+def plain_ticks(axis: "Axis") -> None:
+    """Label the ticks 1, 2 and 5 of each decade of a logarithmic axis as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+
+
 def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
     """Draw F-score and accuracy against CPU seconds, one line per reconstructor."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -107,8 +118,10 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
     left.set_ylabel("F-score over the visible part, 2 footprints")
     right.set_ylabel("accuracy: cloud to surface, mean [m]")
     right.set_yscale("log")
+    plain_ticks(right.yaxis)
     for axis in (left, right):
         axis.set_xscale("log")
+        plain_ticks(axis.xaxis)
         axis.set_xlabel("CPU seconds")
         axis.margins(0.09, 0.14)
         axis.grid(True, alpha=0.3, which="both")
@@ -119,10 +132,10 @@ def draw(means: list[tuple[Budget, Measured]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=12)
-    parser.add_argument("--size", default="240x136")
+    parser.add_argument("--images", type=int, default=16)
+    parser.add_argument("--size", default="300x200")
     parser.add_argument("--cities", type=int, default=len(CITIES), help="number of cities")
-    parser.add_argument("--folder", type=Path, help="folder that keeps the cities; existing ones are used again")
+    parser.add_argument("--folder", type=Path, help="folder that keeps cities and rows, which are used again")
     parser.add_argument("--chart", type=Path, metavar="FOLDER", help="draw methods.png")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -136,15 +149,19 @@ def main() -> None:
             scored_city = city(folder, case, options.images, options.size)
             print(case)
             for number, budget in enumerate(BUDGETS):
-                with tempfile.TemporaryDirectory() as workspace:
-                    rows[number].append(measure(scored_city, budget, Path(workspace)))
+                record = folder.with_name(f"{folder.name}_{budget.method}_{budget.label}.json".replace(" ", "_"))
+                if not record.exists():
+                    with tempfile.TemporaryDirectory() as workspace:
+                        measured = measure(scored_city, folder, budget, Path(workspace))
+                    record.write_text(json.dumps(measured))
+                rows[number].append(Measured(*json.loads(record.read_text())))
                 print(f"{budget.method:6}{budget.label:25}{row(rows[number][-1])}", flush=True)
+            means = [(budget, mean(rows[number])) for number, budget in enumerate(BUDGETS)]
+            if options.chart:
+                draw(means, options.chart / "methods.png")
     print("mean")
-    means = {number: mean(measured) for number, measured in rows.items()}
-    for number, budget in enumerate(BUDGETS):
-        print(f"{budget.method:6}{budget.label:25}{row(means[number])}")
-    if options.chart:
-        draw([(budget, means[number]) for number, budget in enumerate(BUDGETS)], options.chart / "methods.png")
+    for budget, measured in means:
+        print(f"{budget.method:6}{budget.label:25}{row(measured)}")
 
 
 if __name__ == "__main__":

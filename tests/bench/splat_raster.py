@@ -50,7 +50,11 @@ def measure(options: dict[str, Any]) -> None:
     width, height = map(int, options["size"].split("x"))
     picture = make_picture(options["count"], width, height, options["device"])
     uses_gpu = options["device"] != "cpu"
-    contestants: dict[str, Any] = {"pcbench": Ours(picture), "pcbench, geometry": Ours(picture, geometry=True)}
+    contestants: dict[str, Any] = {
+        "pcbench": Ours(picture),
+        "pcbench, depth": Ours(picture, geometry=True, normals=False),
+        "pcbench, geometry": Ours(picture, geometry=True),
+    }
     for ours in contestants.values():
         step(ours, lambda: None)
     compiled = getattr(contestants["pcbench"].rasterizer, "_compiled", None)
@@ -74,7 +78,9 @@ def measure(options: dict[str, Any]) -> None:
         "instances": instances,
         "alpha": 1 - float(contestants["pcbench"].transmittance.mean()),
         "contributors": contributors(picture) if options["first"] else None,
-        "bytes": [contestants[name].rasterizer._compiled.bytes for name in list(contestants)[:2]] if compiled else [],
+        "bytes": [contestants[name].rasterizer._compiled.bytes for name in ("pcbench", "pcbench, geometry")]
+        if compiled
+        else [],
         "rows": {
             name: {
                 # With a GPU the CPU only launches the work.

@@ -61,14 +61,19 @@ inline Floats exponent(Floats x, Floats& mantissa) {
         _mm512_or_epi32(_mm512_and_epi32(all, _mm512_set1_epi32(0x007fffff)), _mm512_set1_epi32(0x3f800000)));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_srli_epi32(all, 23), _mm512_set1_epi32(127)));
 }
-// Sums of the lanes of sixteen vectors. Halves are added to each other: lane i and i + 8, then i + 4, i + 2, i + 1.
+// Sums of the lanes of up to sixteen vectors, in as many lanes; the others are undefined. Halves are added to each
+// other: lane i and i + 8, then i + 4, i + 2, i + 1.
+template <int kCount>
 inline Floats sums(const Floats* vectors) {
+    static_assert(kCount > 8 && kCount <= kLanes, "expected more than eight vectors");
     const auto fold = [](__m512 a, __m512 b) {
         return _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x44), _mm512_shuffle_f32x4(a, b, 0xee));
     };
     __m512 quarters[4];
     for (int k = 0; k < 4; ++k) {
-        const __m512 low = fold(vectors[k].v, vectors[k + 4].v), high = fold(vectors[k + 8].v, vectors[k + 12].v);
+        const __m512 low = fold(vectors[k].v, vectors[k + 4].v);
+        const int third = k + 8 < kCount ? k + 8 : 8, last = k + 12 < kCount ? k + 12 : third;
+        const __m512 high = fold(vectors[third].v, vectors[last].v);
         quarters[k] = _mm512_add_ps(_mm512_shuffle_f32x4(low, high, 0x88), _mm512_shuffle_f32x4(low, high, 0xdd));
     }
     const auto halve = [](__m512 a, __m512 b) {
@@ -164,6 +169,7 @@ inline __m256 exponent(__m256 x, __m256& mantissa) {
 }
 inline Floats add_exponent(Floats x, Floats power) { return {add_exponent(x.a, power.a), add_exponent(x.b, power.b)}; }
 inline Floats exponent(Floats x, Floats& mantissa) { return {exponent(x.a, mantissa.a), exponent(x.b, mantissa.b)}; }
+template <int kCount>
 inline Floats sums(const Floats* vectors) {
     const auto sum_eight = [](const Floats* group) {
         const auto fold = [](Floats x, Floats y) {
@@ -270,9 +276,10 @@ inline Floats exponent(Floats x, Floats& mantissa) {
     for (int i = 0; i < kLanes; ++i) mantissa.v[i] = as_float((as_bits(x.v[i]) & 0x007fffff) | 0x3f800000);
     PCB_EACH(Floats, static_cast<float>((as_bits(x.v[i]) >> 23) - 127));
 }
+template <int kCount>
 inline Floats sums(const Floats* vectors) {
-    Floats out;
-    for (int k = 0; k < kLanes; ++k) {
+    Floats out = vectors[0];
+    for (int k = 0; k < kCount; ++k) {
         Floats folded = vectors[k];
         for (int half = kLanes / 2; half > 0; half /= 2)
             for (int i = 0; i < half; ++i) folded.v[i] += folded.v[i + half];

@@ -85,8 +85,11 @@ def make_clouds(
         later = sum(_EXPECTED_S[m.plugin] for m in plan[number + 1 :])
         step(Step(f"{scene.name}: {method.name}", seconds, later))
         cloud_run = maker.make(method, done)
-        if method.name == SPARSE and cloud_run.cloud is not None and job.crop is not None:
-            check_crop(job.crop, read_cloud(cloud_run.cloud), f"{scene.name}: the sparse cloud's")
+        if method.name == SPARSE and cloud_run.cloud is not None:
+            sparse = read_cloud(cloud_run.cloud)
+            maker = replace(maker, unit=sparse.unit)  # GPS makes solved cameras metric
+            if job.crop is not None:
+                check_crop(job.crop, sparse, f"{scene.name}: the sparse cloud's")
         done.append(cloud_run)
     return done
 

@@ -30,6 +30,7 @@ _COLORS = {
     _CAMERAS_ALONE: "#444444",
 }  # palette of Okabe and Ito
 _MARKERS = {SPARSE: "o", MVS: "s", MEANS: "^", SURFACE: "D", FIELD: "v"}
+_MIN_ELEVATION_SHARE = 0.4  # height of the elevation, as a share of its width
 _GREY, _CAMERA_COLOR, _FOCUS_COLOR = "#777777", "#0072b2", "#d55e00"
 _THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 
@@ -58,11 +59,12 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
         across = np.linalg.norm(positions[:, :2] - centre[:2], axis=1)
         unit = scene.unit or _UNKNOWN_UNIT
         turn = np.linspace(0, 2 * np.pi, 181)
-        for radius in _ring_radii(across):
-            above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN_LINE)
-        for position, out in zip(positions, across, strict=True):
-            above.plot(*np.stack([position, centre])[:, :2].T, **_THIN_LINE)
-            side.plot([out, 0], [position[2], centre[2]], **_THIN_LINE)
+        if place is not None:
+            for radius in _ring_radii(across):
+                above.plot(centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn), **_THIN_LINE)
+            for position, out in zip(positions, across, strict=True):
+                above.plot(*np.stack([position, centre])[:, :2].T, **_THIN_LINE)
+                side.plot([out, 0], [position[2], centre[2]], **_THIN_LINE)
         if (measured := _parse_sphere(scene.region)) is not None:
             *middle, radius = measured
             style = {"color": _FOCUS_COLOR, "linestyle": "--", "linewidth": 1.2}
@@ -76,12 +78,17 @@ def draw_rings(scenes: Sequence[SceneResult], path: Path) -> bool:
             above.plot(*place[:2], "+", **mark)
             side.plot(0, place[2], "+", label=f"focus: ({at}) {unit}", **mark)
         above.scatter(*positions[:, :2].T, s=22, color=_CAMERA_COLOR, zorder=3)
-        side.scatter(across, positions[:, 2], s=22, color=_CAMERA_COLOR, zorder=3, label=f"{len(positions)} cameras")
+        label = f"{len(positions)} cameras" + ("" if place is not None else ", which look at no common point")
+        side.scatter(across, positions[:, 2], s=22, color=_CAMERA_COLOR, zorder=3, label=label)
         above.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal")
-        side.set(xlabel=f"horizontal distance from the focus [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
+        origin = "middle of the cameras" if place is None else "focus"
+        side.set(xlabel=f"horizontal distance from the {origin} [{unit}]", ylabel=f"height [{unit}]", aspect="equal")
         above.set_title(f"{scene.name}, from above", fontsize=11, loc="left")
         side.set_title("elevation: all cameras rotated into one half-plane", fontsize=11, loc="left")
         side.set_xlim(left=-0.03 * float(across.max() or 1.0))
+        if np.ptp(side.get_ylim()) < (least := _MIN_ELEVATION_SHARE * float(across.max())):  # a level flight
+            middle_height = float(np.mean(side.get_ylim()))
+            side.set_ylim(middle_height - 0.5 * least, middle_height + 0.5 * least)
         side.legend(frameon=False, fontsize=9, loc="best")
     save(figure, path)
     return True

@@ -194,6 +194,8 @@ def _run_scene(
     cameras = list(cameras_in_cloud_frame(solved, scene.cameras).values())
     crop = job.crop or default_region(cameras)
     files = {m.method.name: m.cloud for m in made if m.cloud is not None}
+    if SPARSE in files:
+        unit = read_cloud(files[SPARSE]).unit  # GPS makes solved cameras metric
     evaluations: dict[str, CloudEvaluation] = {}
     references = {MVS: files.get(MVS), TRUTH: visible_truth(truth, out) if truth.is_file() else None}
     for reference, file in references.items():

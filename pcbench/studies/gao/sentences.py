@@ -56,7 +56,13 @@ def _completeness_sentences(study: GaoStudy) -> Iterator[str]:
     both = [(sparse, means) for sparse, means in counts if sparse and means]
     if both:
         sparse, means = (sum(pair[k] for pair in both) for k in (0, 1))
-        yield f"Densification increases {sparse:,} points to {means:,} ({ratio_in_words(means / sparse, 'many')})."
+        if means > sparse:
+            yield f"Densification increases {sparse:,} points to {means:,} ({ratio_in_words(means / sparse, 'many')})."
+        else:
+            yield (
+                f"Training adds no points ({sparse:,} sparse points, {means:,} splats): what follows is not an effect"
+                " of densification, which needs more steps."
+            )
     for reference, it, found in _densification_changes(study, _r2c_rms):
         word = found.word("loses completeness", "gains no completeness", "gains completeness")
         yield f"{it} {word}: {reference} to cloud (r→c), {found.text}."
@@ -106,7 +112,11 @@ def _truth_sentences(study: GaoStudy) -> Iterator[str]:
     """Yield sentences on the errors that mvs as the reference hides, if the truth is known."""
     own = [of for scene in study.scenes if (of := scene.evaluation(MVS, TRUTH)) is not None]
     if not own:
-        yield "The truth is unknown, so errors that clouds share with mvs (made of the same images) stay hidden."
+        yield (
+            "The truth is unknown, so errors that clouds share with mvs (made of the same images and cameras) stay"
+            " hidden: the results do not show how accurate or complete mvs is, or whether the cameras deform all clouds"
+            " alike."
+        )
         return
     forth, back = (
         _geometric_mean([value for of in own if (value := rms(of)) is not None]) for rms in (_c2r_rms, _r2c_rms)
@@ -262,8 +272,10 @@ def _camera_sentences(scene: SceneResult) -> Iterator[str]:
     errors = scene.cameras
     if errors is None:
         return
+    # Without a truth, the scene's cameras may be as wrong as the solved ones.
+    what = "position errors of solved cameras" if scene.has_truth else "distances of solved cameras from the scene's"
     text = (
-        f"position errors of solved cameras: {length(errors.median, scene.unit)} (median),"
+        f"{what}: {length(errors.median, scene.unit)} (median),"
         f" {length(errors.largest, scene.unit)} (largest); focal length {errors.focal_ratio:.4f} times the scene's"
     )
     cameras = "the cameras"

@@ -41,39 +41,78 @@ public:
 
     explicit Candidates(int sources) : sources_(sources) {}
 
-    // Add one plane for each of the sixteen pixels as the next part; only those in the mask are scored.
-    void add(const Planes& planes, Mask which) {
-        const int from = parts_++ * kLanes;
+    // Set a part's planes, one for each of the sixteen pixels, and the costs to assume in sources where they are not
+    // scored.
+    void set(int part, const Planes& planes, const Floats* costs) {
+        const int from = part * kLanes;
         store(depth_ + from, planes.depth), store(nx_ + from, planes.nx);
         store(ny_ + from, planes.ny), store(nz_ + from, planes.nz);
-        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, Floats(kMaxCost));
-        for (uint32_t left = bits(which); left; left &= left - 1) at_[count_++] = from + __builtin_ctz(left);
+        store(sum_ + from, Floats(0.0f));
+        for (int s = 0; s < sources_; ++s) store(cost_[s] + from, costs[s]);
     }
 
+    // Queue the planes of a part at the pixels in the mask for the next scoring.
+    void queue(int part, Mask which) {
+        for (uint32_t left = bits(which); left; left &= left - 1)
+            queue_[queued_++] = part * kLanes + __builtin_ctz(left);
+    }
+
+    // Score the queued planes in all sources.
     void score(const Problem& problem, const Patches& patches) {
-        for (int first = 0; first < count_; first += kLanes) {
-            const int count = count_ - first < kLanes ? count_ - first : kLanes;
-            int32_t* at = at_ + first;
-            for (int l = count; l < kLanes; ++l) at[l] = at[count - 1];
+        score_in(0, sources_, problem, patches, queue_, queued_);
+        queued_ = 0;
+    }
+
+    // Score the queued planes in the sources that have weight at their pixels, one source after the other. A plane
+    // whose weighted sum of costs has reached the limit of its pixel is not scored in the remaining sources.
+    void score_below(Floats limits, const Floats* weights, const Problem& problem, const Patches& patches) {
+        float limit[kLanes], weight[kLanes];
+        store(limit, limits);
+        for (int s = 0; s < sources_; ++s) {
+            store(weight, weights[s]);
+            int32_t weighted[kMaxPlanes + kLanes];
+            int kept = 0, count = 0;
+            for (int i = 0; i < queued_; ++i) {
+                const int32_t plane = queue_[i], lane = plane % kLanes;
+                const bool below = sum_[plane] < limit[lane];
+                queue_[kept] = plane, kept += below;
+                weighted[count] = plane, count += below & (0 < weight[lane]);
+            }
+            queued_ = kept;
+            score_in(s, s + 1, problem, patches, weighted, count);
+            for (int i = 0; i < count; ++i) sum_[weighted[i]] += weight[weighted[i] % kLanes] * cost_[s][weighted[i]];
+        }
+        queued_ = 0;
+    }
+
+    // The weighted sums of the costs of a part's planes after `score_below`.
+    Floats sum(int part) const { return load(sum_ + part * kLanes); }
+
+    // The costs of a part's planes in a source.
+    Floats cost(int part, int source) const { return load(cost_[source] + part * kLanes); }
+
+private:
+    // Score planes in a range of sources. The list must have room for sixteen more: the last vector is filled up.
+    void score_in(int begin, int end, const Problem& problem, const Patches& patches, int32_t* planes, int count) {
+        for (int first = 0; first < count; first += kLanes) {
+            const int used = count - first < kLanes ? count - first : kLanes;
+            int32_t* at = planes + first;
+            for (int l = used; l < kLanes; ++l) at[l] = at[used - 1];
             const Ints from = load(at);
-            const Planes planes = {gather(depth_, from), gather(nx_, from), gather(ny_, from), gather(nz_, from)};
-            const Patches here = patches.permute(from & Ints(kLanes - 1));
-            for (int s = 0; s < sources_; ++s) {
+            const Planes here = {gather(depth_, from), gather(nx_, from), gather(ny_, from), gather(nz_, from)};
+            const Patches patches_here = patches.permute(from & Ints(kLanes - 1));
+            for (int s = begin; s < end; ++s) {
                 float cost[kLanes];
-                store(cost, PCB_ISA::score(problem, problem.sources[s], here, planes));
-                for (int l = 0; l < count; ++l) cost_[s][at[l]] = cost[l];
+                store(cost, PCB_ISA::score(problem, problem.sources[s], patches_here, here));
+                for (int l = 0; l < used; ++l) cost_[s][at[l]] = cost[l];
             }
         }
     }
 
-    // The costs of a part's planes in a source; the maximum for planes outside the part's mask.
-    Floats cost(int part, int source) const { return load(cost_[source] + part * kLanes); }
-
-private:
-    int sources_, parts_ = 0, count_ = 0;
-    int32_t at_[kMaxPlanes + kLanes];  // position of each scored plane: part * kLanes + lane
+    int sources_, queued_ = 0;
+    int32_t queue_[kMaxPlanes + kLanes];  // positions of planes: part * kLanes + lane
     float depth_[kMaxPlanes], nx_[kMaxPlanes], ny_[kMaxPlanes], nz_[kMaxPlanes];
-    float cost_[kMaxSources][kMaxPlanes];
+    float sum_[kMaxPlanes], cost_[kMaxSources][kMaxPlanes];
 };
 
 }  // namespace pcbench::mvs::PCB_ISA

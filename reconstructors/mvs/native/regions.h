@@ -45,12 +45,12 @@ inline void pack_costs_by_colour(const Problem& problem, State& state, int colou
     }
 }
 
-// The best neighbour of each pixel of a group and its offset; the pixel itself if none exists or the pixel is not
-// valid.
+// The best neighbour of each pixel of a group, its offset and its cost; the pixel itself if none exists or the pixel is
+// not valid.
 struct Neighbor {
     Mask exists;
     Ints pixel;
-    Floats dx, dy;
+    Floats dx, dy, cost;
 };
 
 inline Neighbor best_of_region(const Problem& problem, const State& state, const Group& group, int number) {
@@ -69,7 +69,7 @@ inline Neighbor best_of_region(const Problem& problem, const State& state, const
     const Floats dx = select(exists, to_floats(gather(steps.dx, step)), none);
     const Floats dy = select(exists, to_floats(gather(steps.dy, step)), none);
     const Ints away = truncate(dy) * Ints(problem.width) + truncate(dx);
-    return {exists, load(group.pixel) + away, dx, dy};
+    return {exists, load(group.pixel) + away, dx, dy, least};
 }
 
 }  // namespace pcbench::mvs::PCB_ISA

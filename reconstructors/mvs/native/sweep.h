@@ -60,116 +60,138 @@ public:
         for (int s = 0; s < sources_; ++s) view_costs_[s] = costs[s];
         propagate();
         perturb(sweep_index);
+        cost_ = select(Floats(0.0f) < total_weight_, sum_ / total_weight_, Floats(kMaxCost));
         write();
     }
 
 private:
-    // Weight the views, then adopt planes of neighbours that have a lower cost.
+    // Weight the views, then adopt planes of neighbours that have a lower cost. The neighbours of least cost vote for
+    // the views, and their planes are scored in all. The others are scored only as far as they can win.
     void propagate() {
         Candidates candidates(sources_);
-        Mask exists[kRegions], is_own[kRegions], is_new[kRegions], equals[kRegions][kRegions];
+        Mask exists[kRegions], is_new[kRegions], votes[kRegions], equals[kRegions][kRegions];
         Planes planes[kRegions];
+        Floats neighbor_costs[kRegions];
         for (int r = 0; r < kRegions; ++r) {
             const Neighbor best = best_of_region(problem_, state_, group_, r);
+            neighbor_costs[r] = best.cost;
             planes[r] = planes_at(state_, group_, best.pixel);
             planes[r].depth = depth_on_rays(planes[r], best);
             exists[r] = best.exists & is_valid(planes[r]);
-            is_own[r] = exists[r] & are_similar(planes[r], plane_);
-            is_new[r] = exists[r] & ~is_own[r];
+            is_new[r] = exists[r] & ~are_similar(planes[r], plane_);
             for (int earlier = 0; earlier < r; ++earlier) {
                 equals[r][earlier] = is_new[r] & is_new[earlier] & are_similar(planes[r], planes[earlier]);
                 is_new[r] = is_new[r] & ~equals[r][earlier];
             }
-            candidates.add(planes[r], is_new[r]);
+            candidates.set(r, planes[r], view_costs_);
+        }
+        for (int r = 0; r < kRegions; ++r) {
+            votes[r] = exists[r] & (rank_of(neighbor_costs, r) < Floats(kVotes));
+            candidates.queue(r, is_new[r] & votes[r]);
         }
         candidates.score(problem_, group_.patches);
         Floats costs[kMaxSources][kRegions];
         for (int s = 0; s < sources_; ++s)
             for (int r = 0; r < kRegions; ++r) {
-                costs[s][r] = select(is_own[r], view_costs_[s], candidates.cost(r, s));
+                costs[s][r] = candidates.cost(r, s);  // that of the present plane if it is the same
                 for (int earlier = 0; earlier < r; ++earlier)
                     costs[s][r] = select(equals[r][earlier], costs[s][earlier], costs[s][r]);
             }
-        weight_views(exists, costs);
-        cost_ = mean(view_costs_);
-        for (int r = 0; r < kRegions; ++r) accept_if_better(planes[r], is_new[r], candidates, r);
+        // A plane that equals one that was not scored has no vote.
+        for (int r = 0; r < kRegions; ++r)
+            for (int earlier = 0; earlier < r; ++earlier) votes[r] = votes[r] & ~(equals[r][earlier] & ~votes[earlier]);
+        weight_views(votes, costs);
+        sum_ = weighted_sum(view_costs_);
+        for (int r = 0; r < kRegions; ++r) {
+            Floats each[kMaxSources];
+            for (int s = 0; s < sources_; ++s) each[s] = costs[s][r];
+            adopt(is_new[r] & votes[r], planes[r], weighted_sum(each), candidates, r);
+            candidates.queue(r, is_new[r] & ~votes[r]);
+        }
+        candidates.score_below(sum_, weights_, problem_, group_.patches);
+        for (int r = 0; r < kRegions; ++r) adopt(is_new[r] & ~votes[r], planes[r], candidates.sum(r), candidates, r);
     }
 
+    // How many of the costs are less than one of them; equal ones count in their order.
+    static Floats rank_of(const Floats* costs, int number) {
+        const Floats zero = Floats(0.0f), one = Floats(1.0f);
+        Floats rank = zero;
+        for (int r = 0; r < kRegions; ++r)
+            if (r != number)
+                rank = rank + select(r < number ? costs[r] <= costs[number] : costs[r] < costs[number], one, zero);
+        return rank;
+    }
+
+    // Try perturbed planes; pixels whose cost is high also try random ones.
     void perturb(int sweep_index) {
         // Steps shrink with the sweep: depths from two pixels to fractions of one, normals from wide turns to small
         // ones.
         float depth_step = 2.0f / problem_.pixels_per_depth, normal_step = 0.5f;
         for (int i = 0; i < sweep_index; ++i) depth_step *= 0.5f, normal_step *= 0.6f;
+        constexpr int kPerturbed = 3, kTrials = 5;
+        const Mask poor = group_.valid & (Floats(kRestartCost) * total_weight_ < sum_);
+        const int trials = bits(poor) ? kTrials : kPerturbed;
         Random random(problem_.seed, load(group_.pixel), sweep_index);
-        for (int round = 0; round < 3; ++round) {
-            Planes plane = plane_;
-            if (round != 1)
-                plane.depth = Floats(1.0f) / (Floats(1.0f) / plane.depth + random.symmetric() * Floats(depth_step));
-            if (round != 0) plane = perturb_normal(random, normal_step, plane);
-            Candidates candidate(sources_);
-            const Mask which = group_.valid & is_valid(plane);
-            candidate.add(plane, which);
-            candidate.score(problem_, group_.patches);
-            accept_if_better(plane, which, candidate, 0);
-        }
-        // Pixels whose cost stays high also try random planes.
-        const Mask poor = group_.valid & (Floats(kRestartCost) < cost_);
-        if (!bits(poor)) return;
         Candidates candidates(sources_);
-        Planes planes[2];
-        Mask which[2];
-        for (int i = 0; i < 2; ++i) {
+        Planes planes[kTrials];
+        Mask which[kTrials];
+        for (int i = 0; i < trials; ++i) {
             planes[i] = plane_;
-            if (i == 0) planes[i].depth = random_depth(random);
-            planes[i] = random_normal(random, planes[i]);
-            which[i] = poor & is_valid(planes[i]);
-            candidates.add(planes[i], which[i]);
+            if (i == 0 || i == 2)
+                planes[i].depth =
+                    Floats(1.0f) / (Floats(1.0f) / plane_.depth + random.symmetric() * Floats(depth_step));
+            if (i == 1 || i == 2) planes[i] = perturb_normal(random, normal_step, planes[i]);
+            if (i == kPerturbed) planes[i].depth = random_depth(random);
+            if (i >= kPerturbed) planes[i] = random_normal(random, planes[i]);
+            which[i] = (i < kPerturbed ? group_.valid : poor) & is_valid(planes[i]);
+            candidates.set(i, planes[i], view_costs_);
+            candidates.queue(i, which[i]);
         }
-        candidates.score(problem_, group_.patches);
-        for (int i = 0; i < 2; ++i) accept_if_better(planes[i], which[i], candidates, i);
+        candidates.score_below(sum_, weights_, problem_, group_.patches);
+        for (int i = 0; i < trials; ++i) adopt(which[i], planes[i], candidates.sum(i), candidates, i);
     }
 
-    // Weight each view by how well the neighbours' planes agree in it, and zero if most disagree: the view is occluded.
-    // If no view is left, weight each by the cost of its best plane.
-    void weight_views(const Mask* exists, const Floats (*costs)[kRegions]) {
+    // Weight each view by how well the voting planes agree in it, and zero if two disagree or fewer than two agree: the
+    // view is occluded. If no view is left, weight each by the cost of its best plane.
+    void weight_views(const Mask* votes, const Floats (*costs)[kRegions]) {
         const Floats zero = Floats(0.0f), one = Floats(1.0f);
         Floats total = zero;
         for (int s = 0; s < sources_; ++s) {
             Floats good = zero, bad = zero, sum = zero;
             for (int r = 0; r < kRegions; ++r) {
-                const Mask agrees = exists[r] & (costs[s][r] < Floats(kGoodCost));
+                const Mask agrees = votes[r] & (costs[s][r] < Floats(kGoodCost));
                 good = good + select(agrees, one, zero);
                 sum = sum + select(agrees, cost_weight(costs[s][r]), zero);
-                bad = bad + select(exists[r] & (Floats(kBadCost) < costs[s][r]), one, zero);
+                bad = bad + select(votes[r] & (Floats(kBadCost) < costs[s][r]), one, zero);
             }
-            weights_[s] = select((Floats(2.5f) < good) & (bad < Floats(2.5f)), sum / good, zero);
+            weights_[s] = select((Floats(1.5f) < good) & (bad < Floats(1.5f)), sum / good, zero);
             total = total + weights_[s];
         }
+        total_weight_ = total;
         const Mask any_view = zero < total;
         if (!bits(~any_view)) return;
+        total_weight_ = zero;
         for (int s = 0; s < sources_; ++s) {
             Floats least = view_costs_[s];
-            for (int r = 0; r < kRegions; ++r) least = select(exists[r], lesser(costs[s][r], least), least);
+            for (int r = 0; r < kRegions; ++r) least = select(votes[r], lesser(costs[s][r], least), least);
             weights_[s] = select(any_view, weights_[s], cost_weight(least));
+            total_weight_ = total_weight_ + weights_[s];
         }
     }
 
-    Floats mean(const Floats* costs) const {
-        const Floats zero = Floats(0.0f);
-        Floats sum = zero, total = zero;
-        for (int s = 0; s < sources_; ++s) sum = sum + weights_[s] * costs[s], total = total + weights_[s];
-        return select(zero < total, sum / total, Floats(kMaxCost));
+    Floats weighted_sum(const Floats* costs) const {
+        Floats sum = Floats(0.0f);
+        for (int s = 0; s < sources_; ++s) sum = sum + weights_[s] * costs[s];
+        return sum;
     }
 
-    // Adopt the candidates of a part where their cost is lower; `which` are the pixels for which they were scored.
-    void accept_if_better(const Planes& planes, Mask which, const Candidates& candidates, int part) {
-        Floats costs[kMaxSources];
-        for (int s = 0; s < sources_; ++s) costs[s] = candidates.cost(part, s);
-        const Floats cost = mean(costs);
-        const Mask better = which & (cost < cost_);
+    // Adopt the planes of a part where the weighted sum of their costs is less; `which` are the pixels where it is
+    // known.
+    void adopt(Mask which, const Planes& planes, Floats sum, const Candidates& candidates, int part) {
+        const Mask better = which & (sum < sum_);
         plane_ = select_planes(better, planes, plane_);
-        cost_ = select(better, cost, cost_);
-        for (int s = 0; s < sources_; ++s) view_costs_[s] = select(better, costs[s], view_costs_[s]);
+        sum_ = select(better, sum, sum_);
+        for (int s = 0; s < sources_; ++s) view_costs_[s] = select(better, candidates.cost(part, s), view_costs_[s]);
     }
 
     void write() {
@@ -236,14 +258,15 @@ private:
     }
 
     static constexpr float kGoodCost = 0.6f, kBadCost = 1.2f, kRestartCost = 0.4f;
-    static constexpr float kSimilarDisplacementPx = 0.05f, kSimilarCosine = 0.999f;
+    static constexpr float kSimilarDisplacementPx = 0.1f, kSimilarCosine = 0.996f;
+    static constexpr float kVotes = 4;  // of the eight neighbours
 
     const Problem& problem_;
     State& state_;
     Group group_;
     int sources_;
     Planes plane_;
-    Floats cost_;
+    Floats cost_, sum_, total_weight_;  // weighted mean and sum of the costs per view, sum of the weights
     Floats view_costs_[kMaxSources], weights_[kMaxSources];
 };
 

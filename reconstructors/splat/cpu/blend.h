@@ -233,7 +233,7 @@ inline void blend_tile_gradient_of(const Frame& frame, const ImageGradients& gra
         const Floats columns[kLanes] = {m.h,        m.hu,       m.hv,       m.huu,   m.huv,     m.hvv,
                                         m.color.x,  m.color.y,  m.color.z,  m.depth, m.depth_u, m.depth_v,
                                         m.normal.x, m.normal.y, m.normal.z, zero};
-        store_first(out, kWidth, sums(columns));
+        store_first(out, kWidth, sums<kWidth>(columns));
     }
 }
 

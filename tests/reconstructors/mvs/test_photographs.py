@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import textured_box as box
+import textured_corner as corner
 from data_folder import data_folder
 from optional import import_or_skip
 from scipy.spatial import cKDTree
@@ -39,3 +41,23 @@ def test_fountain(tmp_path):
     assert len(sparse) > 10_000
     assert np.median(distances_px) < 0.3
     assert np.quantile(distances_px, 0.9) < 0.9
+
+
+@pytest.mark.slow
+def test_object_before_an_empty_background(tmp_path):
+    """Cameras all around a box: its faces are complete, and the background stays empty."""
+    scene = read_scene(box.write_scene(tmp_path, box.cameras(16, corner.standard_intrinsics(320, 240))))
+    (tmp_path / "work").mkdir()
+    cloud = DenseMvs(backend="bundled").reconstruct(scene, tmp_path / "work").cloud
+    pixel = 3.5 / 288  # at the box, 3.5 from the cameras
+    errors = box.distances(cloud.points)
+    assert len(cloud) > 80_000
+    assert np.mean(errors < 2 * pixel) > 0.95
+    assert np.mean(errors > 5 * pixel) < 0.02
+    # The cameras see all faces but the lowest.
+    samples = np.random.default_rng(0).uniform(-1, 1, (2000, 3)) * box.HALF
+    for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1), (2, 1)):
+        face = samples.copy()
+        face[:, axis] = side * box.HALF[axis]
+        near, _ = cKDTree(cloud.points).query(face)
+        assert np.mean(near < 3 * pixel) > 0.9

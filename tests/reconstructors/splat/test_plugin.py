@@ -17,6 +17,7 @@ from pcbench.scenes.views import read_views
 torch = import_or_skip("torch")
 
 from reconstructors.splat import splat as plugin  # noqa: E402
+from reconstructors.splat.exposure import read_gains  # noqa: E402
 from reconstructors.splat.train import Schedule  # noqa: E402
 
 QUICK_SETTINGS = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
@@ -132,6 +133,22 @@ def test_transparent_photographs_are_trained_and_rendered_as_such(train, tmp_pat
         assert np.mean([np.abs(image.rendering[:10, :10].astype(int) - level) for image in images]) < 4
         model = tmp_path / "work/model/point_cloud.ply"
         assert f"comment background {level / 255:.4f}".encode() in model.read_bytes()[:500]
+
+
+def test_different_exposures_are_compensated_and_a_note_gives_both_scores(train, tmp_path):
+    add_a_ninth_photograph(tmp_path / "corner")
+    for number, path in enumerate(sorted((tmp_path / "corner/images").iterdir())):
+        if number % 2:
+            Image.fromarray((0.6 * np.asarray(Image.open(path))).astype(np.uint8)).save(path)
+    settings = {"hold_out": "every", "density": "fixed", "steps": 100}
+    (note,) = [note for note in train(exposure=True, **settings).notes if "brightness of the photographs" in note]
+    check_text(note)
+    gains = read_gains(tmp_path / "work/model/gains.csv")
+    assert list(gains) == [f"{number:03}.png" for number in range(1, 8)]
+    dark, bright = (np.array(list(gains.values()))[parity::2] for parity in (0, 1))
+    assert dark.max() < 0.8 * bright.min()
+    assert not any("brightness" in note for note in train(**settings).notes)
+    assert not (tmp_path / "work/model/gains.csv").exists()
 
 
 def test_the_learned_background_is_a_note_and_stays_with_the_model(train, tmp_path):

@@ -18,8 +18,9 @@ from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 
 from reconstructors.splat import devices, train  # noqa: E402
 from reconstructors.splat.background import Background  # noqa: E402
-from reconstructors.splat.density import Density  # noqa: E402
+from reconstructors.splat.density import Classic  # noqa: E402
 from reconstructors.splat.devices import choose_device  # noqa: E402
+from reconstructors.splat.exposure import Exposure  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
 from reconstructors.splat.optimizer import raise_sh_degree  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
@@ -68,7 +69,7 @@ def new_training(device="cpu"):
     ).to(torch.device(device))
     schedule = Schedule(steps=STEPS, sh_degree=1, downscale_shares=(0, 0))
     background = Background((0.4, 0.4, 0.4), device, is_learned=True, is_random=True)
-    return Training(start, pyramids, schedule, Density(), background=background)
+    return Training(start, pyramids, schedule, Classic(refine_start=STEPS + 1), background=background)
 
 
 def parts(model):
@@ -97,7 +98,7 @@ def assert_similar(ours, theirs, order, tolerance=1e-4):
     np.testing.assert_allclose([*map(float, ours.psnr)], [*map(float, theirs.psnr)], atol=10 * tolerance)
 
 
-@pytest.mark.parametrize("steps", [40, pytest.param(STEPS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [65, pytest.param(STEPS, marks=pytest.mark.slow)])
 def test_emulated_training_equals_that_of_the_cpu(steps, monkeypatch):
     cpu_training, kernels = new_training(), EmulatedCuda()
     before = psnr(cpu_training)
@@ -149,10 +150,11 @@ def test_all_tensors_of_a_step_are_on_the_device(monkeypatch):
     for method in ("_check_model", "_check_convergence"):  # which read values
         monkeypatch.setattr(Training, method, lambda training: None)
     training = new_training("meta")
-    training.run(STEPS // 5)
+    training.exposure = Exposure([pyramid[0].name for pyramid in training.photographs], "meta")
+    training.run(66)
     assert training.model.degree == 1 and training.psnr[0].is_meta
-    # For each of five kinds of parameters, and for the background of the five photographs that are opaque.
-    assert kernels.emulator.launched.count("adam") == STEPS + 33
+    # For each of five kinds of parameters, and for the background of the five of six photographs that are opaque.
+    assert kernels.emulator.launched.count("adam") == 5 * 66 + 55
 
 
 def test_reordering_includes_everything_that_belongs_to_the_gaussians():

@@ -13,6 +13,7 @@ from wording import check_error, check_text
 from pcbench.errors import Notice
 from pcbench.report import Figures
 from pcbench.report.article import markdown
+from pcbench.studies.gao import figures
 from pcbench.studies.gao.figures import pictures
 from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
@@ -31,7 +32,7 @@ def check_changed_sentences(*scenes, **settings):
 def test_sentences_report_gains_and_costs():
     text = check_text("\n".join(study(scene()).sentences))
     for value in (
-        "increases 1,000 points to 1,000",
+        "increases 1,000 points to 11,000",
         "2 m RMS becomes 0.5 m (4 times smaller)",
         "0.1 m RMS becomes 0.4 m (4 times as large)",
         "0.141 m RMS becomes 0.412 m",
@@ -51,6 +52,30 @@ def test_sentences_report_gains_and_costs():
     assert "0.5 m RMS becomes 2 m" in check_changed_sentences(swapped)
     unchanged = replace(scene(), clouds=(replace(means, name=SPARSE), mvs, means, surface, field))
     check_changed_sentences(unchanged)
+
+
+def test_cameras_without_a_focus_are_drawn_without_rings(tmp_path, monkeypatch):
+    """The axes of a vertical flight are parallel: no lines lead to a focus, and the level elevation is readable."""
+    import_or_skip("matplotlib")
+    saved = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: saved.append(figure))
+    level = tuple((10.0 * k, 3.0, 50.0) for k in range(12))
+    flight = scene(looked_at=None, region="quantile:0.5", positions=level)
+    for drawn in (scene(), flight):
+        assert figures.draw_rings([drawn], tmp_path / "rings.png")
+    with_focus, without = (figure.axes for figure in saved)
+    assert all(axis.lines for axis in with_focus)
+    assert not any(axis.lines for axis in without)
+    assert np.ptp(without[1].get_ylim()) > 0.3 * np.ptp(without[1].get_xlim())
+    check_text(without[1].get_xlabel())
+
+
+def test_training_without_densification_is_not_called_densification():
+    sparse, mvs, means, surface = scene().clouds
+    sparse_splats = replace(scene(), clouds=(sparse, mvs, replace(means, points=1000), surface))
+    text = check_changed_sentences(sparse_splats)
+    assert "adds no points" in text
+    assert "increases" not in text
 
 
 def test_scenes_are_averaged_and_counted():

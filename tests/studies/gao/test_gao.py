@@ -277,6 +277,23 @@ def test_crop_without_sparse_points_stops_early(tmp_path, monkeypatch):
     assert executed == [SPARSE]
 
 
+def test_later_clouds_have_the_unit_of_the_sparse_cloud(tmp_path, monkeypatch):
+    """Photographs with GPS have no cameras and no unit until they are solved."""
+    scene = read_scene(ten_images_folder(tmp_path / "scene"))
+    units = {}
+
+    def make(maker, method, previous):
+        units[method.name] = maker.unit
+        folder = tmp_path / method.name
+        folder.mkdir()
+        write_cloud(folder / "cloud.ply", Cloud(np.arange(30.0).reshape(10, 3), unit="m"))
+        return clouds.CloudRun(method, folder)
+
+    monkeypatch.setattr(clouds._CloudMaker, "make", make)
+    clouds.make_clouds(GaoJob((scene.folder,)), scene, scene.folder, tmp_path, None, lambda _: None)
+    assert units == {SPARSE: None, MVS: "m", MEANS: "m", SURFACE: "m"}
+
+
 SMALL_SCENE_OPTIONS = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
 
 

@@ -1,0 +1,35 @@
+"""The bundled matcher on two photographs: pairs with disparities from structured light, and the scores on them."""
+
+import numpy as np
+import pytest
+from data_folder import data_folder
+from stereo_cases import PAIRS, Pair, match_pair, read_pair, score_pair
+from textured_planes import plane_scene
+
+MIN_WITHIN_TWO_PX = {"Art": 0.58, "Books": 0.72, "Laundry": 0.62}  # tests/bench/stereo_pairs.py: 0.597, 0.741, 0.644
+MAX_WRONG = 0.13
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAIRS)
+def test_disparities_of_real_photographs(name):
+    pair = read_pair(data_folder("stereo") / name)
+    score = score_pair(pair, match_pair(pair))
+    assert score.two > MIN_WITHIN_TWO_PX[name]
+    assert score.wrong < MAX_WRONG
+
+
+def test_scores_count_unknown_and_wrong_disparities():
+    views = plane_scene().views
+    truth = np.full((1, 5), 20.0)
+    truth[0, 4] = 0  # unknown: not evaluated
+    pair = Pair(views[0], views[1], truth, offset=0.0)
+    score = score_pair(pair, np.array([[20.5, 21.5, 30.0, np.nan, 20.0]]))
+    assert score == pytest.approx((0.75, 0.25, 0.5, 1 / 3))
+
+
+def test_depths_become_disparities():
+    views = plane_scene().views
+    pair = Pair(views[0], views[1], np.zeros((1, 2)), offset=10.0)
+    near, far = pair.depth_range
+    np.testing.assert_allclose(pair.disparities(np.array([[near, far, 0.0]])), [[85.0, 5.0, np.nan]])
