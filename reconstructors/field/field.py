@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -128,8 +128,9 @@ class RadianceField:
             for name, camera in with_time_left(list(pinholes.items()), "undistorting")
         }
         photographs = read_photographs(folders, pinholes, frame, 1 + _HALVINGS, torch.device("cpu"))
-        notes = [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
+        notes = []
         if split.test:
+            notes.append(f"{len(split.test)} of {len(cameras)} images held out: {split.words}")
             notes.append("held out of training only: the sparse points that bound the field come from all images")
         inputs = {
             "versions": library_versions(),
@@ -163,7 +164,7 @@ class RadianceField:
             shutil.rmtree(workspace / VIEWS_FOLDER, ignore_errors=True)  # renderings of an earlier model
         cloud = extract.surface(field, frame, pinholes)
         return Reconstruction(
-            Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=sparse.cloud.unit),
+            replace(cloud, unit=sparse.cloud.unit),
             sparse.gauge,
             cameras,
             [*sparse.notes, *notes],

@@ -35,6 +35,24 @@ class RayBatch(NamedTuple):
     directions: FloatArray
 
 
+class RayRendering(NamedTuple):
+    """What rays show.
+
+    Attributes:
+        color: (R, 3) from 0 to 1, not clamped.
+        transmittance: (R,) transmittance of the grid.
+        depth: (R,) sum of the blending weights times the distances along the ray, in the frame's unit.
+        median_depth: (R,) distance along the ray at which half of the light is absorbed; 0 if less is.
+        normal: (R, 3) sum of the blending weights times the unit normals, in the local frame.
+    """
+
+    color: NDArray[np.float32]
+    transmittance: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    median_depth: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
 @dataclass(frozen=True, eq=False)
 class VoxelField:
     """A field of N vertices in a `LocalFrame`; training changes the arrays `values` and `background` in place.
@@ -105,7 +123,7 @@ class VoxelField:
             occupied[cell[:, 0], cell[:, 1], cell[:, 2]] = 1
         return occupied
 
-    def keep(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (N,) of the vertices of a mask (N,) and their 26 neighbors."""
         from scipy.ndimage import binary_dilation
 
@@ -120,7 +138,7 @@ class VoxelField:
         shape = self.links.shape
         return VoxelField.sparse(self.origin, self.voxel, shape, self.vertices[mask], values, self.background)
 
-    def refined(self) -> VoxelField:
+    def refine(self) -> VoxelField:
         """Return the same field on a grid with half the voxel size.
 
         A new vertex is the mean of the vertices about it, and stored if one of them is. Densities per voxel are halved.
@@ -147,25 +165,16 @@ class VoxelField:
         """Return origins and directions in voxels, relative to the grid."""
         return ((rays.origins - self.origin) / self.voxel).astype(np.float32), rays.directions.astype(np.float32)
 
-    def render_rays(self, rays: RayBatch) -> dict[str, NDArray[np.float32]]:
-        """Render rays: colors (R, 3), transmittances, depths and medians (R,), and normals (R, 3).
-
-        Depths are distances along the rays in the local frame, `normal` is in the local frame.
-        """
-        count = len(rays.origins)
-        images = {
-            "color": np.empty((count, 3), np.float32),
-            "transmittance": np.empty(count, np.float32),
-            "depth": np.empty(count, np.float32),
-            "median": np.empty(count, np.float32),
-            "normal": np.empty((count, 3), np.float32),
-        }
+    def render_rays(self, rays: RayBatch) -> RayRendering:
+        """Return the colors, transmittances, depths and normals that rays show."""
+        shapes = ((3,), (), (), (), (3,))
+        rendering = RayRendering(*(np.empty((len(rays.origins), *shape), np.float32) for shape in shapes))
         _field.render(
-            self.values, self.links, self.occupied_blocks(), self.background, STEP, *self.local_rays(rays), **images
+            self.values, self.links, self.occupied_blocks(), self.background, STEP, *self.local_rays(rays), *rendering
         )
-        images["depth"] *= self.voxel
-        images["median"] *= self.voxel
-        return images
+        return rendering._replace(
+            depth=rendering.depth * np.float32(self.voxel), median_depth=rendering.median_depth * np.float32(self.voxel)
+        )
 
     def render_geometry(self, view: View) -> RasterOutput:
         """Render a view with depths and normals, as `reconstructors.splat.depths.SurfaceModel` requires."""
@@ -173,19 +182,19 @@ class VoxelField:
 
         rows, columns = np.divmod(np.arange(view.height * view.width), view.width)
         rays, lengths = view_rays(view, rows, columns)
-        images = self.render_rays(rays)
+        rendering = self.render_rays(rays)
         z = (1 / lengths).astype(np.float32)  # depth along the axis of a point at distance 1
-        normal = (images["normal"] @ view.rotation.T).astype(np.float32)
+        normal = (rendering.normal @ view.rotation.T).astype(np.float32)
 
         def image(values: NDArray[Any], *channels: int) -> torch.Tensor:
             return torch.from_numpy(np.ascontiguousarray(values).reshape(view.height, view.width, *channels))
 
         return RasterOutput(
-            image(images["color"], 3),
-            image(images["transmittance"]),
-            image(images["depth"] * z),
-            image(normal, 3),
-            image(images["median"] * z),
+            color=image(rendering.color, 3),
+            transmittance=image(rendering.transmittance),
+            depth=image(rendering.depth * z),
+            normal=image(normal, 3),
+            median_depth=image(rendering.median_depth * z),
         )
 
     def surface_points(self) -> FloatArray:

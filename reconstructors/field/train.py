@@ -99,7 +99,7 @@ class FieldTraining:
         coarse: whether the voxels were not halved as often as planned, because the grid would not fit into memory.
     """
 
-    converged = False  # all steps are done
+    converged = False  # training always takes all steps
 
     def __init__(self, field: VoxelField, photographs: Sequence[Pyramid], schedule: FieldSchedule) -> None:
         self.model = field
@@ -201,12 +201,12 @@ class FieldTraining:
     def _refine(self) -> None:
         """Remove vertices that no photograph sees, and halve the voxels if they fit into memory."""
         field = self.model
-        pruned = field.select(field.keep((self._weights >= self.schedule.min_weight) & (field.values[:, 0] > 0)))
+        pruned = field.select(field.dilate((self._weights >= self.schedule.min_weight) & (field.values[:, 0] > 0)))
         if not len(pruned):
             raise ReconstructionError(
                 f"the field is empty at step {self.step}: the photographs agree on no surface; check the cameras"
             )
-        refined = pruned.refined() if 8 * len(pruned) <= self.schedule.max_vertices else None
+        refined = pruned.refine() if 8 * len(pruned) <= self.schedule.max_vertices else None
         self.coarse = self.coarse or refined is None
         self.model = pruned if refined is None else refined
         self._moments = np.zeros_like(self.model.values)

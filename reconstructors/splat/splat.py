@@ -169,8 +169,8 @@ class GaussianSplatting:
         }
         photographs = read_photographs(folders, pinholes, frame, _PYRAMID_LEVELS, device)
         notes = [] if note is None else [note]
-        notes += [f"{len(split.test)} of {len(cameras)} images held out: {split.words}"] if split.test else []
         if split.test:
+            notes.append(f"{len(split.test)} of {len(cameras)} images held out: {split.words}")
             notes.append(f"held out of training only: the initial points (start={self.start}) come from all images")
 
         inputs = {
@@ -218,7 +218,7 @@ class GaussianSplatting:
         if "stereo" in cloud.attributes:
             notes.append(_sources_note(cloud))
         return Reconstruction(
-            Cloud(cloud.points, cloud.normals, cloud.colors, cloud.attributes, unit=initial.cloud.unit),
+            replace(cloud, unit=initial.cloud.unit),
             initial.gauge,
             cameras,
             [*initial.notes, *notes],

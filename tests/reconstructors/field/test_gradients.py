@@ -130,10 +130,10 @@ def test_renderings_are_those_of_the_slow_implementation():
     rays = random_rays(rng, field, 400)
     values, background = (torch.from_numpy(a.astype(np.float64)) for a in (field.values, field.background))
     color, transmittance, depth = slow_rays(field, rays, np.full(400, 0.5), values, background)
-    images = field.render_rays(rays)
-    assert np.abs(images["color"] - color.numpy()).max() < 1e-3  # a ray ends at a transmittance of 1e-4
-    assert np.abs(images["transmittance"] - transmittance.numpy()).max() < 2e-4
-    assert np.abs(images["depth"] - depth.numpy()).max() < 1e-3
+    rendering = field.render_rays(rays)
+    assert np.abs(rendering.color - color.numpy()).max() < 1e-3  # a ray ends at a transmittance of 1e-4
+    assert np.abs(rendering.transmittance - transmittance.numpy()).max() < 2e-4
+    assert np.abs(rendering.depth - depth.numpy()).max() < 1e-3
 
 
 def test_the_median_depth_and_the_normal_of_a_slab_are_exact():
@@ -142,14 +142,14 @@ def test_the_median_depth_and_the_normal_of_a_slab_are_exact():
     z = field.positions()[:, 2]
     field.values[:, 0] = np.where(z <= 6, 4.0, -4.0)  # 0 halfway between the vertices at 6 and 7
     rays = RayBatch(np.array([[4.2, 4.3, 20.0]]), np.array([[0.0, 0.0, -1.0]]))
-    images = field.render_rays(rays)
+    rendering = field.render_rays(rays)
     # The density grows by 8 per voxel below z = 6.5: 4 s^2 = ln(2).
     expected = 13.5 + np.sqrt(np.log(2) / 4)
-    assert images["median"][0] == pytest.approx(expected, abs=0.1)  # samples are half a voxel apart
-    normal = images["normal"][0]
+    assert rendering.median_depth[0] == pytest.approx(expected, abs=0.1)  # samples are half a voxel apart
+    normal = rendering.normal[0]
     assert normal / np.linalg.norm(normal) == pytest.approx([0, 0, 1])
     away = RayBatch(rays.origins, -rays.directions)
-    assert field.render_rays(away)["transmittance"][0] == 1 and field.render_rays(away)["median"][0] == 0
+    assert field.render_rays(away).transmittance[0] == 1 and field.render_rays(away).median_depth[0] == 0
 
 
 def test_refining_interpolates():
@@ -157,7 +157,7 @@ def test_refining_interpolates():
     field = random_field(rng, stored=1.0)
     slopes = rng.normal(size=(3, CHANNELS)).astype(np.float32)
     field.values[:] = field.positions() @ slopes
-    refined = field.refined()
+    refined = field.refine()
     assert refined.links.shape == (11, 17, 13) and len(refined) == refined.links.size
     expected = refined.positions() @ slopes
     expected[:, 0] /= 2  # per voxel
@@ -170,7 +170,7 @@ def test_vertices_that_are_not_stored_count_as_empty_when_refined():
     dense[field.vertices] = field.values
     links = np.arange(field.links.size, dtype=np.int32)
     full = VoxelField(field.origin, field.voxel, links.reshape(field.links.shape), links, dense, field.background)
-    refined, refined_full = field.refined(), full.refined()
+    refined, refined_full = field.refine(), full.refine()
     assert len(refined) < len(refined_full)
     assert (refined.values == refined_full.values[refined.vertices]).all()
     others = np.setdiff1d(refined_full.vertices, refined.vertices)
