@@ -1,8 +1,9 @@
-"""Rectified pairs of photographs with disparities from structured light, and the bundled matcher on them.
+"""Rectified pairs of photographs with disparities from structured light: as scenes, and for the bundled matcher.
 
 Data: Middlebury 2005 (Scharstein and Pal 2007), the folders `stereo/Art`, `Books` and `Laundry`, a third of full size.
 """
 
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from PIL import Image
 
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
+from pcbench.io.colmap_model import write_colmap_model
 from reconstructors.mvs.filter import Criteria, filter_map
 from reconstructors.mvs.patchmatch import GrayView, match, refine
 
@@ -24,7 +26,7 @@ class Pair(NamedTuple):
     """A rectified pair.
 
     Args:
-        left, right: the photographs with their cameras; lengths are in millimetres.
+        left, right: the photographs; their cameras have the names of the files, and lengths are in millimetres.
         disparity: (H, W), true disparity of the left image in pixels, 0 where it is unknown.
         offset: column of the right principal point minus that of the left one, in pixels.
     """
@@ -48,7 +50,7 @@ class Pair(NamedTuple):
 
 def read_pair(folder: Path) -> Pair:
     """Read a pair from its folder."""
-    left, right = (np.asarray(Image.open(folder / f"{name}.png").convert("L")) for name in ("view1", "view5"))
+    left, right = (np.asarray(Image.open(folder / name).convert("L")) for name in ("view1.png", "view5.png"))
     disparity = np.asarray(Image.open(folder / "disp1.png")).astype(np.float32) / _SHRINKING
     offset = float((folder / "dmin.txt").read_text()) / _SHRINKING
     height, width = left.shape
@@ -57,8 +59,33 @@ def read_pair(folder: Path) -> Pair:
         intrinsics = Intrinsics(width, height, _FOCAL_PX, _FOCAL_PX, cx, height / 2)
         return GrayView(gray, Camera(name, intrinsics, Similarity(np.eye(3), np.array([-x, 0.0, 0.0]))))
 
-    left_view = view("left", left, width / 2, 0.0)
-    return Pair(left_view, view("right", right, width / 2 + offset, _BASELINE_MM), disparity, offset)
+    left_view = view("view1.png", left, width / 2, 0.0)
+    return Pair(left_view, view("view5.png", right, width / 2 + offset, _BASELINE_MM), disparity, offset)
+
+
+def write_pair_scene(pair: Pair, photographs: Path, folder: Path) -> None:
+    """Write the scene of a pair with its cameras into an existing folder.
+
+    Args:
+        pair: the pair.
+        photographs: folder of its photographs.
+        folder: folder of the scene.
+    """
+    cameras = [pair.left.camera, pair.right.camera]
+    for part in ("images", "sparse"):
+        (folder / part).mkdir()
+    for camera in cameras:
+        shutil.copyfile(photographs / camera.name, folder / "images" / camera.name)
+    write_colmap_model(folder / "sparse", cameras)
+
+
+def point_errors(pair: Pair, points: np.ndarray) -> np.ndarray:
+    """Return disparity errors in pixels of points (N, 3) that project to known disparities of the left image."""
+    pixels, depths = pair.left.camera.project(points)
+    inside = ((pixels >= 0) & (pixels < pair.disparity.shape[::-1])).all(axis=1)
+    column, row = pixels[inside].astype(int).T
+    truth = pair.disparity[row, column]
+    return (pair.disparities(depths[inside]) - truth)[truth > 0]
 
 
 def match_pair(pair: Pair) -> np.ndarray:

@@ -11,7 +11,7 @@ from data_folder import data_folder
 from exact_maps import ExactMatcher, corner_map, rays
 from optional import import_or_skip
 from PIL import Image
-from stereo_pairs import NAMES, stereo_errors, write_stereo_scene
+from stereo_cases import PAIRS, point_errors, read_pair, write_pair_scene
 from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
@@ -221,15 +221,16 @@ def test_given_cameras_suffice_without_features(photographs, tmp_path, monkeypat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAIRS)
 def test_stereo_pairs(name, tmp_path):
     """Two photographs agree with depths measured by structured light."""
-    data_folder("stereo")
+    photographs = data_folder("stereo") / name
+    pair = read_pair(photographs)
     for part in ("scene", "work"):
         (tmp_path / part).mkdir()
-    cameras = write_stereo_scene(name, tmp_path / "scene")
+    write_pair_scene(pair, photographs, tmp_path / "scene")
     reconstruction = DenseMvs(backend="bundled").reconstruct(read_scene(tmp_path / "scene"), tmp_path / "work")
-    errors = np.abs(stereo_errors(name, cameras, reconstruction.cloud.points))
+    errors = np.abs(point_errors(pair, reconstruction.cloud.points))
     assert len(reconstruction.cloud) > 100_000
     assert np.median(errors) < 0.3
     assert np.mean(errors < 1) > 0.8

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from data_folder import data_folder
-from stereo_cases import PAIRS, Pair, match_pair, read_pair, score_pair
+from stereo_cases import PAIRS, Pair, match_pair, point_errors, read_pair, score_pair
 from textured_planes import plane_scene
 
 MIN_WITHIN_TWO_PX = {"Art": 0.58, "Books": 0.72, "Laundry": 0.62}  # tests/bench/stereo_pairs.py: 0.597, 0.741, 0.644
@@ -33,3 +33,15 @@ def test_depths_become_disparities():
     pair = Pair(views[0], views[1], np.zeros((1, 2)), offset=10.0)
     near, far = pair.depth_range
     np.testing.assert_allclose(pair.disparities(np.array([[near, far, 0.0]])), [[85.0, 5.0, np.nan]])
+
+
+def test_errors_of_points_are_those_of_their_disparities():
+    left, right = plane_scene().views[:2]
+    height, width = left.gray.shape
+    truth = np.full((height, width), 20.0)
+    truth[:, width // 2 :] = 0  # unknown: not evaluated
+    pair = Pair(left, right, truth, offset=10.0)
+    k, depth = left.camera.intrinsics, np.array([pair.depth_range[0], pair.depth_range[1]])
+    pixels = np.array([[10.5, 20.5], [width - 10.5, 20.5]])
+    points = left.camera.cam_from_world.inverse().apply(k.directions(pixels) * depth[:, None])
+    np.testing.assert_allclose(point_errors(pair, points), [85.0 - 20.0])
