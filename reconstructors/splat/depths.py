@@ -138,7 +138,8 @@ def find_overlap(model: SurfaceModel, depths: RenderedMaps, max_sources: int) ->
 
 def _on_surface(camera: Camera, depth_map: DepthMap, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return a mask (N,) of the points (N, 3) whose depth is close to the depth of the map at their pixels."""
-    (u, v), z = camera.project(points)[0].T, camera.project(points)[1]
+    pixels, z = camera.project(points)
+    u, v = pixels.T
     height, width = depth_map.depth.shape
     inside = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
     map_depths = depth_map.depth[v[inside].astype(np.int64), u[inside].astype(np.int64)]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from reconstructors.splat.interface import RasterOutput
 
-_MAX_GAIN = 4.0  # and least: its inverse
+_MAX_GAIN = 4.0  # the minimum is its inverse
 _MAX_MIXTURE = 0.1  # share of the background at pixels of a surface that count, or of a surface at those of background
 _MIN_BRIGHTNESS = 0.05  # of rendered pixels that count, from 0 to 1
 

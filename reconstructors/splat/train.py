@@ -234,7 +234,7 @@ class Training:
         """Contribution (N,) of each Gaussian: its blending weights summed over the pixels of up to 100 photographs."""
         import torch
 
-        # With colours that are the first spherical harmonic, the gradient with respect to its coefficient is a weight.
+        # The gradient of a pixel with respect to the coefficient of degree 0 is the blending weight times SH_DC.
         model = self.model
         tensors = model.tensors._replace(sh=torch.zeros_like(model.sh[:, :1]))
         contributions = model.logits.new_zeros(len(model))

@@ -136,7 +136,7 @@ def test_renderings_are_those_of_the_slow_implementation():
     assert np.abs(rendering.depth - depth.numpy()).max() < 1e-3
 
 
-def test_the_median_depth_and_the_normal_of_a_slab_are_exact():
+def test_median_depth_and_normal_of_a_slab():
     """Density 4 per voxel for z < 6: half of the light is absorbed ln(2) / 4 voxels below its top at z = 6.5."""
     field = VoxelField.dense(np.zeros(3), np.array([8.0, 8.0, 12.0]), 12)
     z = field.positions()[:, 2]
