@@ -10,6 +10,7 @@ pixel limit or with damage elsewhere, and would be a dependency even if no image
 from __future__ import annotations
 
 import struct
+from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -21,7 +22,7 @@ from pcbench.regular_files import open_regular
 EXTENSIONS = (".jpg", ".jpeg", ".png")
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_ALPHA_TYPES = (3, 4, 6)  # palette, grey and RGB: the colour types with an alpha channel or a transparent colour
+_PNG_ALPHA_TYPES = (4, 6)  # colour types with an alpha channel: grey and RGB
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
@@ -30,7 +31,8 @@ _APP1, _START_OF_SCAN = 0xE1, 0xDA
 class ImageHeader(NamedTuple):
     """Stored size in pixels (before any EXIF rotation), GPS position of the antenna, and whether there is an alpha.
 
-    `gps` is None if the file has no position. `has_alpha` is True for a PNG that may have transparent pixels.
+    `gps` is None if the file has no position. `has_alpha` is True for a PNG with an alpha channel or a
+    transparent colour.
     """
 
     width: int
@@ -73,8 +75,20 @@ def _png(file: BinaryIO) -> ImageHeader:
     if len(chunk) < 16 or chunk[4:8] != b"IHDR":
         raise InputError("expected a PNG header, got a truncated file: copy the image again")
     width, height = struct.unpack(">II", chunk[8:])
-    kind = file.read(2)  # bit depth and colour type
-    return ImageHeader(width, height, None, len(kind) == 2 and kind[1] in _PNG_ALPHA_TYPES)
+    depth, kind = file.read(2).ljust(2, b"\0")  # bit depth and colour type
+    # Pillow does not apply transparent colours of 16 bits.
+    has_alpha = kind in _PNG_ALPHA_TYPES or (depth <= 8 and _has_transparent_color(file))
+    return ImageHeader(width, height, None, has_alpha)
+
+
+def _has_transparent_color(file: BinaryIO) -> bool:
+    """Return whether a chunk before the pixels of a PNG makes colours transparent; the file is within its header."""
+    file.seek(7, SEEK_CUR)  # the rest of the header and its checksum
+    while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IDAT":
+        if chunk[4:] == b"tRNS":
+            return True
+        file.seek(int.from_bytes(chunk[:4], "big") + 4, SEEK_CUR)
+    return False
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:

@@ -90,6 +90,18 @@ def test_transparent_pixels_count_as_masked(photographs):
     np.testing.assert_array_equal(read_scene(photographs).read_mask("3.png"), (alpha > 0) & (mask > 0))
 
 
+@pytest.mark.parametrize("mode", ["L", "P", "RGB"])
+def test_a_transparent_color_counts_as_alpha(photographs, mode):
+    """PNG files of all color types may have one; a palette alone is opaque."""
+    image = Image.fromarray(np.where(np.arange(64) < 32, np.uint8(10), np.uint8(200))[None].repeat(48, axis=0))
+    image = image.convert(mode)
+    image.save(photographs / "images/3.png", transparency=(10, 10, 10) if mode == "RGB" else image.getpixel((0, 0)))
+    image.save(photographs / "images/4.png")
+    scene = read_scene(photographs)
+    assert scene.with_alpha == {"3.png"}
+    assert (scene.read_mask("3.png") == (np.arange(64) >= 32)).all()
+
+
 def test_image_scale_scales_cameras_and_images(photographs, tmp_path):
     write_colmap_model(photographs / "sparse/0", orbit(NAMES))
     full_scene, half_scene = read_scene(photographs), read_scene(photographs, image_scale=0.5)
