@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstructors.mvs.filter import FilteredMap
-from reconstructors.mvs.patchmatch import noise_variance
+from reconstructors.mvs.patchmatch import noise_variance, window_variances
 
 _WINDOW_PX = 3  # side of the windows in which texture is measured; a larger one would leave a wider fringe at the edge
 _MAX_PLAIN_TO_NOISE = 4.0  # ratio of variances in a plain window; 1 in 50,000 windows of pure noise exceeds it
@@ -43,7 +43,7 @@ def find_halos(known: NDArray[np.bool_], gray: NDArray[np.uint8]) -> NDArray[np.
     from scipy.ndimage import binary_dilation, label
 
     max_variance = max(1.0, _MAX_PLAIN_TO_NOISE * noise_variance(gray))
-    regions, count = label(_window_variance(gray) <= max_variance)
+    regions, count = label(window_variances(gray, _WINDOW_PX) <= max_variance)
     sizes = np.bincount(regions.ravel(), minlength=count + 1)
     known_sizes = np.bincount(regions[known], minlength=count + 1)
     is_unknown = (sizes >= _MIN_REGION_PX) & (known_sizes < _MIN_KNOWN_SHARE * sizes)
@@ -52,13 +52,3 @@ def find_halos(known: NDArray[np.bool_], gray: NDArray[np.uint8]) -> NDArray[np.
     reach = np.ones((_WINDOW_PX, _WINDOW_PX), dtype=np.bool_)
     halo: NDArray[np.bool_] = binary_dilation(is_unknown[regions], reach)
     return halo
-
-
-def _window_variance(gray: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the variance (H, W) of the grey values in the window around each pixel."""
-    from scipy.ndimage import uniform_filter
-
-    values = gray.astype(np.float32)
-    mean = uniform_filter(values, _WINDOW_PX)
-    variance: NDArray[np.float32] = uniform_filter(values * values, _WINDOW_PX) - mean * mean
-    return variance

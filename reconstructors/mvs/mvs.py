@@ -326,7 +326,7 @@ def median_footprint(depths: Sequence[float], cameras: Sequence[Intrinsics]) -> 
     """
     sizes = np.array([depth / k.fx for depth, k in zip(depths, cameras, strict=True)])
     areas = np.array([k.width * k.height for k in cameras]) * sizes**2
-    order = np.argsort(sizes)
+    order = np.argsort(sizes, kind="stable")
     cumulative = np.cumsum(areas[order])
     return float(sizes[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]])
 

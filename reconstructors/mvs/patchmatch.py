@@ -197,6 +197,15 @@ def noise_variance(gray: NDArray[np.uint8]) -> float:
     return float(0.5 * np.pi * (np.percentile(blocks, 5) / 6) ** 2)
 
 
+def window_variances(gray: NDArray[np.uint8], side_px: int) -> FloatArray:
+    """Return the variance (H, W) of the grey values in the square window around each pixel, in squared grey levels."""
+    from scipy.ndimage import uniform_filter
+
+    values = gray.astype(np.float64)
+    variances: FloatArray = uniform_filter(values * values, side_px) - uniform_filter(values, side_px) ** 2
+    return variances
+
+
 def _halve(view: GrayView) -> GrayView:
     """Average blocks of 2 x 2 pixels; an odd last row or column is dropped."""
     height, width = view.gray.shape[0] // 2, view.gray.shape[1] // 2

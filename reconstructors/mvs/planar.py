@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cameras import Intrinsics
 from reconstructors.mvs.maps import DepthMap
-from reconstructors.mvs.patchmatch import GrayView, noise_variance, projection_between
+from reconstructors.mvs.patchmatch import GrayView, noise_variance, projection_between, window_variances
 
 if TYPE_CHECKING:
     from scipy.spatial import Delaunay
@@ -75,7 +75,7 @@ class _Triangles(NamedTuple):
     Args:
         mesh: triangulation of the image; coordinates are columns and rows.
         normals: (T, 3) unit normals that face the camera.
-        offsets: (T,)
+        offsets: (T,) offsets of the planes, negative in front of the camera.
         confidence: (T,) least confidence of the vertices.
         usable: (T,) True for triangles with short edges whose plane agrees with the normals at its vertices.
     """
@@ -151,10 +151,5 @@ def _local_means(gray: NDArray[np.uint8]) -> FloatArray:
 
 def _is_plain(gray: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where the patch around a pixel has no texture, (H, W)."""
-    from scipy.ndimage import uniform_filter
-
-    values = gray.astype(np.float64)
-    mean = uniform_filter(values, _PATCH_SIDE_PX)
     limit = max(_MAX_PLAIN_DEVIATION**2, _MAX_PLAIN_TO_NOISE * noise_variance(gray))
-    plain: NDArray[np.bool_] = uniform_filter(values * values, _PATCH_SIDE_PX) - mean * mean < limit
-    return plain
+    return np.asarray(window_variances(gray, _PATCH_SIDE_PX) < limit)

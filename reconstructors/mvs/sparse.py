@@ -16,8 +16,7 @@ from pcbench.geometry.transform import Similarity
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-
-_MIN_VIEWS = 3  # images that observe a point: one of two images may lie anywhere along their common plane
+_MIN_VIEWS = 3  # images that observe a point; a wrong match of only two images may put it anywhere along a ray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,6 @@ def sparse_from_colmap(model: Any, cameras: Mapping[str, Camera]) -> SparseModel
     from scipy.sparse import csc_matrix
 
     min_views = min(_MIN_VIEWS, len(cameras))
-
     column = {name: k for k, name in enumerate(cameras)}
     column_of = {int(number): column[image.name] for number, image in model.images.items() if image.name in column}
     points, rows, columns = list[FloatArray](), list[int](), list[int]()

@@ -112,7 +112,7 @@ private:
         for (int r = 0; r < kRegions; ++r) adopt(is_new[r] & ~votes[r], planes[r], candidates.sum(r), candidates, r);
     }
 
-    // How many of the costs are less than one of them; equal ones count in their order.
+    // Rank of a cost among those of the neighbours, the least first; equal costs keep their order.
     static Floats rank_of(const Floats* costs, int number) {
         const Floats zero = Floats(0.0f), one = Floats(1.0f);
         Floats rank = zero;

@@ -11,7 +11,15 @@ from repository import TESTS
 from textured_planes import PlaneScene, plane_scene
 from wording import check_error
 
-from reconstructors.mvs.patchmatch import MAX_SIDE_PX, MAX_SOURCES, _SearchState, match, noise_variance, refine
+from reconstructors.mvs.patchmatch import (
+    MAX_SIDE_PX,
+    MAX_SOURCES,
+    _SearchState,
+    match,
+    noise_variance,
+    refine,
+    window_variances,
+)
 
 
 def errors_px(scene: PlaneScene, depth):
@@ -180,3 +188,11 @@ def test_same_bits_with_any_instruction_set_and_thread_count(baseline_digest, is
     if "PCBENCH_ISA: expected an instruction set that this machine supports" in process.stderr:
         pytest.skip(f"this machine has no {isa}: there is nothing to compare with the baseline")
     assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr
+
+
+def test_window_variances_are_those_of_each_window():
+    gray = np.random.default_rng(0).integers(0, 256, (12, 15)).astype(np.uint8)
+    variances = window_variances(gray, 5)
+    expected = np.lib.stride_tricks.sliding_window_view(gray, (5, 5)).var(axis=(2, 3))
+    np.testing.assert_allclose(variances[2:-2, 2:-2], expected, rtol=1e-9)
+    np.testing.assert_allclose(window_variances(np.full((6, 7), 200, np.uint8), 3), 0, atol=1e-9)
