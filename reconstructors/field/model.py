@@ -36,7 +36,7 @@ class RayBatch(NamedTuple):
 
 
 class RayRendering(NamedTuple):
-    """What rays show.
+    """Values rendered for R rays.
 
     Attributes:
         color: (R, 3) from 0 to 1, not clamped.

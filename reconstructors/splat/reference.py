@@ -258,7 +258,7 @@ class ReferenceRasterizer:
             materialize_grads=True,
         )
         grad_screen = grad_xy[self._blended.visible][order]
-        return Gradients(ids, *(gradient[ids] for gradient in grad_gaussians), screen=grad_screen)
+        return Gradients(ids, *[*(gradient[ids] for gradient in grad_gaussians), grad_screen])
 
 
 Rasterizer = ReferenceRasterizer  # the name in `reconstructors.splat.interface.Kernels`
