@@ -7,6 +7,7 @@ that at least three images agree on.
 from __future__ import annotations
 
 import errno
+import math
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ from pcbench.plugins.stages import library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
-from reconstructors.field.model import VoxelField
+from reconstructors.field.model import VoxelField, dense_shape
 from reconstructors.field.train import (
     BYTES_PER_PIXEL,
     BYTES_PER_VERTEX,
@@ -121,8 +122,8 @@ class RadianceField:
         frame = LocalFrame.of(list(cameras.values()))
         pinholes = {name: pinhole(camera, self._image_scale(camera)) for name, camera in cameras.items()}
         lower, upper = bounding_box(frame.to_local(sparse.cloud.points))
-        initial = VoxelField.dense(lower, upper, self.resolution // 2**_HALVINGS)
-        max_vertices = self._max_vertices(pinholes, initial)
+        initial_resolution = self.resolution // 2**_HALVINGS
+        max_vertices = self._max_vertices(pinholes, math.prod(dense_shape(lower, upper, initial_resolution)))
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
             for name, camera in with_time_left(list(pinholes.items()), "undistorting")
@@ -142,7 +143,7 @@ class RadianceField:
         def train(folder: Path) -> None:
             usable = [pyramid for pyramid in photographs if pyramid[0].name in split.train]
             training = FieldTraining(
-                initial,
+                VoxelField.dense(lower, upper, initial_resolution),
                 [pyramid for pyramid in usable if pyramid[0].has_valid_pixels],
                 FieldSchedule(steps=self.steps, seed=self.seed, max_vertices=max_vertices),
             )
@@ -174,16 +175,20 @@ class RadianceField:
         """Scale factor of a photograph, so that its longer side has at most `image_side` pixels."""
         return min(1.0, self.image_side / max(camera.intrinsics.width, camera.intrinsics.height))
 
-    def _max_vertices(self, pinholes: Mapping[str, Camera], initial: VoxelField) -> int:
+    def _max_vertices(self, pinholes: Mapping[str, Camera], initial_vertices: int) -> int:
         """Return the number of vertices that fit into memory beside the photographs.
+
+        Args:
+            pinholes: cameras of the photographs.
+            initial_vertices: number of vertices of the initial grid.
 
         Raises:
             InputError: the photographs and the initial grid do not fit.
         """
         pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
-        links = 4 * len(initial) * 8**_HALVINGS  # of the final grid
+        links = 4 * initial_vertices * 8**_HALVINGS  # of the final grid
         fixed = BYTES_PER_PIXEL * pixels + links
-        needed = (fixed + BYTES_PER_VERTEX * len(initial)) / _BYTES_PER_GB
+        needed = (fixed + BYTES_PER_VERTEX * initial_vertices) / _BYTES_PER_GB
         if needed > self.memory:
             longest = max(max(c.intrinsics.width, c.intrinsics.height) for c in pinholes.values())
             raise InputError(

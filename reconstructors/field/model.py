@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -82,14 +83,13 @@ class VoxelField:
     @classmethod
     def dense(cls, lower: FloatArray, upper: FloatArray, resolution: int) -> VoxelField:
         """Create a gray, slightly opaque field in a box, with `resolution` voxels along its longest side."""
-        voxel = float((upper - lower).max()) / resolution
-        cells = np.maximum(np.ceil((upper - lower) / voxel - 1e-6).astype(np.int64), 2)
-        shape = tuple(int(n) + 1 for n in cells)
-        count = int(np.prod(shape))
+        shape = dense_shape(lower, upper, resolution)
+        count = math.prod(shape)
         values = aligned_rows(count)
         values[:, 0] = _INITIAL_DENSITY
         numbers = np.arange(count, dtype=np.int32)
-        return cls(lower, voxel, numbers.reshape(shape), numbers, values, np.zeros(CHANNELS, np.float32))
+        background = np.zeros(CHANNELS, np.float32)
+        return cls(lower, _voxel(lower, upper, resolution), numbers.reshape(shape), numbers, values, background)
 
     @classmethod
     def sparse(
@@ -201,6 +201,16 @@ class VoxelField:
         """Return the positions (M, 3) of the vertices in matter."""
         density = self.values[:, 0]
         return self.positions()[density >= min(_OPAQUE_DENSITY, float(density.max(initial=0)))]
+
+
+def dense_shape(lower: FloatArray, upper: FloatArray, resolution: int) -> tuple[int, ...]:
+    """Return the numbers of vertices along the axes of a box, with `resolution` voxels along its longest side."""
+    cells = np.ceil((upper - lower) / _voxel(lower, upper, resolution) - 1e-6).astype(np.int64)
+    return tuple(max(int(n), 2) + 1 for n in cells)
+
+
+def _voxel(lower: FloatArray, upper: FloatArray, resolution: int) -> float:
+    return float((upper - lower).max()) / resolution
 
 
 def view_rays(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> tuple[RayBatch, FloatArray]:

@@ -119,7 +119,9 @@ def test_a_checkpoint_of_other_settings_or_photographs_is_not_resumed(train, mon
     assert keys[0] == keys[3] and len(set(keys)) == 3
 
 
-def test_too_little_memory_is_refused(train):
+def test_too_little_memory_is_refused(train, monkeypatch):
+    """Before the grid is allocated."""
+    monkeypatch.setattr(plugin.VoxelField, "dense", lambda *_: pytest.fail("a grid was allocated"))
     with check_error(masked=True):
         train(memory=1e-6)
 
