@@ -291,7 +291,7 @@ def test_later_clouds_have_the_unit_of_the_sparse_cloud(tmp_path, monkeypatch):
 
     monkeypatch.setattr(clouds._CloudMaker, "make", make)
     clouds.make_clouds(GaoJob((scene.folder,)), scene, scene.folder, tmp_path, None, lambda _: None)
-    assert units == {SPARSE: None, MVS: "m", MEANS: "m", SURFACE: "m"}
+    assert units == {SPARSE: None, MVS: "m", MEANS: "m", SURFACE: "m", FIELD: "m"}
 
 
 SMALL_SCENE_OPTIONS = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")
