@@ -38,11 +38,19 @@ from reconstructors.splat.devices import choose_device
 from reconstructors.splat.exposure import Exposure, read_gains, write_gains
 from reconstructors.splat.model import Gaussians, LocalFrame
 from reconstructors.splat.optimizer import GAO2025_LEARNING_RATES, LearningRates
-from reconstructors.splat.parsimony import Curve, Parsimonious
+from reconstructors.splat.parsimony import (
+    CRITERIA,
+    CriterionName,
+    Curve,
+    Parsimonious,
+    Score,
+    score_surface,
+    score_views,
+)
 from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
-from reconstructors.splat.supervision import read_supervision
+from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate, render
 
 MODEL = "point_cloud.ply"  # in the stage `model`
@@ -80,6 +88,8 @@ class GaussianSplatting:
     spherical harmonics, and keeps the smallest model that is as good on held-out photographs as the best; `fixed` keeps
     the initial number; `classic` densifies and prunes by the rules of Kerbl et al. 2023, `gao2025` by those of Gao et
     al.
+    select: what `parsimonious` compares: `views`, the held-out photographs, or `surface`, their depths in `mvs`, for
+    which fewer Gaussians are enough.
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
     all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
@@ -99,6 +109,7 @@ class GaussianSplatting:
     start: Literal["mvs", "sfm", "random"] = "mvs"
     supervision: Literal["mvs", "none"] = "mvs"
     density: Literal["parsimonious", "fixed", "classic", "gao2025"] = "parsimonious"
+    select: CriterionName = "views"
     cloud: Literal["combined", "surface", "means"] = "combined"
     min_opacity: float = 0.0
     steps: int = 3000
@@ -117,6 +128,11 @@ class GaussianSplatting:
             raise ValueError(f"expected min_opacity from 0 to 1, got {self.min_opacity}")
         if self.min_opacity and self.cloud != "means":
             raise ValueError("min_opacity applies to the means of Gaussians: set cloud=means too")
+        if self.select == "surface" and not (self.density == "parsimonious" and self.start == "mvs"):
+            raise ValueError(
+                "select=surface compares models by the depths of mvs: set density=parsimonious and start=mvs too, got"
+                f" density={self.density} and start={self.start}"
+            )
         if self.steps < 1:
             raise ValueError(f"expected at least one step, got {self.steps}")
         if self.gaussians < 2:
@@ -189,9 +205,10 @@ class GaussianSplatting:
         if (model_folder / CURVE).is_file():
             notes.append(f"{Curve.read(model_folder / CURVE).sentence}; all models tried: {model_folder / CURVE}")
         elif self.density == "parsimonious":
+            known = " with depths that three images confirm" if self.select == "surface" else ""
             notes.append(
                 f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
-                " images"
+                f" images{known}"
             )
         if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
             notes.append(
@@ -231,6 +248,7 @@ class GaussianSplatting:
             self.start,
             self.supervision,
             self.density,
+            self.select,
             self.steps,
             self.gaussians,
             self.sh_degree,
@@ -247,8 +265,8 @@ class GaussianSplatting:
 
     @property
     def _uses_depths(self) -> bool:
-        """Return whether depths supervise the training."""
-        return self.supervision == "mvs" and self.start == "mvs"
+        """Return whether depths of `mvs` supervise the training or select the model."""
+        return self.start == "mvs" and (self.supervision == "mvs" or self.select == "surface")
 
     def _initial_reconstruction(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Return the cameras and the initial points."""
@@ -276,7 +294,11 @@ class GaussianSplatting:
             )
 
     def _density_and_photographs(
-        self, split: Split, cameras: Mapping[str, Camera], photographs: Mapping[str, Pyramid]
+        self,
+        split: Split,
+        cameras: Mapping[str, Camera],
+        photographs: Mapping[str, Pyramid],
+        depths: Supervision | None,
     ) -> tuple[Density[Training], list[Pyramid]]:
         """Return the densification strategy and the photographs that training starts with."""
         names = [name for name in split.train if photographs[name][0].has_valid_pixels]
@@ -285,13 +307,20 @@ class GaussianSplatting:
                 f"the masks hide all of the {len(split.train)} training photographs: black mask pixels are left out"
             )
         usable = [photographs[name] for name in names]
-        if self.density == "fixed" or (self.density == "parsimonious" and len(usable) < _MIN_SELECTION_IMAGES):
-            return Density(), usable
         if self._densification is not None:
             return replace(self._densification, max_gaussians=self.gaussians), usable
-        selection_split = split_for_selection(names, {name: camera.position for name, camera in cameras.items()})
+        score: Score = score_views
+        candidates = names
+        if self.select == "surface":
+            assert depths is not None
+            score = score_surface(depths.depths)
+            candidates = [name for name in names if name in depths.depths and (depths.depths[name][0] > 0).any()]
+        if self.density == "fixed" or len(candidates) < _MIN_SELECTION_IMAGES:
+            return Density(), usable
+        selection_split = split_for_selection(candidates, {name: camera.position for name, camera in cameras.items()})
         held_out_blocks = [[photographs[name] for name in block] for block in selection_split.blocks]
-        return Parsimonious(held_out_blocks), [photographs[name] for name in selection_split.train]
+        shown = [photographs[name] for name in names if name not in selection_split.test]
+        return Parsimonious(held_out_blocks, CRITERIA[self.select], score), shown
 
     def _train(
         self,
@@ -305,11 +334,12 @@ class GaussianSplatting:
     ) -> None:
         progress("creating the initial Gaussians")
         pyramids = {pyramid[0].name: pyramid for pyramid in photographs}
-        density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids)
-        supervision = None
+        depths = None
         if self._uses_depths:
-            supervised = [pyramids[name] for name in split.train]
-            supervision = read_supervision(workspace / self.start / MAPS, supervised, frame.unit)
+            depths = read_supervision(
+                workspace / self.start / MAPS, [pyramids[name] for name in split.train], frame.unit
+            )
+        density, training_photographs = self._density_and_photographs(split, initial.cameras, pyramids, depths)
         background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
         model = initial_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
@@ -322,7 +352,7 @@ class GaussianSplatting:
                 rates=GAO2025_LEARNING_RATES if self.density == "gao2025" else LearningRates(),
             ),
             density,
-            supervision,
+            None if self.supervision == "none" else depths,
             background,
             Exposure(split.train, background.color.device) if self.exposure else None,
         )

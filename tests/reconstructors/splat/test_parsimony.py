@@ -1,27 +1,39 @@
 """The number of Gaussians: the smallest model within one standard error of the best is selected and trained further."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from optional import import_or_skip
 
 torch = import_or_skip("torch")
 
+from splat_planes import plane_scene  # noqa: E402
 from splat_training import grey, numbers, truth  # noqa: E402
 from wording import check_error, check_text  # noqa: E402
 
 from reconstructors.splat.model import Gaussians  # noqa: E402
-from reconstructors.splat.parsimony import Budget, Curve, Parsimonious, PsnrLoss, select_budget  # noqa: E402
+from reconstructors.splat.parsimony import (  # noqa: E402
+    CRITERIA,
+    Budget,
+    Curve,
+    Parsimonious,
+    ScoreLoss,
+    score_surface,
+    score_views,
+    select_budget,
+)
 from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
-def make_budget(gaussians, *psnr, degree=2):
-    return Budget(gaussians, degree, psnr, 1.0)
+def make_budget(gaussians, *scores, degree=2):
+    return Budget(gaussians, degree, scores, 1.0)
 
 
 def test_a_loss_is_the_mean_difference_over_the_blocks():
     hard_psnr, easy_psnr = 20.0, 35.0
-    loss = PsnrLoss.of(make_budget(100, hard_psnr - 0.1, easy_psnr - 0.3), make_budget(200, hard_psnr, easy_psnr))
+    loss = ScoreLoss.of(make_budget(100, hard_psnr - 0.1, easy_psnr - 0.3), make_budget(200, hard_psnr, easy_psnr))
     assert loss.mean == pytest.approx(0.2)
     assert loss.error == pytest.approx(np.std([0.1, 0.3], ddof=1) / np.sqrt(2))
 
@@ -42,11 +54,58 @@ def test_the_smallest_within_one_standard_error_is_selected():
     assert "24.93 dB" in Curve((best, equivalent, worse)).sentence
 
 
-def test_a_curve_is_read_back_unchanged(tmp_path):
-    curve = Curve((make_budget(800, 30.0, 20.0), make_budget(400, 29.123456789, 19.0, degree=1)))
+def test_a_loss_within_the_tolerance_is_accepted():
+    best, worse = make_budget(800, 90.0, 80.0), make_budget(100, 88.5, 78.5)  # standard error 0
+    assert select_budget([best, worse], tolerance=1.4) == 0
+    assert select_budget([best, worse], tolerance=1.6) == 1
+    assert Curve((best, worse), CRITERIA["views"]).selected is best
+    curve = Curve((best, worse), CRITERIA["surface"])
+    assert curve.selected is worse
+    assert "correct depths 83.50 %" in check_text(curve.sentence)
+
+
+@pytest.mark.parametrize(("criterion", "column"), [("views", "psnr_db"), ("surface", "correct_depths_percent")])
+def test_a_curve_is_read_back_unchanged(tmp_path, criterion, column):
+    budgets = (make_budget(800, 30.0, 20.0), make_budget(400, 29.123456789, 19.0, degree=1))
+    curve = Curve(budgets, CRITERIA[criterion])
     curve.write(tmp_path / "curve.csv")
     assert Curve.read(tmp_path / "curve.csv") == curve
-    assert (tmp_path / "curve.csv").read_text().splitlines()[0].startswith("gaussians,degree,step_cpu_ms,bytes,psnr_db")
+    header = (tmp_path / "curve.csv").read_text().splitlines()[0]
+    assert header.startswith(f"gaussians,degree,step_cpu_ms,bytes,{column},loss_")
+
+
+def test_a_depth_is_correct_up_to_two_pixel_footprints():
+    model, ((photograph,), (other,), *_) = truth()
+    rendered = model.render_geometry(photograph.view).median_depth
+    known = rendered.where(rendered > 0, 1.0)  # one pixel footprint is the depth over the focal length
+    known[:, ::2] = 0  # depths that are unknown do not count
+    count = (known > 0).sum()
+    training, covered = SimpleNamespace(model=model), (rendered > 0) & (known > 0)
+    for error_px, share in ((0.0, 1.0), (1.9, 1.0), (-1.9, 1.0), (2.1, 0.0), (-2.1, 0.0)):
+        target = known / (1 + error_px / photograph.view.fx)
+        score = score_surface({photograph.name: [target]})(training, [photograph])
+        assert score == pytest.approx(100 * share * float(covered.sum() / count))
+    # Every known depth of a block counts the same, not every photograph.
+    depths = {photograph.name: [known], other.name: [torch.zeros_like(known)]}
+    assert score_surface(depths)(training, [photograph, other]) == score_surface(depths)(training, [photograph])
+
+
+def test_the_surface_of_a_plane_needs_fewer_gaussians_than_its_views():
+    scene = plane_scene(patches=30)
+    held_out = (1, 4, 7, 10)
+
+    def select(criterion, score):
+        density = Parsimonious([[scene.photographs[k]] for k in held_out], CRITERIA[criterion], score)
+        shown = [pyramid for k, pyramid in enumerate(scene.photographs) if k not in held_out]
+        schedule = Schedule(steps=200, sh_degree=1)
+        training = Training(scene.initial_model(2000), shown, schedule, density, scene.supervision)
+        training.run(200)
+        return training.model
+
+    by_views = select("views", score_views)
+    by_surface = select("surface", score_surface(scene.supervision.depths))
+    assert len(by_surface) <= 500 < len(by_views)
+    assert scene.fscore(by_surface) == pytest.approx(scene.fscore(by_views), abs=0.02)
 
 
 def duplicate_gaussians(model, count):

@@ -91,6 +91,9 @@ def test_too_little_memory_is_refused(train):
 def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     with check_error(ValueError):
         train(cloud="surface", min_opacity=0.5)
+    for settings in ({"start": "sfm"}, {"start": "mvs", "density": "fixed"}):
+        with check_error(ValueError):
+            train(select="surface", **settings)
     monkeypatch.setattr(RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
     with check_error():
         train(hold_out="every")

@@ -25,6 +25,7 @@ from reconstructors.splat import splat as plugin  # noqa: E402
 from reconstructors.splat.density import Density  # noqa: E402
 from reconstructors.splat.interface import GaussianTensors  # noqa: E402
 from reconstructors.splat.model import Gaussians  # noqa: E402
+from reconstructors.splat.parsimony import Curve  # noqa: E402
 from reconstructors.splat.photographs import Photograph  # noqa: E402
 from reconstructors.splat.supervision import Supervision, read_supervision, resample_depths  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
@@ -173,16 +174,17 @@ def test_depths_constrain_what_photographs_do_not(tmp_path):
 
 @dataclass(frozen=True)
 class InexactMvs:
-    """Replaces `mvs`: exact maps and inexact points."""
+    """Replaces `mvs`: exact maps, of which three images confirm those of the first images, and inexact points."""
 
     poses: str = "given"
     seed: int = 0
+    confirmed: int = 100
 
     def reconstruct(self, scene, workspace):
         pinholes = [replace(c, intrinsics=corner.standard_intrinsics(72, 54)) for c in scene.cameras.values()]
         write_colmap_model(workspace / MAPS, pinholes)
-        for camera in pinholes:
-            save_map(workspace / MAPS / camera.name, corner_map(camera), 3)
+        for number, camera in enumerate(pinholes):
+            save_map(workspace / MAPS / camera.name, corner_map(camera), 3 if number < self.confirmed else 2)
         rng = np.random.default_rng(4)
         points = rng.uniform(0, corner.SIDE / 2, (3, 300, 3))
         points[range(3), :, range(3)] = rng.normal(0, 0.15, (3, 300))
@@ -215,3 +217,24 @@ def test_the_surface_is_more_accurate_with_depth_supervision(tmp_path, monkeypat
     assert "stereo" in clouds["combined", "mvs"].cloud.attributes
     assert "stereo" not in clouds["surface", "mvs"].cloud.attributes
     check_text(next(note for note in clouds["combined", "mvs"].notes if "from mvs" in note))
+
+
+def test_the_number_of_gaussians_is_selected_by_confirmed_depths(tmp_path, monkeypatch):
+    """Photographs without confirmed depths are not held out; the depths need not supervise the training too."""
+    scene_folder = tmp_path / "corner"
+    scene_folder.mkdir()
+    scene = read_scene(corner.write_scene(scene_folder, corner.cameras(9, corner.standard_intrinsics(96, 72))))
+    splat = plugin.GaussianSplatting(select="surface", supervision="none", steps=50, gaussians=900, cloud="means")
+
+    def notes(confirmed):
+        monkeypatch.setattr(plugin, "INITIAL_MVS", InexactMvs(confirmed=confirmed))
+        workspace = tmp_path / str(confirmed)
+        workspace.mkdir()
+        return splat.reconstruct(scene, workspace).notes
+
+    (note,) = (note for note in notes(4) if "correct depths" in note)
+    assert "%" in check_text(note)
+    curve = Curve.read(tmp_path / "4/model" / plugin.CURVE)
+    assert len(curve.budgets[0].scores) == 2
+    assert curve.selected.gaussians < 900
+    check_text(next(note for note in notes(3) if "was not optimized" in note))
