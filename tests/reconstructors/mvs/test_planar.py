@@ -70,6 +70,14 @@ def test_map_without_reliable_depths_is_unchanged(plain):
     assert_unchanged(scene.views[0], scene.views[1:], depth_map.where(np.zeros(depth_map.depth.shape, bool)))
 
 
+def test_a_map_smaller_than_a_cell_is_unchanged(plain):
+    scene, depth_map = plain
+    part = (slice(0, 3), slice(0, 1))
+    reference = scene.views[0]._replace(gray=scene.views[0].gray[part])
+    small = DepthMap(depth_map.depth[part], depth_map.normal[part], depth_map.confidence[part])
+    assert_unchanged(reference, [reference], small)
+
+
 def assert_unchanged(reference, sources, depth_map):
     filled = fill_plain_surface(reference, sources, depth_map)
     np.testing.assert_array_equal(filled.depth, depth_map.depth)
