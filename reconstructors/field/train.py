@@ -119,7 +119,7 @@ class FieldTraining:
         self._gradients, self._touched = aligned_rows(count), np.zeros(count, np.uint8)
         self._occupied = self.model.occupied_blocks()
         level = self.schedule.level(self.step)
-        self._pixels = Pixels([pyramid[min(level, len(pyramid) - 1)] for pyramid in self._photographs])
+        self._pixels = Pixels([_at_level(pyramid, level) for pyramid in self._photographs])
 
     @property
     def steps(self) -> int:
@@ -243,6 +243,12 @@ class FieldTraining:
         self._prepare()
         self._occupied = occupied
         return True
+
+
+def _at_level(pyramid: Pyramid, level: int) -> Photograph:
+    """Return a photograph at the smallest size, down to a level, at which its mask leaves a pixel."""
+    sizes = pyramid[: level + 1]
+    return next((photograph for photograph in reversed(sizes) if photograph.has_valid_pixels), pyramid[0])
 
 
 def save_field(path: Path, field: VoxelField) -> None:

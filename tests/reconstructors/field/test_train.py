@@ -15,7 +15,7 @@ from wording import check_error
 torch = import_or_skip("torch")
 
 from pcbench.errors import ReconstructionError  # noqa: E402
-from reconstructors.field.train import Pixels  # noqa: E402
+from reconstructors.field.train import FieldTraining, Pixels  # noqa: E402
 from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
 
 
@@ -67,6 +67,18 @@ def test_masked_pixels_are_not_drawn():
     position = marked[0].view.position
     assert ((rays.origins == position).all(axis=1) == ((255 * colors[:, 0]).round() == 200)).all()
     assert np.linalg.norm(rays.directions, axis=1) == pytest.approx(1)
+
+
+def test_masks_of_thin_lines_keep_the_larger_photographs():
+    training = new_training(steps=4, rays=64)
+    full = training._photographs[0][0]
+    small = full._replace(color=full.color[::2, ::2])
+    line = torch.zeros(full.color.shape[:2], dtype=torch.bool)
+    line[:, 7] = True
+    pyramid = [full._replace(valid=line), small._replace(valid=torch.zeros(small.color.shape[:2], dtype=torch.bool))]
+    trained = FieldTraining(training.model, [pyramid], training.schedule)
+    trained.run(1)
+    assert trained.step == 1 and trained._pixels._valid.tolist() == torch.nonzero(line.reshape(-1))[:, 0].tolist()
 
 
 def test_an_empty_field_is_an_error():
