@@ -1,5 +1,7 @@
 """The reconstructor around the training: box, masks, held-out views, keys of checkpoints, limits and their errors."""
 
+import shutil
+
 import numpy as np
 import pytest
 import textured_corner as corner
@@ -117,6 +119,21 @@ def test_a_checkpoint_of_other_settings_or_photographs_is_not_resumed(train, mon
         with pytest.raises(InterruptedError):
             train(masked_images, seed=seed)
     assert keys[0] == keys[3] and len(set(keys)) == 3
+
+
+def test_a_note_says_that_transparent_photographs_lie_over_black(monkeypatch, photographs, tmp_path):
+    folder = tmp_path / "transparent"
+    shutil.copytree(photographs, folder)
+    for image in sorted((folder / "images").iterdir())[:2]:
+        with Image.open(image) as opaque:
+            transparent = opaque.convert("RGBA")
+        transparent.putalpha(Image.linear_gradient("L").resize(transparent.size))
+        transparent.save(image)
+    monkeypatch.setattr(plugin, "ColmapSfm", CornerPointsSfm)
+    monkeypatch.setattr(plugin.extract, "surface", lambda *_: Cloud(np.zeros((1, 3))))
+    (tmp_path / "work").mkdir()
+    notes = plugin.RadianceField(**QUICK_SETTINGS).reconstruct(read_scene(folder), tmp_path / "work").notes
+    check_text([note for note in notes if "transparent" in note])
 
 
 def test_too_little_memory_is_refused(train):
