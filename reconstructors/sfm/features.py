@@ -176,7 +176,7 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
             f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
             f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )
-    return [f"{len(too_few)} images have fewer than {MIN_FEATURES} features: {join_names(too_few)}"]
+    return [f"{len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES} features: {join_names(too_few)}"]
 
 
 def join_names(names: list[str]) -> str:

@@ -117,7 +117,10 @@ class ColmapSfm:
         matching, pairs = choose_pairs(scene, self.matching)
         notes.append(f"{matching} matching, {len(pairs)} pairs")
         if scene.with_alpha:
-            notes.append(f"{len(scene.with_alpha)} images have an alpha channel: transparent pixels count as masked")
+            notes.append(
+                f"{len(scene.with_alpha)} of {len(scene)} images have an alpha channel: transparent pixels have no"
+                " features"
+            )
         matches = match_pairs(features, pairs, workspace)
         verified = verify_matches(matches, scene, workspace, self.seed)
         check_verified(verified, counts)

@@ -30,7 +30,7 @@ def test_images_of_the_same_intrinsics_or_size_share_a_camera():
 def test_too_few_features_are_a_note_or_an_error():
     counts = dict.fromkeys(NAMES, 50)
     assert check_features(counts, make_scene()) == []
-    assert check_features({**counts, "b.jpg": 49}, make_scene()) == ["1 images have fewer than 50 features: b.jpg"]
+    assert check_features({**counts, "b.jpg": 49}, make_scene()) == ["1 of 5 images have fewer than 50 features: b.jpg"]
     single_count = {"a.jpg": 50}  # the database does not list images without a feature
     with check_error(ReconstructionError):
         check_features(single_count, make_scene())
