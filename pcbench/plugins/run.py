@@ -189,8 +189,10 @@ def check_workspace(folder: Path) -> None:
     """Refuse a folder that cannot be a workspace, before `run`.
 
     Raises:
-        InputError: the folder has files that no reconstruction wrote.
+        InputError: it is no folder, or has files that no reconstruction wrote.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder for the workspace, got a file: choose another name")
     ours = (folder / JOB).is_file() and (folder / PLUGIN).is_dir()
     if folder.is_dir() and any(folder.iterdir()) and not ours:
         raise InputError(f"{folder}: expected an empty folder or an earlier workspace: choose another, or empty it")

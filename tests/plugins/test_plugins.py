@@ -311,6 +311,15 @@ def test_child_can_read_the_images(scene, plugin, tmp_path):
     assert read_image_header(scene / "images/2.png").width == 40
 
 
+def test_file_is_refused_as_workspace(scene, plugin, tmp_path, request):
+    run_cli = request.getfixturevalue("run")
+    (tmp_path / "work").write_text("mine")
+    spec = plugin("return Reconstruction(scene.points, 'metric')")
+    code, _, err = run_cli("reconstruct", spec, scene, "-o", tmp_path / "cloud.ply", "--workspace", tmp_path / "work")
+    assert (code, (tmp_path / "work").read_text()) == (2, "mine")
+    check_text(err)
+
+
 def test_foreign_folder_is_refused_as_workspace(scene, plugin, tmp_path, request):
     run_cli = request.getfixturevalue("run")  # the fixture, not pcbench.plugins.run.run
     workspace = tmp_path / "work"
