@@ -135,9 +135,7 @@ class RadianceField:
             notes.append("held out of training only: the sparse points that bound the field come from all images")
         transparent = sum(pyramid[0].alpha is not None for pyramid in photographs)
         if transparent:
-            notes.append(
-                f"{transparent} of {len(photographs)} photographs have transparent pixels: trained over black"
-            )
+            notes.append(f"{transparent} of {len(photographs)} photographs have transparent pixels: trained over black")
         inputs = {
             "versions": library_versions(),
             "settings": repr((self.poses, self.steps, self.resolution, self.image_side, self.seed, max_vertices)),

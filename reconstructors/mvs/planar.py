@@ -115,8 +115,8 @@ def _vertices(depth_map: DepthMap) -> tuple[IntArray, IntArray]:
     """Return rows and columns of the most confident pixel in each cell that has a reliable one."""
     rows, columns = (size // _CELL_PX for size in depth_map.depth.shape)
     confidence = np.where(depth_map.known, depth_map.confidence, 0)[: rows * _CELL_PX, : columns * _CELL_PX]
-    cells = confidence.reshape(rows, _CELL_PX, columns, _CELL_PX).transpose(0, 2, 1, 3)
-    cells = cells.reshape(rows, columns, _CELL_PX**2)
+    blocks = confidence.reshape(rows, _CELL_PX, columns, _CELL_PX).transpose(0, 2, 1, 3)
+    cells = blocks.reshape(rows, columns, _CELL_PX**2)
     row, column = np.nonzero(cells.max(axis=2) >= _MIN_VERTEX_CONFIDENCE)
     down, across = np.divmod(cells[row, column].argmax(axis=1), _CELL_PX)
     return row * _CELL_PX + down, column * _CELL_PX + across
