@@ -78,8 +78,7 @@ def score_views(training: Training, photographs: Sequence[Photograph]) -> float:
 def score_surface(depths: Mapping[str, Sequence[Tensor]]) -> Score:
     """Return the score of the criterion `surface`: the percentage of known depths that the median depth meets.
 
-    A depth is correct if its error is at most two pixel footprints, which is how far the F-score of a surface usually
-    tolerates errors.
+    A depth is correct if its error is at most two pixel footprints on the surface: the depth over the focal length.
 
     Args:
         depths: known depths by image name, as in `Supervision`; every photograph to be scored needs at least one.

@@ -4,8 +4,8 @@ For each city, the budgets that `density=parsimonious` tries, one per row: score
 the budget (PSNR in dB, or with `--select surface` the percentage of correct depths), its loss against the best with the
 standard error over their blocks, CPU time of a step, size of the model, and accuracy of its surface. Then the selected
 budget, trained to the end, against the initial number of Gaussians at equal steps: PSNR of 8 blocks of photographs that
-neither was trained on, and the difference with its standard error
-over the blocks. With one thread: OMP_NUM_THREADS=1.
+neither was trained on, and the difference with its standard error over the blocks. With one
+thread: OMP_NUM_THREADS=1.
 """
 
 import argparse
