@@ -29,15 +29,16 @@ void golden::splats() {
     pinhole.position[2] = -5;
     pinhole.fx = pinhole.fy = 80, pinhole.cx = kWidth / 2.0f, pinhole.cy = kHeight / 2.0f;
     pinhole.left = pinhole.top = -0.75f, pinhole.right = pinhole.bottom = 0.75f;
+    pinhole.min_alpha = 0x1p-8f, pinhole.min_level = -8, pinhole.min_transmittance = 0x1p-13f;
     pinhole.nearest = 0.0625f, pinhole.width = kWidth, pinhole.height = kHeight;
     const float background[3] = {0.25f, 0.5f, 0.75f};
     std::vector<float> color(3 * kPixels), transmittance(kPixels), depth(kPixels), normal(3 * kPixels), median(kPixels);
     Rasterizer rasterizer;
     rasterizer.forward(model, pinhole, background,
-                       {color.data(), transmittance.data(), depth.data(), normal.data(), median.data()}, true);
+                       {color.data(), transmittance.data(), depth.data(), normal.data(), median.data()});
     Hash("splat_forward").add(color).add(transmittance).add(depth).add(normal).add(median);
 
-    std::vector<float> color_gradient, transmittance_gradient, depth_gradient, normal_gradient, pixel_errors;
+    std::vector<float> color_gradient, transmittance_gradient, depth_gradient, normal_gradient;
     for (size_t pixel = 0; pixel < kPixels; ++pixel) {
         for (int channel = 0; channel < 3; ++channel) {
             color_gradient.push_back(random.uniform_float(-1, 2));
@@ -45,18 +46,17 @@ void golden::splats() {
         }
         transmittance_gradient.push_back(random.uniform_float(-1, 2));
         depth_gradient.push_back(random.uniform_float(-1, 2));
-        pixel_errors.push_back(random.uniform_float(0, 1));
     }
     const size_t rows = rasterizer.drawn();
     std::vector<int64_t> ids(rows);
     rasterizer.write_ids(ids.data());
-    std::vector<float> gradients[8];
-    const size_t widths[8] = {3, 4, 3, 1, 3 * kBands, 2, 1, 1};
-    for (int k = 0; k < 8; ++k) gradients[k].resize(widths[k] * rows);
-    rasterizer.backward({color_gradient.data(), transmittance_gradient.data(), depth_gradient.data(),
-                         normal_gradient.data(), pixel_errors.data()},
-                        {gradients[0].data(), gradients[1].data(), gradients[2].data(), gradients[3].data(),
-                         gradients[4].data(), gradients[5].data(), gradients[6].data(), gradients[7].data()});
+    std::vector<float> gradients[6];
+    const size_t widths[6] = {3, 4, 3, 1, 3 * kBands, 2};
+    for (int k = 0; k < 6; ++k) gradients[k].resize(widths[k] * rows);
+    rasterizer.backward(
+        {color_gradient.data(), transmittance_gradient.data(), depth_gradient.data(), normal_gradient.data()},
+        {gradients[0].data(), gradients[1].data(), gradients[2].data(), gradients[3].data(), gradients[4].data(),
+         gradients[5].data()});
     {
         Hash hash("splat_backward");
         hash.add(ids);
