@@ -6,7 +6,6 @@ that at least three images agree on.
 
 from __future__ import annotations
 
-import errno
 import math
 import shutil
 from collections.abc import Mapping
@@ -24,7 +23,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import full_disk_explained, library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
@@ -37,11 +36,11 @@ from reconstructors.field.train import (
     load_field,
     save_field,
 )
-from reconstructors.mvs.views import pinhole, view_stage
+from reconstructors.mvs.views import view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.model import LocalFrame
-from reconstructors.splat.photographs import Pyramid, read_photographs
+from reconstructors.splat.photographs import Pyramid, read_photographs, select_usable, training_pinhole
 from reconstructors.splat.resume import run_with_checkpoints
 
 MODEL = "field.npz"  # in the stage `model`
@@ -100,14 +99,8 @@ class RadianceField:
 
     def reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         """Train a field in the workspace and return its cloud; a finished stage is not repeated."""
-        try:
+        with full_disk_explained(workspace):
             return self._reconstruct(scene, workspace)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise ReconstructionError(
-                    f"the disk of {workspace} is full: free space and run again; finished stages are kept"
-                ) from error
-            raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         import torch
@@ -120,7 +113,7 @@ class RadianceField:
         cameras = sparse.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
         frame = LocalFrame.of(list(cameras.values()))
-        pinholes = {name: pinhole(camera, self._image_scale(camera)) for name, camera in cameras.items()}
+        pinholes = {name: training_pinhole(camera, self.image_side) for name, camera in cameras.items()}
         lower, upper = bounding_box(frame.to_local(sparse.cloud.points))
         initial_resolution = self.resolution // 2**_HALVINGS
         max_vertices = self._max_vertices(pinholes, math.prod(dense_shape(lower, upper, initial_resolution)))
@@ -143,11 +136,12 @@ class RadianceField:
             "train": list(split.train),
         }
 
+        usable = select_usable(photographs, split.train)
+
         def train(folder: Path) -> None:
-            usable = [pyramid for pyramid in photographs if pyramid[0].name in split.train]
             training = FieldTraining(
                 VoxelField.dense(lower, upper, initial_resolution),
-                [pyramid for pyramid in usable if pyramid[0].has_valid_pixels],
+                usable,
                 FieldSchedule(steps=self.steps, seed=self.seed, max_vertices=max_vertices),
             )
             field = run_with_checkpoints(training, workspace / "checkpoint.npz", repr(inputs))
@@ -155,7 +149,6 @@ class RadianceField:
                 (folder / COARSE).touch()
             save_field(folder / MODEL, field)
 
-        self._check_masks(photographs, split)
         model_folder = stage(workspace, "model", inputs, train)
         field = load_field(model_folder / MODEL)
         notes.append(f"{len(field):,} vertices, voxels of {field.voxel * frame.unit:.3g}{_unit(sparse.cloud)}")
@@ -173,10 +166,6 @@ class RadianceField:
             cameras,
             [*sparse.notes, *notes],
         )
-
-    def _image_scale(self, camera: Camera) -> float:
-        """Scale factor of a photograph, so that its longer side has at most `image_side` pixels."""
-        return min(1.0, self.image_side / max(camera.intrinsics.width, camera.intrinsics.height))
 
     def _max_vertices(self, pinholes: Mapping[str, Camera], initial_vertices: int) -> int:
         """Return the number of vertices that fit into memory beside the photographs.
@@ -200,12 +189,6 @@ class RadianceField:
                 " image_side, or more memory"
             )
         return int((self.memory * _BYTES_PER_GB - fixed) / BYTES_PER_VERTEX)
-
-    def _check_masks(self, photographs: list[Pyramid], split: Split) -> None:
-        if not any(p[0].has_valid_pixels for p in photographs if p[0].name in split.train):
-            raise InputError(
-                f"the masks hide all of the {len(split.train)} training photographs: black mask pixels are left out"
-            )
 
 
 def bounding_box(points: FloatArray) -> tuple[FloatArray, FloatArray]:

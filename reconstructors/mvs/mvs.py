@@ -6,7 +6,6 @@ bundled matcher is of the same family and runs on any CPU.
 
 from __future__ import annotations
 
-import errno
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import stage
+from pcbench.plugins.stages import full_disk_explained, stage
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
@@ -130,14 +129,8 @@ class DenseMvs:
             InputError: there are too few images, or the backend cannot run.
             ReconstructionError: the images do not overlap, no depth is confirmed, or the disk is full.
         """
-        try:
+        with full_disk_explained(workspace):
             return self._reconstruct(scene, workspace)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise ReconstructionError(
-                    f"the disk of {workspace} is full: free some space and run it again; finished steps are kept"
-                ) from error
-            raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         if len(scene) < self.views:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.scenes.decode import decode_gray, decode_image, decode_mask
-from reconstructors.mvs.views import ALPHA, IMAGE, MASK
+from reconstructors.mvs.views import ALPHA, IMAGE, MASK, pinhole
 from reconstructors.splat.model import LocalFrame
 from reconstructors.splat.view import View
 
@@ -58,6 +59,24 @@ class Photograph(NamedTuple):
 
 
 Pyramid = list[Photograph]  # the sizes of one photograph: the full size first, each next one half as wide
+
+
+def training_pinhole(camera: Camera, max_side: int) -> Camera:
+    """Return the pinhole of a photograph for training, whose longer side has at most `max_side` pixels."""
+    return pinhole(camera, min(1.0, max_side / max(camera.intrinsics.width, camera.intrinsics.height)))
+
+
+def select_usable(photographs: Iterable[Pyramid], names: Iterable[str]) -> list[Pyramid]:
+    """Return the photographs of these names that have valid pixels, in the order of the names.
+
+    Raises:
+        InputError: there are none.
+    """
+    by_name, names = {pyramid[0].name: pyramid for pyramid in photographs}, list(names)
+    usable = [by_name[name] for name in names if by_name[name][0].has_valid_pixels]
+    if not usable:
+        raise InputError(f"the masks hide all of the {len(names)} training photographs: black mask pixels are left out")
+    return usable
 
 
 def read_photographs(

@@ -6,7 +6,6 @@ points.
 
 from __future__ import annotations
 
-import errno
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -23,12 +22,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import library_versions, stage
+from pcbench.plugins.stages import full_disk_explained, library_versions, stage
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
 from reconstructors.mvs.mvs import MAPS, DenseMvs
-from reconstructors.mvs.views import pinhole, view_stage
+from reconstructors.mvs.views import view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
@@ -47,7 +46,7 @@ from reconstructors.splat.parsimony import (
     score_surface,
     score_views,
 )
-from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs
+from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs, select_usable, training_pinhole
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import Supervision, read_supervision
@@ -156,17 +155,12 @@ class GaussianSplatting:
         import torch
 
         try:
-            return self._reconstruct(scene, workspace)
+            with full_disk_explained(workspace):
+                return self._reconstruct(scene, workspace)
         except torch.cuda.OutOfMemoryError as error:
             raise ReconstructionError(
                 "the CUDA device ran out of memory: set fewer gaussians, a smaller image_side, or device=cpu"
             ) from error
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise ReconstructionError(
-                    f"the disk of {workspace} is full: free space and run again; finished stages are kept"
-                ) from error
-            raise
 
     def _reconstruct(self, scene: Scene, workspace: Path) -> Reconstruction:
         if len(scene) < _MIN_IMAGES:
@@ -177,7 +171,7 @@ class GaussianSplatting:
         cameras = initial.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
         frame = LocalFrame.of(list(cameras.values()))
-        pinholes = {name: pinhole(camera, self._image_scale(camera)) for name, camera in cameras.items()}
+        pinholes = {name: training_pinhole(camera, self.image_side) for name, camera in cameras.items()}
         self._check_memory(pinholes)
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
@@ -276,10 +270,6 @@ class GaussianSplatting:
             return replace(INITIAL_MVS, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
         return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
 
-    def _image_scale(self, camera: Camera) -> float:
-        """Scale factor of a photograph, so that its longer side has at most `image_side` pixels."""
-        return min(1.0, self.image_side / max(camera.intrinsics.width, camera.intrinsics.height))
-
     def _check_memory(self, pinholes: Mapping[str, Camera]) -> None:
         pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
         gaussian = _BYTES_PER_GAUSSIAN + _TRIAL_BYTES_PER_GAUSSIAN * (self.density == "parsimonious")
@@ -301,12 +291,8 @@ class GaussianSplatting:
         depths: Supervision | None,
     ) -> tuple[Density[Training], list[Pyramid]]:
         """Return the densification strategy and the photographs that training starts with."""
-        names = [name for name in split.train if photographs[name][0].has_valid_pixels]
-        if not names:
-            raise InputError(
-                f"the masks hide all of the {len(split.train)} training photographs: black mask pixels are left out"
-            )
-        usable = [photographs[name] for name in names]
+        usable = select_usable(photographs.values(), split.train)
+        names = [pyramid[0].name for pyramid in usable]
         if self._densification is not None:
             return replace(self._densification, max_gaussians=self.gaussians), usable
         score: Score = score_views
