@@ -1,15 +1,12 @@
 """Training: resumed runs, seeds, masks, empty fields, and the same bits for any threads and instruction set."""
 
-import json
-import os
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from field_training import arrays_of, new_training
+from kernel_scripts import baseline_digest, check_same_bits, run_script
 from optional import import_or_skip
-from repository import TESTS
 from wording import check_error
 
 torch = import_or_skip("torch")
@@ -97,7 +94,6 @@ def test_a_diverged_training_is_an_error():
 
 DIGEST_SCRIPT = """
 import json, sys
-sys.path[:0] = {path!r}
 from field_training import arrays_of, new_training, new_view
 from reconstructors.field.native import _field
 training = new_training()
@@ -110,56 +106,27 @@ print(json.dumps([_field.isa(), digest]))
 """
 
 
-def run_digest_script(**environment):
-    """Return the results of a fresh process."""
-    script = DIGEST_SCRIPT.format(path=[str(TESTS)])
-    return subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
-    )
-
-
 @pytest.fixture(scope="module")
-def baseline_digest():
-    process = run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
-    assert process.returncode == 0, process.stderr
-    isa, digest = json.loads(process.stdout)
-    assert isa == "baseline"
-    return digest
+def digest():
+    return baseline_digest(DIGEST_SCRIPT)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
-def test_threads_and_instruction_sets_give_the_same_bits(baseline_digest, isa, threads):
-    """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""
-    process = run_digest_script(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
-    if "PCBENCH_ISA: expected an instruction set that this machine supports" in process.stderr:
-        isa, process = "baseline", run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
-    assert json.loads(process.stdout) == [isa, baseline_digest], process.stderr
+def test_threads_and_instruction_sets_give_the_same_bits(digest, isa, threads):
+    """As one thread of the baseline."""
+    check_same_bits(DIGEST_SCRIPT, digest, isa, threads)
 
 
 MEMORY_SCRIPT = """
-import resource, sys
-from pathlib import Path
-import numpy as np
-sys.path[:0] = {path!r}
+import sys
 from field_training import gradients_of, new_training
+from kernel_scripts import compute_with_rising_memory
 training = new_training(rays=int(sys.argv[1]))
 gradients_of(new_training())()  # starts all threads
 compute = gradients_of(training)
 expected = compute()
-failures, headroom = 0, 0
-_, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
-while True:
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + headroom, hard_limit))
-    try:
-        result = compute()
-        break
-    except MemoryError:
-        failures += 1
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
-    headroom += 1 << 18
+failures, result = compute_with_rising_memory(compute)
 print(failures, result == expected)
 """
 
@@ -167,14 +134,8 @@ print(failures, result == expected)
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_running_out_of_memory_raises_a_memory_error(threads):
-    """The limit rises in small steps, so that each large allocation fails once; the final result is that without a
-    limit."""
-    process = subprocess.run(
-        [sys.executable, "-c", MEMORY_SCRIPT.format(path=[str(TESTS)]), "20000"],
-        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
-        capture_output=True,
-        text=True,
-    )
+    """Each large allocation fails once; the final result is that without a limit."""
+    process = run_script(MEMORY_SCRIPT, 20_000, OMP_NUM_THREADS=str(threads))
     assert process.returncode == 0, process.stderr
     failures, is_same = process.stdout.split()
     assert int(failures) > 3 and is_same == "True"

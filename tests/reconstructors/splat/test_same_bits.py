@@ -1,26 +1,20 @@
 """The CPU's rasterizer, loss and optimizer give the same bits at any number of threads and on every instruction set."""
 
-import json
-import os
-import subprocess
-import sys
-
 import pytest
+from kernel_scripts import baseline_digest, check_same_bits
 from optional import import_or_skip
-from repository import TESTS
 
 import_or_skip("torch")
 
 DIGEST_SCRIPT = """
 import hashlib, json, sys
 import numpy as np, torch
-sys.path[:0] = {path!r}
 from splat_passes import Engine, random_image_gradients, run_pass
 from splat_scenes import SCENES, make_scene, scattered_cloud
 from reconstructors.splat import cpu
 from reconstructors.splat.cpu import _rasterizer
 
-digests = {{}}
+digests = {}
 def add_digest(name, *arrays):
     digests[name] = hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
@@ -46,28 +40,13 @@ print(json.dumps([_rasterizer.isa(), digests]))
 """
 
 
-def run_digest_script(**environment):
-    """Return the results of a fresh process."""
-    script = DIGEST_SCRIPT.format(path=[str(TESTS)])
-    return subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, **environment}, capture_output=True, text=True
-    )
-
-
 @pytest.fixture(scope="module")
-def baseline_digests():
-    process = run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS="1")
-    assert process.returncode == 0, process.stderr
-    isa, digests = json.loads(process.stdout)
-    assert isa == "baseline"
-    return digests
+def digest():
+    return baseline_digest(DIGEST_SCRIPT)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("isa, threads", [("avx2", "2"), ("avx512", "3")])
-def test_threads_and_instruction_sets_give_the_same_bits(baseline_digests, isa, threads):
-    """As one thread of the baseline; on a machine without these instructions, several threads of the baseline."""
-    process = run_digest_script(PCBENCH_ISA=isa, OMP_NUM_THREADS=threads)
-    if "PCBENCH_ISA: expected an instruction set that this machine supports" in process.stderr:
-        isa, process = "baseline", run_digest_script(PCBENCH_ISA="baseline", OMP_NUM_THREADS=threads)
-    assert json.loads(process.stdout) == [isa, baseline_digests], process.stderr
+def test_threads_and_instruction_sets_give_the_same_bits(digest, isa, threads):
+    """As one thread of the baseline."""
+    check_same_bits(DIGEST_SCRIPT, digest, isa, threads)

@@ -1,18 +1,17 @@
 """The compiled rasterizer when memory runs out."""
 
-import os
-import subprocess
 import sys
 
 import pytest
+from kernel_scripts import run_script
 from optional import import_or_skip
 
 import_or_skip("torch")
 
 SCRIPT = """
-import resource, sys
-from pathlib import Path
+import sys
 import numpy as np
+from kernel_scripts import compute_with_rising_memory
 from reconstructors.splat.cpu import _rasterizer
 
 def splats(count, width, height):
@@ -54,19 +53,7 @@ def run(operation, count, width, height):
 operation, *size = sys.argv[1], *map(int, sys.argv[2:])
 run(operation, 10, 64, 64)()  # starts all threads
 compute = run(operation, *size)
-failures, headroom = 0, 0
-_, hard_limit = resource.getrlimit(resource.RLIMIT_AS)
-while True:
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + headroom, hard_limit))
-    try:
-        result = compute()
-        break
-    except MemoryError:
-        failures += 1
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (hard_limit, hard_limit))
-    headroom += 1 << 18
+failures, result = compute_with_rising_memory(compute)
 print(failures, result == compute())
 """
 
@@ -78,14 +65,8 @@ print(failures, result == compute())
     [("forward", (20_000, 96, 64)), ("backward", (5_000, 96, 64)), ("image_loss", (1, 30_000, 2))],
 )
 def test_running_out_of_memory_raises_a_memory_error(operation, size, threads):
-    """The limit rises in small steps, so that each large allocation fails once; the final result is that without a
-    limit."""
-    process = subprocess.run(
-        [sys.executable, "-c", SCRIPT, operation, *map(str, size)],
-        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
-        capture_output=True,
-        text=True,
-    )
+    """Each large allocation fails once; the final result is that without a limit."""
+    process = run_script(SCRIPT, operation, *size, OMP_NUM_THREADS=str(threads))
     assert process.returncode == 0, process.stderr
     failures, is_same = process.stdout.split()
     assert int(failures) > 3 and is_same == "True"
