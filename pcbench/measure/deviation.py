@@ -76,6 +76,8 @@ class DeviationMap:
             is closed, negative inside).
         m3c2: M3C2 map, if requested; it has its own core points.
         unsigned: names of the scalars that are never negative.
+        sampled_from: number of points that were measured, if these are a sample of them; None: these are all.
+        known_spreads: summary statistics of all measured values, if these are a sample of them.
     """
 
     points: FloatArray
@@ -83,10 +85,14 @@ class DeviationMap:
     scalars: Mapping[str, FloatArray]
     m3c2: M3C2 | None = None
     unsigned: frozenset[str] = frozenset({"distance"})
+    sampled_from: int | None = None
+    known_spreads: Mapping[str, Spread] | None = None
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
-        """Summary statistics of each scalar."""
+        """Summary statistics of each scalar, over all measured points."""
+        if self.known_spreads is not None:
+            return dict(self.known_spreads)
         return {name: Spread.of(values) for name, values in self.scalars.items()}
 
     @property

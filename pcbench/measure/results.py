@@ -242,6 +242,8 @@ class Candidate:
         timings_s: seconds per step.
         peak_rss_bytes: peak memory of the process so far.
         warnings: warnings about the clouds; registration and deformation have their own.
+        censored: share of the distances of each direction that reach the maximum distance of the search, by
+            `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum.
     """
 
     name: str
@@ -255,6 +257,35 @@ class Candidate:
     timings_s: Mapping[str, float]
     peak_rss_bytes: int
     warnings: tuple[Notice, ...] = ()
+    censored: Mapping[str, float] = field(default_factory=dict)
+
+
+class LeftOut(NamedTuple):
+    """A damaged file that was left out of a tiled comparison, the number of its points if known, and the reason."""
+
+    path: str
+    points: int | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How a comparison of clouds on disk was computed.
+
+    Attributes:
+        tile_points: largest number of points of a tile, except where more points coincide.
+        tiles: number of tiles of the reference and of each candidate together.
+        sampled_points: number of points of the reference that registration, floors and deformation are based on; None:
+            all points.
+        max_distance: length beyond which no closest point was searched; None: all distances are exact.
+        left_out: damaged files that were left out.
+    """
+
+    tile_points: int
+    tiles: int
+    sampled_points: int | None = None
+    max_distance: float | None = None
+    left_out: tuple[LeftOut, ...] = ()
 
 
 class Difference(NamedTuple):
@@ -278,6 +309,7 @@ class CandidateComparisons:
     reference: ReferenceSummary
     candidates: tuple[Candidate, ...]
     differences: tuple[Difference, ...] = ()
+    tiling: Tiling | None = None
 
     def __getitem__(self, name: str) -> Candidate:
         """Return the candidate of that name.

@@ -49,7 +49,15 @@ class Comparison(SourcedComparison):
         cameras: ViewingCameras | None = None,
     ) -> Comparison:
         """Return a measured comparison with its input files and the cameras of its scene."""
-        return cls(measured.settings, measured.reference, measured.candidates, measured.differences, inputs, cameras)
+        return cls(
+            measured.settings,
+            measured.reference,
+            measured.candidates,
+            measured.differences,
+            measured.tiling,
+            inputs,
+            cameras,
+        )
 
     def save(self, folder: str | Path, *, figures: bool | Figures = True) -> None:
         """Write a report: report.html, comparison.json, metrics.csv, table.md, deviation clouds, matrices and pictures.

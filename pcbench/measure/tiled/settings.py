@@ -1,0 +1,61 @@
+"""Settings of a tiled comparison: how it is computed. They do not change its numbers, except for a capped search."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from pcbench.errors import InputError
+
+DEFAULT_MEMORY = 4 << 30
+_SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", re.IGNORECASE)
+_FACTORS = {"": 1, "b": 1}
+_FACTORS |= {f"{letter}b": 1000**power for power, letter in enumerate("kmgt", 1)}
+_FACTORS |= {f"{letter}ib": 1024**power for power, letter in enumerate("kmgt", 1)}
+_MIN_TILE_POINTS = 100
+
+
+@dataclass(frozen=True)
+class TilingSettings:
+    """Settings of a tiled comparison.
+
+    Attributes:
+        tile_points: largest number of points of a tile; None: chosen from the memory and the number of workers.
+        memory: memory in bytes that all processes together may use.
+        workers: number of worker processes; None: the number of CPUs, at most as many as the memory allows.
+        cluster: address of a Dask scheduler, such as tcp://host:8786, whose workers see the same files; None: local
+            processes.
+        max_distance: length beyond which no closest point is searched; larger distances count as this one, and the
+            result states their share. None: all distances are exact.
+        skip_bad: whether damaged files are left out and listed in the result, instead of ending the comparison.
+    """
+
+    tile_points: int | None = None
+    memory: int = DEFAULT_MEMORY
+    workers: int | None = None
+    cluster: str | None = None
+    max_distance: float | None = None
+    skip_bad: bool = False
+
+    def __post_init__(self) -> None:
+        if self.tile_points is not None and self.tile_points < _MIN_TILE_POINTS:
+            raise InputError(f"expected tiles of at least {_MIN_TILE_POINTS} points, got {self.tile_points}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"expected at least one worker, got {self.workers}")
+        if self.max_distance is not None and not self.max_distance > 0:
+            raise InputError(f"expected a maximum distance above 0, got {self.max_distance:g}")
+
+
+def parse_bytes(text: str) -> int:
+    """Return the number of bytes that a text such as `4GiB` or `500MB` states.
+
+    Raises:
+        InputError: the text is not a size.
+    """
+    found = _SIZE.fullmatch(text)
+    size = 0.0
+    if found is not None:
+        size = float(found[1]) * _FACTORS[(found[2] or "").lower()]
+    if not 1 <= size < 1 << 60:
+        raise InputError(f"expected an amount of memory such as 4GiB or 500MB, got {text!r}")
+    return int(size)
