@@ -289,7 +289,7 @@ def write_mesh(fused: Sequence[Path], out: Path, origin: FloatArray, unit: str |
     options = pycolmap.PoissonMeshingOptions()
     options.depth, options.trim = depth, float(depth - 3)
     options.num_threads = 1
-    raw, joined = out.with_name(f".{out.name}"), out.with_name(f".{out.name}.points")
+    raw, joined = out.with_name(f".{out.name}"), out.with_name(f".points.{out.name}")
     try:
         if len(fused) > 1:
             _concatenate_fused(fused, joined)
