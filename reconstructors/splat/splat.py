@@ -151,14 +151,15 @@ class GaussianSplatting:
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
     all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
-    steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
+    steps: number of training steps. gaussians: maximum number of Gaussians. sh_degree: degree of the spherical harmonics, 0 to 3.
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
     transparent where they are.
     exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
     image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
-    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
-    that training may use.
+    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`.
+    memory: gigabytes that training may use. A scene that needs more is trained in blocks, one after the other, each for
+    `steps` steps on the photographs that show it; the blocks share the `gaussians`.
     device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
     The workspace keeps the model (model/point_cloud.ply), which splat viewers open.
     """
