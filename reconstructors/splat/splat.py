@@ -151,7 +151,7 @@ class GaussianSplatting:
     cloud: the `surface` of the Gaussians that at least three images agree on; `combined`, this surface together with
     the points of `mvs`, weighted by how well depth maps agree (the surface alone, unless start=mvs); or the `means` of
     all Gaussians, as Gao et al. use them; min_opacity: the least opacity of those means, 0 to 1.
-    steps: number of training steps. gaussians: maximum number of Gaussians. sh_degree: degree of the spherical harmonics, 0 to 3.
+    steps: number of training steps. gaussians: maximum number. sh_degree: degree of the spherical harmonics, 0 to 3.
     background: the color behind the Gaussians: `black`, `white` or `learned`; `auto` learns it if one color dominates
     the borders of the photographs, and otherwise is black. If photographs have an alpha channel, the model becomes
     transparent where they are.
