@@ -406,7 +406,10 @@ class GaussianSplatting:
     def _merge_blocks(self, trained: Sequence[_TrainedPart], frame: LocalFrame, workspace: Path) -> Path:
         """Return the stage of the model of all blocks, in a frame."""
         folders = [folder for _, _, folder in trained]
-        inputs = {"blocks": [stage_key(folder) for folder in folders]}
+        inputs = {
+            "blocks": [stage_key(folder) for folder in folders],
+            "cells": [[block.cell.lower.tolist(), block.cell.upper.tolist()] for _, block, _ in trained],
+        }
 
         def make(folder: Path) -> None:
             model = merge_models(
@@ -525,6 +528,10 @@ class GaussianSplatting:
         )
         if hidden := planned - len(trained):
             yield f"{hidden} of {planned} blocks have no training photographs: these parts have no Gaussians"
+        if self.density == "parsimonious":
+            fixed = sum(not (folder / CURVE).is_file() for _, _, folder in trained)
+            kept = f", except in {fixed} blocks with too few photographs" if fixed else ""
+            yield f"the number of Gaussians was optimized in each block{kept}: {workspace / BLOCKS}/*/{CURVE}"
 
     def _few_points_note(self, points: int) -> Iterator[str]:
         """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""
