@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import platform
@@ -9,6 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,11 +98,12 @@ class ClusterWorkers:
 
     def stop(self) -> None:
         """Cancel all tasks that have not started; those that run end by themselves."""
-        self._executor.shutdown(wait=False)
-        self._client.close(_CLOSE_S)
+        with suppress(Exception):  # the connection may be lost
+            self._client.close(_CLOSE_S)
 
     def _connect(self) -> None:
         distributed: Any = require("distributed", "cluster")
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # TaskRunner reports a lost connection
         where = {"scheduler_file": self._cluster} if Path(self._cluster).is_file() else {"address": self._cluster}
         with warnings.catch_warnings():  # `run_call` compares the versions, and says what to do
             warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)

@@ -1,5 +1,6 @@
 """Tasks on a Dask cluster: lost workers, a scheduler that is started again, and clusters that cannot be used."""
 
+import json
 import os
 import socket
 import subprocess
@@ -23,7 +24,7 @@ distributed = import_or_skip("distributed")
 @pytest.fixture(scope="module")
 def address():
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
     ) as local:
         yield local.scheduler_address
 
@@ -177,7 +178,7 @@ def _port():
 
 
 class Cluster:
-    """A scheduler and a worker as separate programs, as on a real cluster."""
+    """A scheduler and two workers as separate programs, as on a real cluster."""
 
     def __init__(self, folder):
         self.port, self.folder = _port(), folder
@@ -191,7 +192,7 @@ class Cluster:
         path = os.pathsep.join([str(ROOT), str(TESTS), os.environ.get("PYTHONPATH", "")])
         programs = (
             ("dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show"),
-            ("dask_worker", self.address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard"),
+            *[("dask_worker", self.address, "--no-nanny", "--nthreads", "1", "--no-dashboard")] * 2,
         )
         with (self.folder / "log.txt").open("ab") as log:
             for name, *arguments in programs:
@@ -209,10 +210,9 @@ class Cluster:
         self.processes[0].kill()
 
     def stop(self):
-        for process in reversed(self.processes):
-            process.terminate()
         for process in self.processes:
-            process.wait(20)
+            process.kill()
+            process.wait()
         self.processes.clear()
 
 
@@ -273,7 +273,7 @@ def test_a_scheduler_that_does_not_return(tmp_path, folder, monkeypatch, capfd):
 def test_a_cluster_without_workers(tmp_path, folder):
     steps = []
     with distributed.LocalCluster(
-        n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp://"
+        n_workers=0, threads_per_worker=1, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
     ) as local:
 
         def progress(text):
@@ -306,7 +306,6 @@ def test_lost_tasks_are_submitted_again(runner, address):
 
 
 def test_the_scheduler_file_is_an_address(address, tmp_path, folder):
-    with distributed.Client(address, set_as_default=False) as client:
-        client.write_scheduler_file(tmp_path / "scheduler.json")
+    (tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
     with TaskRunner(Workers(cluster=str(tmp_path / "scheduler.json")), folder) as runner:
         assert values(runner.run("stage", task_functions.square, numbered(2))) == [0, 1]
