@@ -29,8 +29,8 @@ def open_cloud(
         path: a path that `pcbench.read_cloud` accepts.
         classes: class numbers to keep, as in `pcbench.read_cloud`.
         returns: returns to keep, as in `pcbench.read_cloud`.
-        piece_points: largest number of points of a piece, if the format allows it: a LAZ chunk, an EPT node, an E57 scan
-            and a text file are never divided.
+        piece_points: largest number of points of a piece, if the format allows it: a LAZ chunk, an EPT node, an E57
+            scan and a text file are never divided.
         skip_bad: whether files with a damaged header are left out and listed in `left_out`.
 
     Raises:

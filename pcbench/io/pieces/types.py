@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.las_checks import LasCounts
 
 Corner = tuple[float, float, float]
 
@@ -59,7 +60,8 @@ class Piece:
     address: tuple[int, ...] = ()
 
 
-class DamagedFile(NamedTuple):
+@dataclass(frozen=True)
+class DamagedFile:
     """A file that was left out because it cannot be read, its number of points if its header states it, and why."""
 
     path: Path
@@ -107,26 +109,20 @@ class CloudOnDisk:
 
 
 class PieceNotes(NamedTuple):
-    """Counts from reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
+    """What was noticed while reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
 
     Attributes:
-        dropped: points with NaN or Inf coordinates, after filters.
-        at_origin: points that are exactly (0, 0, 0).
-        withheld: LAS points that are marked as withheld, before filters; they are kept.
-        wrong_returns: LAS points with a return number above the number of returns of their pulse.
-        by_return: LAS points per return number 0 to 15, before filters; empty for other formats.
-        outside: largest distance by which LAS points exceed the bounds of their header in x, y, z; empty otherwise.
-        unverified: whether compressed points could not be verified.
+        finite: points that passed the filters and are finite.
+        dropped: points that passed the filters and have NaN or Inf coordinates.
+        at_origin: finite points that are exactly (0, 0, 0).
+        las: counts over the LAS points of the piece before filters, or None for other formats.
         lines: other warnings, without the path.
     """
 
+    finite: int = 0
     dropped: int = 0
     at_origin: int = 0
-    withheld: int = 0
-    wrong_returns: int = 0
-    by_return: tuple[int, ...] = ()
-    outside: tuple[float, ...] = ()
-    unverified: bool = False
+    las: LasCounts | None = None
     lines: tuple[str, ...] = ()
 
 
