@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -30,6 +31,7 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, CandidateComparisons, Difference
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
+from pcbench.measure.summaries import summarize
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration, register
 from pcbench.systems import peak_memory
@@ -209,15 +211,15 @@ def _default_thresholds(spacing: float) -> tuple[float, ...]:
 
 
 def _measurement(reference: Reference, forth: Direction, back: Direction, thresholds: tuple[float, ...]) -> Measurement:
-    return measure(
-        forth,
-        back,
-        thresholds,
+    summary = partial(
+        summarize,
+        thresholds=thresholds,
         cells=reference.cells,
         voxel=reference.voxel,
         corner=bounds(reference.measured_points)[0],
         origin=reference.origin,
     )
+    return measure(summary(forth), summary(back), thresholds, cells=reference.cells)
 
 
 def _deformation(reference: Reference, aligned: _Aligned, seed: int) -> Deformation:

@@ -70,6 +70,18 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     written in place. Returned is False, and nothing is written, if a value is NaN.
     """
 
+def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.int64], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+    """
+    Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts
+    2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.
+    """
+
+def round_exactly(limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu', writable=False)], sums: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's
+    complement.
+    """
+
 def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], closest: NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], max_distance: float, robust: bool, kept_share: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]:
     """
     Residuals and weights (M,) of pairs, written in place. Returned are the number of pairs within the maximum
