@@ -59,6 +59,18 @@ class Lattice:
         return total
 
 
+    def box(self, code_range: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        """Return the corners (3,) of the box of a range of codes that halving the curve gives, without the pose."""
+        low, high = (np.array([_gather_bits(code >> axis) for axis in range(3)]) for code in (code_range[0], code_range[1] - 1))
+        corner = np.array(self.low)
+        return corner + self.side * low, corner + self.side * (high + 1)
+
+
+def _gather_bits(code: int) -> int:
+    """Return the number that every third bit of a code forms."""
+    return sum((code >> 3 * bit & 1) << bit for bit in range(_BITS))
+
+
 def _spread_bits(values: Codes) -> Codes:
     for shift, mask in _SPREAD:
         values = (values | values << np.uint64(shift)) & np.uint64(mask)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
-from pcbench.io.pieces import CloudOnDisk, Piece, read_piece
+from pcbench.io.pieces import CloudOnDisk, Piece, PieceNotes, read_piece
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
 
 _INDEX_ENTRIES = 2_048  # of a run: enough for tiles much smaller than a run
@@ -28,7 +28,7 @@ class RunSummary(NamedTuple):
         codes: Morton code of every `stride`-th point.
         stride: interval between them.
         even: every n-th point (M, 3) of the cloud, see `scan_piece`.
-        warnings: warnings of the reader.
+        notes: what was noticed while reading.
     """
 
     number: int
@@ -38,7 +38,7 @@ class RunSummary(NamedTuple):
     codes: Codes
     stride: int
     even: FloatArray
-    warnings: tuple[str, ...] = ()
+    notes: PieceNotes
 
 
 def scan_piece(
@@ -57,7 +57,7 @@ def scan_piece(
     found = read_piece(cloud, piece)
     points, count = found.points, len(found.points)
     if not count:
-        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 1, points, found.warnings)
+        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 1, points, found.notes)
     codes = lattice.codes(points)
     order = np.argsort(codes, kind="stable")
     columns = {
@@ -70,8 +70,8 @@ def scan_piece(
         if values is not None:
             _save(_file(folder, piece.number, name), values)
     stride = max(1, count // _INDEX_ENTRIES)
-    even = points[-first_row % step :: step]
-    return RunSummary(piece.number, count, *bounds(points), codes[order[::stride]], stride, even, found.warnings)
+    even = points[-first_row % step :: step] if piece.count == count else points[::step]
+    return RunSummary(piece.number, count, *bounds(points), codes[order[::stride]], stride, even, found.notes)
 
 
 @dataclass(frozen=True)
@@ -170,25 +170,33 @@ class CloudRuns:
         return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
 
 
-def split_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
-    """Cut the Morton curve into half-open ranges of about at most `most` points each, each a box of the lattice.
+def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
+    """Return half-open ranges of the Morton curve with about at most `most` points each, in ascending order.
 
-    A range is halved until it has few enough points. Points of equal codes stay together.
+    The curve is halved until each part has few enough points, so that each is a box of the lattice; empty parts are left
+    out. Points of equal codes stay together.
     """
     codes = np.concatenate([run.codes for run in runs.runs])
     weights = np.concatenate([np.full(len(run.codes), run.count / len(run.codes)) for run in runs.runs])
     order = np.argsort(codes, kind="stable")
     codes, total = codes[order], np.concatenate([[0.0], np.cumsum(weights[order])])
-    starts: list[int] = []
+    found: list[tuple[int, int]] = []
     todo = [(0, 1 << CODE_BITS)]
     while todo:
         low, high = todo.pop()
-        first, last = (int(np.searchsorted(codes, np.uint64(code))) for code in (low, high - 1))
+        first = int(np.searchsorted(codes, np.uint64(low)))
+        last = int(np.searchsorted(codes, np.uint64(high - 1), side="right"))
         if high - low > 1 and total[last] - total[first] > most:
             middle = (low + high) // 2
             todo += [(middle, high), (low, middle)]
-        elif not starts or last > first:  # an empty range is added to the one before
-            starts.append(low)
+        elif last > first:
+            found.append((low, high))
+    return found
+
+
+def tile_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
+    """Cut the complete Morton curve into half-open ranges of about at most `most` points each."""
+    starts = [low for low, _ in leaf_ranges(runs, most)]
     return list(zip([0, *starts[1:]], [*starts[1:], 1 << CODE_BITS], strict=True))
 
 
