@@ -167,6 +167,7 @@ def _other_outputs(folder: Path | None, *, full: bool) -> Iterator[str]:
         "*_deformation.ply": "displacements",
         "*_T.txt": "matrices",
         "figures/*": "pictures",
+        "maps/*": "distances of all points as LAZ tiles and GeoTIFF",
     }
     present = [(name, what) for name, what in contents.items() if any(folder.glob(name))]
     parts = [f"{name.removesuffix('*')} ({what})" if what else name for name, what in present]

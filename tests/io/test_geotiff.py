@@ -5,10 +5,10 @@ import struct
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.errors import InputError
 from pcbench.io.geotiff import Raster, read_geotiff, write_geotiff
-from tests.optional import import_or_skip
 
 
 def a_raster(height=300, width=500, crs="EPSG:25832"):

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from optional import import_or_skip
 
 from pcbench.io import read_cloud
 from pcbench.io.geotiff import read_geotiff
@@ -15,7 +16,6 @@ from pcbench.io.map_tiles import (
     write_overview,
     write_tile_index,
 )
-from tests.optional import import_or_skip
 
 
 def a_tile(offset=0.0, count=500):
