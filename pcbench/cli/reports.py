@@ -189,8 +189,13 @@ def compare(
         )
         figures = Figures().with_changes(background, color_range, figure_format)
         choice = tiling_choice(tiles, memory, workers, cluster, max_distance, skip_bad, workspace)
-        if choice.when != "if-possible" and "mpeg" in split_names(presets):  # it is in all settings
-            raise InputError("a comparison in tiles does not support the preset mpeg in this version: omit it")
+        if "mpeg" in split_names(presets):  # all settings have it; tiles leave it out, unless a user asks for it
+            if choice.when != "if-possible":
+                raise InputError(
+                    "a comparison in tiles does not support the preset mpeg (--preset) in this version: compare in"
+                    " memory"
+                )
+            choice = None
         job = ComparisonJob.of(reference, candidates, settings, figures, viewed, choice)
     if table is not None and (full or json_file == "-"):
         raise click.UsageError("--table prints only a table: omit --full, and give --json a file")

@@ -74,11 +74,17 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
         f"Computed in {pluralize(tiling.tiles, 'tile')} of at most {pluralize(tiling.tile_points, 'point')}: distances"
         " and their statistics are those of all points."
     )
+    if tiling.max_distance is not None:
+        limit = length(tiling.max_distance, comparison.reference.unit)
+        text += f" Closest points were searched within {limit} (--max-distance)."
     if tiling.sampled_points is not None:
         text += (
             " Registration, sampling floors and the test for deformation are based on a sample of"
             f" {tiling.sampled_points:,} of the reference's {pluralize(comparison.reference.points, 'point')}."
         )
+    known = comparison.candidates[0].metrics.presets
+    if missing := [name for name in comparison.settings.presets if name not in known]:
+        text += f" The preset {join_words(missing)} is left out, because it needs all points at once."
     return text
 
 

@@ -133,7 +133,7 @@ def choose_tiles(
     paths = [reference, *candidates.values()]
     if choice.when == "always":
         if unsupported:
-            raise InputError(f"a comparison in tiles does not support {unsupported} in this version: omit it")
+            raise InputError(f"a comparison in tiles does not support {unsupported} in this version: compare in memory")
         return CloudsOnDisk.open(reference, candidates, settings, skip_bad=choice.settings.skip_bad)
     if _fits_surely(paths, choice.settings.memory) or holds_mesh(reference):
         return None
@@ -151,7 +151,9 @@ def choose_tiles(
         on_notice(f"{needed}: computing in tiles")
         return clouds
     if choice.when == "auto":
-        raise InputError(f"{needed}, and tiles do not support {unsupported} in this version: omit it or raise --memory")
+        raise InputError(
+            f"{needed}, and tiles do not support {unsupported} in this version: raise --memory, or omit it"
+        )
     on_notice(f"{needed}, and tiles do not support {unsupported} in this version: computing in memory nevertheless")
     return None
 

@@ -66,6 +66,8 @@ def draw_overview(
     colors = scale.colors(np.linspace(scale.low, scale.high, 256)) / 255
     bar = ScalarMappable(Normalize(scale.low, scale.high), ListedColormap(colors))
     beyond = bool((values[known[window]] > scale.high).any())
-    figure.colorbar(bar, ax=axes, label=f"mean {label} [{unit}]", extend="max" if beyond else "neither", shrink=0.9)
+    note = f"mean {label} [{unit}]\n{scale.note}; dark: no points"
+    place = axes.inset_axes((1.02, 0, 0.03, 1))
+    figure.colorbar(bar, cax=place, label=note, extend="max" if beyond else "neither")
     save(figure, path)
     return True
