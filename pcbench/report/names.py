@@ -68,7 +68,11 @@ def _with_folder(path: Path, paths: Sequence[Path]) -> str:
 
 
 def _stem(path: Path) -> str:
-    return _UNPRINTABLE.sub("_", path.stem)
+    """Return the stem of a file, the name of a folder, or that of the folder of a pattern or of an `ept.json`."""
+    if path.name == "ept.json" or any(char in path.name for char in "*?["):
+        folder = Path(os.path.abspath(path)).parent.name  # noqa: PTH100 - `resolve` would follow links
+        return _UNPRINTABLE.sub("_", folder)
+    return _UNPRINTABLE.sub("_", path.name if path.is_dir() else path.stem)
 
 
 def _folders(path: Path) -> list[str]:

@@ -38,8 +38,9 @@ class ReportedCandidate:
         deformation: the verdict; None in reports of early versions.
         percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
-        path: file of the candidate, if it came from one.
+        path: file of the candidate, if it came from one and fits into memory.
         transform: maps candidate to reference coordinates, or to the upright frame of the report.
+        sampled_from: number of measured points, for each direction whose map is a sample of them.
         rotation: rotation to that frame; None: the coordinates are those of the reference.
     """
 
@@ -52,6 +53,7 @@ class ReportedCandidate:
     completeness_path: Path
     path: Path | None
     transform: Similarity
+    sampled_from: Mapping[str, int]
     rotation: Similarity | None = None
 
     def own_colors(self) -> Cloud | None:
@@ -81,7 +83,7 @@ class Report:
     Attributes:
         unit: the unit of lengths, or words for an unknown one.
         spacing_median: median spacing of the reference.
-        reference_path: file of the reference, if it came from one.
+        reference_path: file of the reference, if it came from one and fits into memory.
         candidates: the candidates.
         cameras: the cameras of the scene, if recorded.
         rotation: rotation from the coordinates of the reference to those of the clouds and cameras; None: there is
@@ -125,15 +127,16 @@ def read_report(folder: Path, *, upright: bool = False) -> Report:
         document = read_json(folder / "comparison.json")
         reference = document["reference"]
         cameras = ViewingCameras.read(folder / CAMERAS_FILE) if (folder / CAMERAS_FILE).is_file() else None
+        is_tiled = document.get("tiling") is not None  # its clouds may be too large to read
         rotation = None
         if upright and cameras is not None:
             rotation, cameras = cameras.upright()
         return Report(
             unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),
-            reference_path=_input_path(folder),
+            reference_path=None if is_tiled else _input_path(folder),
             candidates=tuple(
-                _candidate(folder, values, _input_path(folder, values["name"]), rotation)
+                _candidate(folder, values, None if is_tiled else _input_path(folder, values["name"]), rotation)
                 for values in document["candidates"]
             ),
             cameras=cameras,
@@ -203,6 +206,9 @@ def _candidate(
         path=path,
         transform=transform if rotation is None else rotation @ transform,
         rotation=rotation,
+        sampled_from={
+            direction: int(sample["sampled_from"]) for direction, sample in values.get("map_samples", {}).items()
+        },
     )
 
 

@@ -36,11 +36,15 @@ class _Scalar(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """A cloud of the view before thinning; the reference has no name."""
+    """A cloud of the view before thinning; the reference has no name.
+
+    `sampled_from` is the number of measured points, if these are a sample of them.
+    """
 
     name: str
     points: FloatArray
     scalars: list[_Scalar]
+    sampled_from: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +84,7 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
         scales[key] = ranges_of(having, spacing=spacing, given=given)
     for name, map_ in maps.items():
         scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
-        yield _Source(name, map_.points, scalars)
+        yield _Source(name, map_.points, scalars, map_.sampled_from)
     cores = {name: map_.m3c2 for name, map_ in maps.items() if map_.m3c2 is not None}
     along = ranges_of({name: found.distances for name, found in cores.items()}, spacing=spacing, given=given)
     for name, found in cores.items():
@@ -88,7 +92,8 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
     missing = {c.name: c.completeness.scalars["distance"] for c in comparison}
     to_candidates = ranges_of(missing, spacing=spacing, given=given)
     scalars = [_Scalar("distance", values, to_candidates[name], name) for name, values in missing.items()]
-    yield _Source("", comparison.candidates[0].completeness.points, scalars)  # the same points for each candidate
+    shared = comparison.candidates[0].completeness  # the same points for each candidate
+    yield _Source("", shared.points, scalars, shared.sampled_from)
 
 
 def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:
@@ -121,7 +126,8 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
     core = np.percentile(sample @ axes.T, [1, 99], axis=0)
     head = {
         "name": source.name,
-        "total": len(points),
+        "total": source.sampled_from or len(points),
+        "is_sample": source.sampled_from is not None,
         "shown": len(rows),
         "outside": len(points) - len(near),
         "beyond": int(far.sum()),

@@ -86,6 +86,7 @@ class TileMaps:
         sparse: number of points in tiles with too few points, or outside the grid.
         scale: colour range of the medians.
         unit: unit of lengths, if known.
+        is_sample: whether the points are a sample of those of a candidate.
     """
 
     scene: SceneAxes
@@ -99,6 +100,7 @@ class TileMaps:
     sparse: int
     scale: Range
     unit: str | None
+    is_sample: bool = False
 
     tile = TILE
     min_points = MIN_TILE_POINTS
@@ -196,6 +198,7 @@ def tile_maps(
         known - sum(tile.found.count for tile in tiles),
         scale,
         unit,
+        any(c.deviation.sampled_from is not None for c in shown),
     )
 
 

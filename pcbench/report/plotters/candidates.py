@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.measure.results import Candidate
-from pcbench.measure.wording import pluralize
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.maps import frame, frame_of, label_of
@@ -23,6 +22,7 @@ from pcbench.report.plot.views import Frame
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate
 from pcbench.report.viewing import ViewingCameras
+from pcbench.report.words import point_count
 
 COMPLETENESS = "completeness"
 
@@ -33,10 +33,12 @@ class ScalarMap(NamedTuple):
     Attributes:
         points: (N, 3) points.
         values: (N,) finite values.
+        sampled_from: number of measured points, if these are a sample of them.
     """
 
     points: FloatArray
     values: FloatArray
+    sampled_from: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +108,9 @@ class CandidateMaps:
         behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
         if behind in self.maps[name]:
             stage.add_ghost(self.maps[name][behind].points)
-        stage.add_bar(stage.add_values(*shown, scale), label_of(scalar))
-        count = pluralize(len(shown.points), "core point" if scalar.startswith("m3c2") else "point")
+        stage.add_bar(stage.add_values(shown.points, shown.values, scale), label_of(scalar))
+        noun = "core point" if scalar.startswith("m3c2") else "point"
+        count = point_count(len(shown.points), shown.sampled_from, noun)
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
         stage.write_title(join_title(title, frame_of(shown.points, self.frame)[1]))
         return scale
@@ -115,29 +118,37 @@ class CandidateMaps:
 
 def _measured(candidate: Candidate) -> dict[str, ScalarMap]:
     deviation = candidate.deviation
-    maps = {name: (deviation.points, values) for name, values in deviation.scalars.items()}
+    completeness = candidate.completeness
+    maps = {
+        name: ScalarMap(deviation.points, values, deviation.sampled_from) for name, values in deviation.scalars.items()
+    }
     if deviation.m3c2 is not None:
-        maps["m3c2_distance"] = deviation.m3c2.cores, deviation.m3c2.distances
-    maps[COMPLETENESS] = candidate.completeness.points, candidate.completeness.scalars["distance"]
+        maps["m3c2_distance"] = ScalarMap(deviation.m3c2.cores, deviation.m3c2.distances)
+    distances = completeness.scalars["distance"]
+    maps[COMPLETENESS] = ScalarMap(completeness.points, distances, completeness.sampled_from)
     return _known(maps)
 
 
 def _reported(candidate: ReportedCandidate) -> dict[str, ScalarMap]:
     deviation, m3c2, completeness = candidate.deviation, candidate.m3c2, candidate.completeness()
-    maps = {name: (deviation.points, _float(values)) for name, values in deviation.attributes.items()}
+    total = candidate.sampled_from.get(CANDIDATE_TO_REFERENCE)
+    maps = {name: ScalarMap(deviation.points, _float(values), total) for name, values in deviation.attributes.items()}
     if m3c2 is not None:
-        maps["m3c2_distance"] = m3c2.points, _float(m3c2.attributes["m3c2_distance"])
+        maps["m3c2_distance"] = ScalarMap(m3c2.points, _float(m3c2.attributes["m3c2_distance"]))
     if completeness is not None:
-        maps[COMPLETENESS] = completeness.points, _float(completeness.attributes["distance"])
+        total = candidate.sampled_from.get(REFERENCE_TO_CANDIDATE)
+        maps[COMPLETENESS] = ScalarMap(completeness.points, _float(completeness.attributes["distance"]), total)
     return _known(maps)
 
 
-def _known(maps: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, ScalarMap]:
+def _known(maps: Mapping[str, ScalarMap]) -> dict[str, ScalarMap]:
     """Return the points of each map whose value is known, without maps that have none."""
-    known = {name: np.isfinite(values) for name, (_, values) in maps.items()}
+    known = {name: np.isfinite(shown.values) for name, shown in maps.items()}
     return {
-        name: ScalarMap(points, values) if known[name].all() else ScalarMap(points[known[name]], values[known[name]])
-        for name, (points, values) in maps.items()
+        name: shown
+        if known[name].all()
+        else ScalarMap(shown.points[known[name]], shown.values[known[name]], shown.sampled_from)
+        for name, shown in maps.items()
         if known[name].any()
     }
 
