@@ -7,11 +7,13 @@ import struct
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from pcbench.errors import PcbenchError
 from pcbench.tasks.results import write_result
 
+# Environment of workers: parallelism comes from their number. Libraries read these variables when they are loaded.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _LENGTH = struct.Struct("<Q")
 
 
@@ -39,12 +41,13 @@ class WorkerLost(Exception):
     """A worker ended before its task was done; the text says how.
 
     Attributes:
-        killed: whether the system or a user killed it, as happens if memory runs out.
+        killed: whether it was killed, as happens if memory runs out.
+        times: how many workers the task ended.
     """
 
-    def __init__(self, how: str, killed: bool) -> None:
+    def __init__(self, how: str, *, killed: bool, times: int = 1) -> None:
         super().__init__(how)
-        self.killed = killed
+        self.killed, self.times = killed, times
 
 
 class ConnectionLost(Exception):
@@ -63,14 +66,14 @@ def portable(error: Exception) -> Exception:
     return error
 
 
-def send(pipe: BinaryIO, message: bytes) -> None:
+def send(pipe: IO[bytes], message: bytes) -> None:
     """Write a message to a pipe."""
     pipe.write(_LENGTH.pack(len(message)))
     pipe.write(message)
     pipe.flush()
 
 
-def receive(pipe: BinaryIO) -> bytes:
+def receive(pipe: IO[bytes]) -> bytes:
     """Read a message from a pipe.
 
     Raises:

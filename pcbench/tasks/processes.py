@@ -17,10 +17,8 @@ from contextlib import suppress
 
 from pcbench.children import last_line, start_module
 from pcbench.systems import SIGKILL, end_tree, reap, signal_name
-from pcbench.tasks.calls import Call, WorkerLost, receive, send
+from pcbench.tasks.calls import ONE_THREAD, Call, WorkerLost, receive, send
 
-# Parallelism comes from the number of processes. Libraries read these variables when they are loaded.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _GRACE_S = 5.0
 _MAX_ERROR_BYTES = 10_000
 
@@ -81,7 +79,7 @@ class LocalWorkers:
     def _start(self) -> _WorkerProcess:
         with self._lock:
             if self._stopped:
-                raise WorkerLost("stopped", False)
+                raise WorkerLost("stopped", killed=False)
             worker = self._local.worker = _WorkerProcess()
             self._workers.add(worker)
             return worker
@@ -94,7 +92,7 @@ class _WorkerProcess:
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `end`
         self._process = start_module(
             "pcbench.tasks.worker",
-            environment=_ONE_THREAD,
+            environment=ONE_THREAD,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,

@@ -97,7 +97,7 @@ class TaskRunner:
         unit: str = "points",
         memory_advice: str = "use fewer workers (--workers) or smaller tiles (--tiles)",
     ) -> None:
-        self._workers, self._folder, self._on_progress = workers, folder, on_progress
+        self._workers, self._folder, self._on_progress = workers, folder.absolute(), on_progress
         self._unit, self._memory_advice = unit, memory_advice
         self._pool: Pool | None = None
 
@@ -184,9 +184,9 @@ class TaskRunner:
                 except ConnectionLost:
                     pending.appendleft(task)
                 except WorkerLost as loss:
-                    losses[task.name] += 1
-                    if losses[task.name] == _MAX_LOSSES:
-                        raise WorkerError(self._explain(task, loss)) from loss
+                    losses[task.name] += loss.times
+                    if losses[task.name] >= _MAX_LOSSES:
+                        raise WorkerError(self._explain(task, losses[task.name], loss)) from loss
                     pending.appendleft(task)
                 except MemoryError as error:
                     raise WorkerError(f"task {task.name} needs too much memory: {self._memory_advice}") from error
@@ -194,9 +194,9 @@ class TaskRunner:
                     yield task, None
             pool.keep_connected()
 
-    def _explain(self, task: Task, loss: WorkerLost) -> str:
+    def _explain(self, task: Task, losses: int, loss: WorkerLost) -> str:
         cause = "probably out of memory" if loss.killed else "which also happens if memory is short"
-        return f"task {task.name} ended {_MAX_LOSSES} workers ({loss}), {cause}: {self._memory_advice}"
+        return f"task {task.name} ended {losses} workers ({loss}), {cause}: {self._memory_advice}"
 
     def _stop(self) -> None:
         if self._pool is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import sys
-from typing import BinaryIO
+from typing import IO
 
 from pcbench.tasks.calls import portable, receive, send
 
@@ -14,7 +14,7 @@ def main() -> None:
     """Answer calls with the size of the result's file, or with the exception that the function raised."""
     calls = sys.stdin.buffer
     # Libraries that print must not write between the answers.
-    answers: BinaryIO = os.fdopen(os.dup(1), "wb")
+    answers: IO[bytes] = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     while True:
         try:
