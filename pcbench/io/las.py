@@ -152,19 +152,16 @@ def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimen
     return Fields(
         points=coordinates(records, header),
         normals=normals,
-        colors=_colors(records) if "red" in names else None,
+        colors=to_8_bits(np.stack([records[name] for name in _COLORS], axis=1)) if "red" in names else None,
         attributes=attributes,
         crs=crs,
         unit=unit,
     )
 
 
-def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return 8-bit colours: the upper byte of each, unless the file stores 8-bit values."""
-    colors = np.stack([records[name] for name in _COLORS], axis=1)
-    if colors.max(initial=0) > 255:
-        colors >>= 8
-    return colors.astype(np.uint8)
+def to_8_bits(colors: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return 8-bit colours (N, 3): the upper byte of each, unless all are 8-bit values."""
+    return (colors >> 8 if colors.max(initial=0) > 255 else colors).astype(np.uint8)
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------

@@ -47,11 +47,23 @@ class LasCounts:
             tuple(map(max, self.outside, other.outside)),
         )
 
-    def warnings(self, header: LasHeader) -> list[str]:
+    def warnings(self, header: LasHeader | None = None) -> list[str]:
         """Return one line for each way in which the points differ from the header, and for withheld points.
 
-        The counts of returns are only compared if these are all points of the file.
+        The counts of returns are only compared if these are all points of the file. Without a header, only what the
+        points alone show is returned.
         """
+        lines = self._differences(header) if header is not None else []
+        if self.wrong_returns:
+            lines.append(
+                f"{self.wrong_returns} of {self.count} points have a return number above the returns of their pulse:"
+                " damaged returns"
+            )
+        if self.withheld:
+            lines.append(f"kept {self.withheld} of {self.count} points that are marked as withheld")
+        return lines
+
+    def _differences(self, header: LasHeader) -> list[str]:
         lines = []
         cause = "the header was not updated, or points are damaged"
         limits = np.abs(header.bounds or np.zeros((2, 3))).max(axis=0)
@@ -60,17 +72,10 @@ class LasCounts:
                 lines.append(
                     f"points lie up to {beyond:.6g} units outside the header's bounds in {axis.lower()}: {cause}"
                 )
-        if self.wrong_returns:
-            lines.append(
-                f"{self.wrong_returns} of {self.count} points have a return number above the returns of their pulse:"
-                " damaged returns"
-            )
         counts = self.by_return[1 : len(header.by_return) + 1]
         if self.count == header.count and header.by_return and counts != header.by_return:
             k = next(k for k, pair in enumerate(zip(counts, header.by_return, strict=True)) if pair[0] != pair[1])
             lines.append(f"{counts[k]} points are return {k + 1}, the header states {header.by_return[k]}: {cause}")
-        if self.withheld:
-            lines.append(f"kept {self.withheld} of {self.count} points that are marked as withheld")
         return lines
 
 

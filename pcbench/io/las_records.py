@@ -36,6 +36,13 @@ def record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any
     )
 
 
+def check_complete(header: LasHeader) -> None:
+    """Raise InputError if an uncompressed file is too short for its points."""
+    complete = (header.end - header.start) // header.record_bytes
+    if complete < header.count:
+        raise InputError(f"truncated: got {complete} of {header.count} points: copy or export the file again")
+
+
 def read_records(
     file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], first: int = 0, count: int | None = None
 ) -> NDArray[Any]:
@@ -44,9 +51,7 @@ def read_records(
     Raises:
         InputError: the file is truncated.
     """
-    complete = (header.end - header.start) // header.record_bytes
-    if complete < header.count:
-        raise InputError(f"truncated: got {complete} of {header.count} points: copy or export the file again")
+    check_complete(header)
     data = np.empty((header.count if count is None else count) * header.record_bytes, dtype=np.uint8)
     file.seek(header.start + first * header.record_bytes)
     file.readinto(data.data)  # type: ignore[attr-defined]
@@ -93,29 +98,17 @@ def coordinates(records: NDArray[Any], header: LasHeader) -> FloatArray:
     return points
 
 
-def extra_columns(
-    records: NDArray[Any], extras: list[ExtraDimension], names: Collection[str] | None = None
-) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Return named columns (N,) of the extra dimensions: "name", or "name[0]", "name[1]" if it has several numbers.
-
-    Args:
-        records: point records (N,).
-        extras: all extra dimensions.
-        names: names of the dimensions to return; None: all.
-    """
+def extra_columns(records: NDArray[Any], extras: list[ExtraDimension]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Return named columns (N,) of the extra dimensions: "name", or "name[0]", "name[1]" if it has several numbers."""
     with np.errstate(over="ignore", invalid="ignore"):
         for k, extra in enumerate(extras):
-            if names is None or extra.name in names:
-                yield from _columns(extra, records[f"extra {k}"])
+            yield from _columns(extra, records[f"extra {k}"])
 
 
-def normals_of(records: NDArray[Any], extras: list[ExtraDimension]) -> NDArray[Any] | None:
-    """Return the normals (N, 3) that the extra dimensions contain, or None."""
-    for names in NORMALS:
-        if set(names) <= {extra.name for extra in extras if extra.size == 1}:
-            columns = dict(reversed(list(extra_columns(records, extras, names))))  # of equal names, the first counts
-            return np.stack([columns[name] for name in names], axis=1)
-    return None
+def has_normals(extras: list[ExtraDimension]) -> bool:
+    """Return whether the extra dimensions contain normals."""
+    names = {extra.name for extra in extras if extra.size == 1}
+    return any(names >= set(triple) for triple in NORMALS)
 
 
 class LasFilters(NamedTuple):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pcbench.children import ChildResult, Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
+from pcbench.io.copc import check_hierarchy
 from pcbench.io.files import Warn
 from pcbench.io.las_header import LasHeader
 from pcbench.io.laz_worker import clip_chunks
@@ -54,7 +55,7 @@ def read_chunks(file: BinaryIO, header: LasHeader) -> list[LazChunk]:
     """Read the chunk table: all chunks that contain points, in the order of the file.
 
     Raises:
-        InputError: the table is damaged, or does not fit the header and the size of the file.
+        InputError: the table is damaged, or does not fit the header, the size of the file or the hierarchy of COPC.
         MissingExtra: lazrs is not installed.
     """
     lazrs = require("lazrs")
@@ -68,6 +69,7 @@ def read_chunks(file: BinaryIO, header: LasHeader) -> list[LazChunk]:
         raise _damage_error(f"the chunk table cannot be read: {error}") from error
     if (size := sum(chunk.size for chunk in chunks)) > table - header.start - 8:
         raise _damage_error(f"the chunk table states {size} bytes of points, the file has {table - header.start - 8}")
+    check_hierarchy(file, header, chunks)
     return chunks
 
 

@@ -1,11 +1,12 @@
-"""A cloud on disk: its files as their headers describe them, and the pieces in which it is read.
+"""A cloud on disk: its files as their headers describe them, and the pieces in which they are read.
 
 All types are frozen and can be pickled, because worker processes read the pieces.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +19,19 @@ from pcbench.io.las_checks import LasCounts
 Corner = tuple[float, float, float]
 
 
+def as_corner(values: Iterable[float]) -> Corner:
+    """Return three coordinates as plain numbers."""
+    x, y, z = map(float, values)
+    return x, y, z
+
+
 @dataclass(frozen=True)
 class CloudFile:
     """One file of a cloud (or one EPT folder), as its header describes it.
 
     Attributes:
         path: the file; `ept.json` of an EPT folder.
-        count: number of points before filters; for text files the number of lines, which is at least that.
+        count: number of points before filters.
         low: minimum x, y, z that the header states, in the unit of the cloud, or None.
         high: maximum x, y, z that the header states, or None.
         crs: coordinate reference system, or None if the file states none.
@@ -50,14 +57,16 @@ class Piece:
     Attributes:
         file: path of the file, as in `CloudFile`.
         number: position of the piece in its cloud, from 0. The points of all pieces in this order are the cloud.
-        count: number of points before filters; for text files the number of lines, which is at least that.
+        count: number of points before filters.
         address: where the piece lies in its file; its meaning depends on the format.
+        label: text for messages, such as "piece 2 of 9"; empty if it is the whole file.
     """
 
     file: Path
     number: int
     count: int
     address: tuple[int, ...] = ()
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,13 +108,24 @@ class CloudOnDisk:
 
     @property
     def count(self) -> int:
-        """Number of points before filters; at least that many if there are text files, whose lines are counted."""
+        """Number of points before filters."""
         return sum(file.count for file in self.files)
+
+    def without_pieces(self) -> CloudOnDisk:
+        """Return a copy without files and pieces, to send to workers: `read_piece` does not need them."""
+        return replace(self, files=(), pieces=(), warnings=())
 
     @property
     def nbytes_in_memory(self) -> int:
         """Estimated bytes of the `pcbench.Cloud` that `read_cloud` returns for this path."""
         return sum(file.nbytes_in_memory for file in self.files)
+
+
+class Part(NamedTuple):
+    """Part of one file that is read at once: its number of points before filters, and its address."""
+
+    points: int
+    address: tuple[int, ...]
 
 
 class PieceNotes(NamedTuple):
@@ -132,7 +152,7 @@ class PiecePoints(NamedTuple):
     Attributes:
         points: coordinates (N, 3).
         normals: normals (N, 3), or None unless all files of the cloud have them.
-        classification: LAS classes (N,), or None for other formats.
+        classification: classes (N,), or None unless the file is LAS, LAZ, COPC or EPT.
         notes: what was noticed while reading.
     """
 
