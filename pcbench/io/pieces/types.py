@@ -1,11 +1,12 @@
-"""A cloud on disk: its files as their headers describe them, and the pieces in which it is read.
+"""A cloud on disk: its files as their headers describe them, and the pieces in which they are read.
 
 All types are frozen and can be pickled, because worker processes read the pieces.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.las_checks import LasCounts
 
 Corner = tuple[float, float, float]
+
+
+def as_corner(values: Iterable[float]) -> Corner:
+    """Return three coordinates as plain numbers."""
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -23,7 +31,7 @@ class CloudFile:
 
     Attributes:
         path: the file; `ept.json` of an EPT folder.
-        count: number of points before filters; for text files the number of lines, which is at least that.
+        count: number of points before filters.
         low: minimum x, y, z that the header states, in the unit of the cloud, or None.
         high: maximum x, y, z that the header states, or None.
         crs: coordinate reference system, or None if the file states none.
@@ -49,17 +57,20 @@ class Piece:
     Attributes:
         file: path of the file, as in `CloudFile`.
         number: position of the piece in its cloud, from 0. The points of all pieces in this order are the cloud.
-        count: number of points before filters; for text files the number of lines, which is at least that.
+        count: number of points before filters.
         address: where the piece lies in its file; its meaning depends on the format.
+        label: text for messages, such as "piece 2 of 9"; empty if it is the whole file.
     """
 
     file: Path
     number: int
     count: int
     address: tuple[int, ...] = ()
+    label: str = ""
 
 
-class DamagedFile(NamedTuple):
+@dataclass(frozen=True)
+class DamagedFile:
     """A file that was left out because it cannot be read, its number of points if its header states it, and why."""
 
     path: Path
@@ -97,8 +108,12 @@ class CloudOnDisk:
 
     @property
     def count(self) -> int:
-        """Number of points before filters; at least that many if there are text files, whose lines are counted."""
+        """Number of points before filters."""
         return sum(file.count for file in self.files)
+
+    def without_pieces(self) -> CloudOnDisk:
+        """Return a copy without files and pieces, to send to workers: `read_piece` does not need them."""
+        return replace(self, files=(), pieces=(), warnings=())
 
     @property
     def nbytes_in_memory(self) -> int:
@@ -106,27 +121,28 @@ class CloudOnDisk:
         return sum(file.nbytes_in_memory for file in self.files)
 
 
+class Part(NamedTuple):
+    """Part of one file that is read at once: its number of points before filters, and its address."""
+
+    points: int
+    address: tuple[int, ...]
+
+
 class PieceNotes(NamedTuple):
-    """Counts from reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
+    """What was noticed while reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
 
     Attributes:
-        dropped: points with NaN or Inf coordinates, after filters.
-        at_origin: points that are exactly (0, 0, 0).
-        withheld: LAS points that are marked as withheld, before filters; they are kept.
-        wrong_returns: LAS points with a return number above the number of returns of their pulse.
-        by_return: LAS points per return number 0 to 15, before filters; empty for other formats.
-        outside: largest distance by which LAS points exceed the bounds of their header in x, y, z; empty otherwise.
-        unverified: whether compressed points could not be verified.
+        finite: points that passed the filters and are finite.
+        dropped: points that passed the filters and have NaN or Inf coordinates.
+        at_origin: finite points that are exactly (0, 0, 0).
+        las: counts over the LAS points of the piece before filters, or None for other formats.
         lines: other warnings, without the path.
     """
 
+    finite: int = 0
     dropped: int = 0
     at_origin: int = 0
-    withheld: int = 0
-    wrong_returns: int = 0
-    by_return: tuple[int, ...] = ()
-    outside: tuple[float, ...] = ()
-    unverified: bool = False
+    las: LasCounts | None = None
     lines: tuple[str, ...] = ()
 
 
@@ -136,7 +152,7 @@ class PiecePoints(NamedTuple):
     Attributes:
         points: coordinates (N, 3).
         normals: normals (N, 3), or None unless all files of the cloud have them.
-        classification: LAS classes (N,), or None for other formats.
+        classification: classes (N,), or None unless the file is LAS, LAZ, COPC or EPT.
         notes: what was noticed while reading.
     """
 
