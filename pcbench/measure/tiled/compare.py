@@ -174,8 +174,7 @@ class _TiledReference:
     grid: CorrelationGrid
     voxel: float
     corner: FloatArray
-    sample: Reference
-    windows: windows.Windows | None  # None: the samples are the complete clouds
+    complete: Reference | None  # in memory, if all clouds are small
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,17 +201,20 @@ class _Run:
         timings: dict[str, float] = {}
         with record_time(timings, "reference"):
             reference = self._prepare(stored[_REFERENCE], are_small=are_small)
-        results, measured, tiles = [], [], len(reference.tiles)
+        samples, results, measured, tiles = list[ReferenceSummary](), [], [], len(reference.tiles)
         for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True):
-            result, measurement, count = self._compare_one(reference, stage, name, cloud)
+            sample, result, measurement, count = self._compare_one(reference, stage, name, cloud)
+            samples.append(sample)
             results.append(replace(result, timings_s={**result.timings_s, **timings}))
             measured.append(measurement)
             tiles += count
         left_out = [file for cloud in stored.values() for file in cloud.left_out]
-        sampled = None if reference.windows is None else len(reference.sample.points)
+        sampled = None if reference.complete is not None else max(sample.points for sample in samples)
         tiling = Tiling(self.tile_points, tiles, sampled, self.tiling.max_distance, tuple(left_out))
         apart = differences(_cells(reference.grid), results, measured)
-        return CandidateComparisons(self.settings, self._summary(reference), tuple(results), tuple(apart), tiling)
+        return CandidateComparisons(
+            self.settings, self._summary(reference, samples[0]), tuple(results), tuple(apart), tiling
+        )
 
     def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
         skip_bad = self.tiling.skip_bad
@@ -229,17 +231,14 @@ class _Run:
         crop = self.settings.crop
         if isinstance(crop, str) and crop.strip().lower() == "reference":
             crop = Box(cloud.low, cloud.high)
-        region = as_region(crop, even)
-        region = None if region is None else region.shifted(origin)
+        given = as_region(crop, even)
+        region = None if given is None else given.shifted(origin)
         summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
         tiles = Tiles.of(self.folder / _REFERENCE / "tiles", summaries)
         inside = sum(summary.inside for summary in summaries)
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
         measured = local if region is None else local[region.contains(local)]
-        chosen = None if are_small else windows.Windows.of(cloud, measured + origin)
-        self.report("sampling the reference")
-        sample = windows.complete_cloud(cloud) if chosen is None else windows.reference_in_windows(cloud, chosen)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -250,15 +249,8 @@ class _Run:
             grid=CorrelationGrid.covering(*robust_bounds(local)),
             voxel=(robust_extent(measured) / VOXELS_ALONG if len(measured) else 0.0) or 1.0,
             corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
-            sample=self._prepare_sample(sample),
-            windows=chosen,
+            complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
         )
-
-    def _prepare_sample(self, sample: Cloud) -> Reference:
-        try:
-            return Reference.prepare(sample, self.settings)
-        except InputError:  # the region has points, but the sample has none in it
-            return Reference.prepare(sample, replace(self.settings, crop="none"))
 
     def _make_tiles(
         self,
@@ -291,8 +283,8 @@ class _Run:
 
     def _compare_one(
         self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud
-    ) -> tuple[Candidate, Measurement, int]:
-        """Register and measure a candidate; return also the number of its tiles."""
+    ) -> tuple[ReferenceSummary, Candidate, Measurement, int]:
+        """Register and measure a candidate; return also the summary of the sample, and the number of tiles."""
         timings: dict[str, float] = {}
         with record_time(timings, "registration"):
             sample = self._register(reference, stage, name, cloud)
@@ -354,27 +346,33 @@ class _Run:
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
-        return candidate, measurement, len(summaries)
+        return sample.reference, candidate, measurement, len(summaries)
 
     def _register(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> SampleResults:
         """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
-        settings = self.settings
-        if reference.windows is None:
+        if reference.complete is not None:
             self.report(f"{name}: registering")
             sample = windows.complete_cloud(cloud)
-        else:
-            self.report(f"{name}: registering thinned clouds")
-            source = cloud.source
-            even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
-            pose = find_pose(Cloud(reference.stored.even, crs=source.crs), even, name, settings)
-            sample = windows.candidate_in_windows(
-                cloud, reference.windows, pose, self.runner, f"{stage}-sample", self.key
-            )
-            settings = refine_settings(settings, pose)
-            self.report(f"{name}: registering")
-        return assess_samples(
-            reference.sample, sample, name, settings, reference.origin, is_complete=reference.windows is None
-        )
+            return assess_samples(reference.complete, sample, name, self.settings, reference.origin, is_complete=True)
+        self.report(f"{name}: registering thinned clouds")
+        stored, source = reference.stored, cloud.source
+        even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
+        thinned = Cloud(stored.even, crs=stored.source.crs, unit=stored.source.unit)
+        pose = find_pose(thinned, even, name, self.settings)
+        places = pose.apply(cloud.even)
+        region = None if reference.region is None else reference.region.shifted(-reference.origin)
+        if region is not None and (inside := region.contains(places)).any():
+            places = places[inside]
+        chosen = windows.Windows.of(stored, places)
+        inner = windows.WindowRegion(chosen, region, np.zeros(3))
+        sampled = windows.reference_in_windows(stored, chosen)
+        if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
+            inner = replace(inner, region=None)
+        sample = windows.candidate_in_windows(cloud, chosen, pose, self.runner, f"{stage}-sample", self.key)
+        self.report(f"{name}: registering")
+        settings = replace(refine_settings(self.settings, pose), crop=inner)
+        prepared = Reference.prepare(sampled, settings)
+        return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
         folders = [self.folder / stage / way for way in ("forth", "back")]
@@ -475,8 +473,8 @@ class _Run:
             if pair.pixels is not None and found.pixels is not None:
                 write_overview(maps, name, found.pixels.overview(pair.pixels, reference.origin), kind=kind, crs=crs)
 
-    def _summary(self, reference: _TiledReference) -> ReferenceSummary:
-        source, sample = reference.stored.source, reference.sample.summary()
+    def _summary(self, reference: _TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
+        source = reference.stored.source
         return ReferenceSummary(
             points=reference.stored.count,
             points_in_region=reference.inside,
