@@ -57,10 +57,15 @@ def extras(*descriptions):
 
 
 def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", compress=None, **replaced):
-    """Build a file: `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (COPC)."""
+    """Build a file: `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (COPC).
+
+    Its points are `values(form, i)` for i from 0 to `count` - 1, or for `indices`.
+    """
     minor = (4 if form >= 6 else 2) if minor is None else minor
+    indices = replaced.get("indices", range(count))
+    count = len(indices)
     points = b"".join(struct.pack(RECORDS[form], *values(form, i, replaced.get("color", 256))) + tail(i)
-                      for i in range(count))  # fmt: skip
+                      for i in indices)  # fmt: skip
     record_bytes = struct.calcsize(RECORDS[form]) + len(tail(0))
     header_bytes = {3: 235, 4: 375}.get(minor, 227)
     laszip = None

@@ -18,12 +18,13 @@ from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
 from pcbench.io.files import as_path, check_output, count_null_points, errors_named, finite_cloud, null_points_warning
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
-from pcbench.io.reading import cloud_file, read_fields
+from pcbench.io.reading import cloud_file, has_filters, read_fields
 
 __all__ = [
     "FILTERABLE_EXTENSIONS",
     "CloudLike",
     "check_cloud_output",
+    "has_filters",
     "is_path",
     "read_cloud",
     "to_cloud",

@@ -134,8 +134,7 @@ def read_index(path: Path, warn: Warn) -> EptIndex:
         system = str(wkt or code)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
-            "expected an ept.json with dataType, points, bounds and schema, got something else:"
-            f" {str(error)[:80] or type(error).__name__}"
+            "expected an ept.json with dataType, points, bounds and schema, got something else: copy the folder again"
         ) from error
     if data_type not in _EXTENSIONS or hierarchy != "json":
         got = data_type if data_type not in _EXTENSIONS else f"{hierarchy} hierarchy"
@@ -144,9 +143,14 @@ def read_index(path: Path, warn: Warn) -> EptIndex:
             " as laszip"
         )
     if not isinstance(count, int) or not 0 < count < 1 << 62 or len(bounds) != 6:
-        raise InputError(f"expected a number of points and six bounds, got {str(count)[:40]} and {len(bounds)}")
+        raise InputError(
+            f"expected a number of points and six bounds, got {str(count)[:40]} and {len(bounds)}:"
+            " copy the folder again"
+        )
     if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"expected the dimensions X, Y and Z in the schema; missing: {', '.join(missing)}")
+        raise InputError(
+            f"expected the dimensions X, Y and Z in the schema; missing: {', '.join(missing)}: write it again"
+        )
     if len(set(names)) < len(names) or not all(map(math.isfinite, (*scales, *offsets, *bounds))) or 0 in scales:
         raise InputError("expected unique dimensions with finite scales and offsets in the schema: write it again")
     crs, unit = read_crs({WKT: system.encode()}, warn) if system else (None, None)
@@ -180,7 +184,9 @@ def read_hierarchy(index: EptIndex) -> tuple[EptNode, ...]:
             for name, count in entries.items() if isinstance(entries, dict) else [("", 0)]:
                 key = _node_key(name)
                 if key is None or not isinstance(count, int) or count < -1 or (count == -1 and name in loaded):
-                    raise InputError(f"expected point counts of nodes, got {name[:40]!r}: {str(count)[:40]}: damaged")
+                    raise InputError(
+                        f"expected point counts of nodes, got {name[:40]!r}: {str(count)[:40]}: copy it again"
+                    )
                 if count == -1:
                     pages.append(name)
                 elif count:

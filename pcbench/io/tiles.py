@@ -13,6 +13,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.io.files import Fields, Warn
 
+_ATTRIBUTE = "attribute "  # before names of attributes, which may be any text
+
 
 class Frame(NamedTuple):
     """Coordinate reference system and unit that one file states; None if it states none."""
@@ -52,7 +54,7 @@ def common_frame(frames: Sequence[Frame], warn: Warn) -> tuple[str | None, str |
         silent = [frame for frame in frames if getattr(frame, name) is None]
         if found is not None and silent:
             what = "coordinate reference system" if name == "crs" else "unit"
-            text = crs_name(found.crs or "") if name == "crs" else found.unit
+            text = crs_name(found.crs or "") if name == "crs" else f"in {found.unit}"
             warn(
                 f"{len(silent)} of {len(frames)} files state no {what}, such as {silent[0].path.name}: their"
                 f" coordinates are taken as {text}"
@@ -69,15 +71,20 @@ def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
     """
     columns = [_columns(part) for part in parts]
     everywhere = [name for name in columns[0] if all(name in others for others in columns)]
-    if partial := sorted({name for names in columns for name in names} - set(everywhere)):
-        warn(f"left out what only some of {len(parts)} files have: {', '.join(partial)}")
+    if with_normals := sum("normals" in names for names in columns if "normals" not in everywhere):
+        warn(normals_warning(with_normals, len(parts)))
+    if partial := sorted({name for names in columns for name in names} - {*everywhere, "normals"}):
+        listed = ", ".join(name.removeprefix(_ATTRIBUTE) for name in partial)
+        warn(f"left out what only some of {len(parts)} files have: {listed}")
     joined = {name: np.concatenate([others[name] for others in columns]) for name in everywhere}
     points, normals, colors = joined.pop("points"), joined.pop("normals", None), joined.pop("colors", None)
     attributes = {name.removeprefix(_ATTRIBUTE): column for name, column in joined.items()}
     return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
 
 
-_ATTRIBUTE = "attribute "
+def normals_warning(count: int, files: int) -> str:
+    """Return the warning that only `count` of the files have normals."""
+    return f"left out normals, which only {count} of {files} files have"
 
 
 def _columns(part: Fields) -> dict[str, NDArray[Any]]:

@@ -87,6 +87,11 @@ class CorrelationGrid(NamedTuple):
         shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
         return cls(lower, tuple(int(size) for size in shape), side)
 
+    @property
+    def number(self) -> int:
+        """Number of cells."""
+        return math.prod(self.shape)
+
     def cells_of(self, points: FloatArray) -> IntArray:
         """Return the number of the cell of each point (N, 3); points outside belong to the outermost cells."""
         number = np.zeros(len(points), np.int64)

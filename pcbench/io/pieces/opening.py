@@ -14,7 +14,7 @@ from pcbench.io.paths import EPT, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Part, Piece
 from pcbench.io.reading import cloud_file, filtered_format
-from pcbench.io.tiles import Frame, common_frame
+from pcbench.io.tiles import Frame, common_frame, normals_warning
 
 PIECE_POINTS = 1_000_000
 
@@ -85,6 +85,9 @@ def open_cloud(
         raise InputError(f"{path}: expected at least one file that is not damaged, got none: {left_out[0].reason}")
     if not pieces:
         raise InputError(f"{path}: expected at least one point, got none in {len(files)} files: export them again")
+    with_normals = sum(file.has_normals for file in files)
+    if 0 < with_normals < len(files):
+        warn(normals_warning(with_normals, len(files)))
     crs, unit = common_frame([Frame(file.path, file.crs, file.unit) for file in files], warn)
     return CloudOnDisk(
         path=path,
@@ -94,7 +97,7 @@ def open_cloud(
         returns=filters.returns,
         crs=crs,
         unit=unit,
-        has_normals=all(file.has_normals for file in files),
+        has_normals=with_normals == len(files),
         left_out=tuple(left_out),
         warnings=tuple(lines),
     )

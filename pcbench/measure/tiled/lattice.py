@@ -58,10 +58,10 @@ class Lattice:
             total |= _spread_bits(place) << np.uint64(axis)
         return total
 
-
     def box(self, code_range: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return the corners (3,) of the box of a range of codes that halving the curve gives, without the pose."""
-        low, high = (np.array([_gather_bits(code >> axis) for axis in range(3)]) for code in (code_range[0], code_range[1] - 1))
+        first, last = code_range[0], code_range[1] - 1
+        low, high = (np.array([_gather_bits(code >> axis) for axis in range(3)]) for code in (first, last))
         corner = np.array(self.low)
         return corner + self.side * low, corner + self.side * (high + 1)
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.measure.tiled.columns import save_column
+from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles
+from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.tiles import Tiles
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
 _SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
 
 
-def add_normals(cloud: Tiles, number: int, k: int) -> None:
+def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     """Store the columns `normals` (N, 3) and `spacings` of a tile.
 
     Normals are those given with the cloud; where there are none, they are estimated from the k nearest points, see
@@ -23,23 +27,28 @@ def add_normals(cloud: Tiles, number: int, k: int) -> None:
     of points that occur more than seven times.
 
     Args:
-        cloud: the tiles of the cloud, with at least two points.
+        file: the shared `Tiles` of the cloud, with at least k points.
+        key: identifies its content.
         number: number of the tile.
-        k: number of neighbours, the point itself included; fewer than 3: no normals.
+        k: number of neighbours, the point itself included, at least 3.
+
+    Returns:
+        The histogram of the spacings.
     """
+    cloud: Tiles = load_shared(file, key)
     points = cloud.load(number, "points")
-    distances, directions = _local_planes(cloud, number, points, max(k, 2))
-    if k >= 3:
-        if cloud.has(number, "normals"):
-            given = cloud.load(number, "normals")
-            is_missing = np.isnan(given[:, :1])
-            directions = np.where(is_missing, directions, given)
-        cloud.save(number, "normals", directions)
+    distances, directions = _local_planes(cloud, number, points, k)
+    if cloud.file(number, "given_normals").exists():
+        given = cloud.load(number, "given_normals")
+        directions = np.where(np.isnan(given[:, :1]), directions, given)
+    save_column(cloud.folder, number, "normals", directions)
     coincident = np.flatnonzero(distances == 0)
     if len(coincident):
         near = nearest_in_tiles(points[coincident], cloud, min(_SPACING_NEIGHBORS, int(cloud.counts.sum()))).distances
         distances[coincident] = np.where(near > 0, near, np.inf).min(axis=1)
-    cloud.save(number, "spacings", distances[np.isfinite(distances)])
+    spacings = distances[np.isfinite(distances)]
+    save_column(cloud.folder, number, "spacings", spacings)
+    return BitHistogram.of(spacings)
 
 
 def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -48,27 +57,22 @@ def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tupl
     low, high = cloud.low[number] - width, cloud.high[number] + width
     around, rows = _points_in_box(cloud, low, high)
     own = np.searchsorted(rows, cloud.open(number, "rows"))
-    distances, normals = np.empty(len(points)), np.full((len(points), 3), np.nan)
+    distances, normals = np.empty(len(points)), np.empty((len(points), 3))
     certain = np.zeros(len(points), bool)
     if len(around) >= k:
         index = Index(around)
-        if k < 3:
-            nearest = index.query(points, k).distances
-            reach, distances = nearest[:, -1], nearest[:, 1].copy()
-        else:
-            planes = index.local_planes(k)
-            reach, distances, normals = planes.reach[own], planes.nearest_other.distances[own], planes.normals[own]
+        planes = index.local_planes(k)
+        reach, distances, normals = planes.reach[own], planes.nearest_other.distances[own], planes.normals[own]
         certain = reach < np.minimum(points - low, high - points).min(axis=1)
     rest = np.flatnonzero(~certain)
     if len(rest):
         found = nearest_in_tiles(points[rest], cloud, k)
         distances[rest] = found.distances[:, 1]
-        if k >= 3:
-            # The same planes as in the complete cloud: of these points and their neighbours, in the order of their rows.
-            ours = cloud.open(number, "rows")[rest]
-            every, first = np.unique(np.concatenate([ours, found.rows.ravel()]), return_index=True)
-            some = np.concatenate([points[rest], found.column(cloud, "points").reshape(-1, 3)])[first]
-            normals[rest] = Index(some).local_planes(k, np.searchsorted(every, ours)).normals
+        # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
+        ours = cloud.open(number, "rows")[rest]
+        every, first = np.unique(np.concatenate([ours, found.rows.ravel()]), return_index=True)
+        some = np.concatenate([points[rest], found.column(cloud, "points").reshape(-1, 3)])[first]
+        normals[rest] = Index(some).local_planes(k, np.searchsorted(every, ours)).normals
     return distances, normals
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.io.pieces import CloudOnDisk, Piece, PieceNotes, read_piece
+from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
 
-_INDEX_ENTRIES = 2_048  # of a run: enough for tiles much smaller than a run
+_INDEX_ENTRIES = 1_024  # of a run: fine enough to find windows of some thousand points
 _COLUMNS = ("points", "order", "normals", "classes")
 
 
-class RunSummary(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class RunSummary:
     """What a run contains.
 
     Attributes:
@@ -26,6 +28,7 @@ class RunSummary(NamedTuple):
         count: number of its points, after filters.
         low, high: corners (3,) of its box; None if it is empty.
         codes: Morton code of every `stride`-th point.
+        last_code: largest code.
         stride: interval between them.
         even: every n-th point (M, 3) of the cloud, see `scan_piece`.
         notes: what was noticed while reading.
@@ -36,6 +39,7 @@ class RunSummary(NamedTuple):
     low: FloatArray | None
     high: FloatArray | None
     codes: Codes
+    last_code: int
     stride: int
     even: FloatArray
     notes: PieceNotes
@@ -57,10 +61,10 @@ def scan_piece(
     found = read_piece(cloud, piece)
     points, count = found.points, len(found.points)
     if not count:
-        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 1, points, found.notes)
+        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 0, 1, points, found.notes)
     codes = lattice.codes(points)
     order = np.argsort(codes, kind="stable")
-    columns = {
+    columns: dict[str, NDArray[Any] | None] = {
         "points": points[order],
         "order": order.astype(np.uint32),
         "normals": None if found.normals is None else found.normals[order],
@@ -68,10 +72,13 @@ def scan_piece(
     }
     for name, values in columns.items():
         if values is not None:
-            _save(_file(folder, piece.number, name), values)
+            save_column(folder, piece.number, name, values)
     stride = max(1, count // _INDEX_ENTRIES)
     even = points[-first_row % step :: step] if piece.count == count else points[::step]
-    return RunSummary(piece.number, count, *bounds(points), codes[order[::stride]], stride, even, found.notes)
+    last_code = int(codes[order[-1]])
+    return RunSummary(
+        piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, found.notes
+    )
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,7 @@ class Run:
         count: number of points.
         first_row: row of its first point in the cloud, after filters.
         codes: Morton code of every `stride`-th point.
+        last_code: largest code.
         stride: interval between them.
     """
 
@@ -90,7 +98,12 @@ class Run:
     count: int
     first_row: int
     codes: Codes
+    last_code: int
     stride: int
+
+    def overlaps(self, code_range: tuple[int, int]) -> bool:
+        """Return whether the run may have points in a half-open range of codes."""
+        return int(self.codes[0]) < code_range[1] and code_range[0] <= self.last_code
 
 
 class StoredPoints(NamedTuple):
@@ -116,7 +129,7 @@ class CloudRuns:
         runs, first_row = [], 0
         for found in summaries:
             if found.count:
-                runs.append(Run(found.number, found.count, first_row, found.codes, found.stride))
+                runs.append(Run(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
             first_row += found.count
         return cls(folder, lattice, tuple(runs))
 
@@ -125,13 +138,17 @@ class CloudRuns:
         """Number of points."""
         return sum(run.count for run in self.runs)
 
+    def overlapping(self, code_range: tuple[int, int]) -> CloudRuns:
+        """Return the runs that may have points in a half-open range of codes."""
+        return replace(self, runs=tuple(run for run in self.runs if run.overlaps(code_range)))
+
     def read(self, ranges: Sequence[tuple[int, int]]) -> StoredPoints:
         """Read the points whose codes lie in one of these half-open ranges, in the order of their rows."""
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         for run in self.runs:
             for start, stop in self._slices(run, ranges):
                 for name in _COLUMNS:
-                    file = _file(self.folder, run.number, name)
+                    file = column_file(self.folder, run.number, name)
                     if name in ("points", "order") or file.exists():
                         values = np.load(file, mmap_mode="r")[start:stop]
                         parts[name].append(values.astype(np.int64) + run.first_row if name == "order" else values)
@@ -150,9 +167,8 @@ class CloudRuns:
         return StoredPoints(points, rows[order], column("normals"), column("classes"))
 
     def _slices(self, run: Run, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        last = int(run.codes[-1]) if run.stride == 1 else (1 << CODE_BITS) - 1
         for low, high in ranges:
-            if high <= int(run.codes[0]) or low > last:
+            if not run.overlaps((low, high)):
                 continue
             start, stop = self._position(run, low), self._position(run, high)
             if start < stop:
@@ -166,15 +182,15 @@ class CloudRuns:
         if at == 0 or run.stride == 1:
             return at
         start = (at - 1) * run.stride
-        points = np.load(_file(self.folder, run.number, "points"), mmap_mode="r")[start : at * run.stride]
+        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : at * run.stride]
         return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
 
 
 def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
     """Return half-open ranges of the Morton curve with about at most `most` points each, in ascending order.
 
-    The curve is halved until each part has few enough points, so that each is a box of the lattice; empty parts are left
-    out. Points of equal codes stay together.
+    The curve is halved until each part has few enough points, so that each is a box of the lattice; empty parts are
+    left out. Points of equal codes stay together.
     """
     codes = np.concatenate([run.codes for run in runs.runs])
     weights = np.concatenate([np.full(len(run.codes), run.count / len(run.codes)) for run in runs.runs])
@@ -198,15 +214,3 @@ def tile_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
     """Cut the complete Morton curve into half-open ranges of about at most `most` points each."""
     starts = [low for low, _ in leaf_ranges(runs, most)]
     return list(zip([0, *starts[1:]], [*starts[1:], 1 << CODE_BITS], strict=True))
-
-
-def _file(folder: Path, number: int, name: str) -> Path:
-    return folder / f"{number:06d}.{name}.npy"
-
-
-def _save(path: Path, values: NDArray[Any]) -> None:
-    """Write an array under a temporary name and rename it, so that a killed task leaves no partial file."""
-    temporary = path.with_suffix(".partial")
-    with temporary.open("wb") as file:
-        np.save(file, values)
-    temporary.replace(path)

@@ -126,7 +126,7 @@ def store_cloud(
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
     results = runner.run(f"{name}-read", scan_piece, tasks, key=key, title=title, skip=skip)
     found = [summary for _, summary in results]
-    boxes = [(summary.low, summary.high) for summary in found if summary.low is not None]
+    boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
     if not boxes:
         raise InputError(f"{cloud.path}: expected a point cloud with at least one point, got none")
     notes = [(pieces[task.name], summary.notes) for task, summary in results]

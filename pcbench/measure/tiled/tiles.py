@@ -5,24 +5,37 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.normals import unit
+from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
+from pcbench.measure.tiled.columns import column_file, load_column, save_column
 from pcbench.measure.tiled.runs import CloudRuns
 
 
-class TileSummary(NamedTuple):
-    """What a tile contains: its number, the number of its points, and the corners (3,) of their box."""
+@dataclass(frozen=True, eq=False)
+class TileSummary:
+    """What a tile contains.
+
+    Attributes:
+        number: number of the tile.
+        count: number of its points.
+        low, high: corners (3,) of their box; zero if there are none.
+        inside: number of points inside the region.
+        lowest_inside: (3,) lowest coordinates of these points; infinite if there are none.
+    """
 
     number: int
     count: int
     low: FloatArray
     high: FloatArray
+    inside: int
+    lowest_inside: FloatArray
 
 
 @dataclass(frozen=True)
@@ -46,8 +59,9 @@ class Tiles:
     @classmethod
     def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> Tiles:
         """Return the tiles with these contents, in their order."""
-        _, counts, low, high = zip(*summaries, strict=True)
-        return cls(folder, np.array(counts, np.int64), np.array(low), np.array(high))
+        found = list(summaries)
+        counts = np.array([tile.count for tile in found], np.int64)
+        return cls(folder, counts, np.array([tile.low for tile in found]), np.array([tile.high for tile in found]))
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -59,33 +73,16 @@ class Tiles:
 
     def file(self, number: int, column: str) -> Path:
         """Return the file of a column of a tile."""
-        return self.folder / f"{number:06d}.{column}.npy"
+        return column_file(self.folder, number, column)
 
     def load(self, number: int, column: str) -> NDArray[Any]:
         """Return a column of a tile as an array in memory."""
-        values: NDArray[Any] = np.load(self.file(number, column))
-        return values
+        return load_column(self.folder, number, column)
 
     def open(self, number: int, column: str) -> NDArray[Any]:
         """Return a column of a tile as a memory map."""
         values: NDArray[Any] = np.load(self.file(number, column), mmap_mode="r")
         return values
-
-    def has(self, number: int, column: str) -> bool:
-        """Return whether a tile has a column."""
-        return self.file(number, column).exists()
-
-    def save(self, number: int, column: str, values: NDArray[Any]) -> None:
-        """Store a column of a tile."""
-        save_column(self.folder, number, column, values)
-
-
-def save_column(folder: Path, number: int, column: str, values: NDArray[Any]) -> None:
-    """Store a column of a tile under a temporary name and rename it: a killed task leaves no partial column."""
-    temporary = folder / f"{number:06d}.{column}.partial"
-    with temporary.open("wb") as file:
-        np.save(file, values)
-    temporary.replace(folder / f"{number:06d}.{column}.npy")
 
 
 def make_tile(
@@ -94,6 +91,7 @@ def make_tile(
     code_range: tuple[int, int],
     origin: FloatArray,
     pose: Similarity | None,
+    region: Region | None,
     folder: Path,
 ) -> TileSummary:
     """Store the points of a range of the Morton curve as a tile.
@@ -104,11 +102,12 @@ def make_tile(
         code_range: half-open range of codes.
         origin: (3,) local origin of the reference, which is subtracted.
         pose: motion between local coordinates that is applied then, as for clouds in memory; None: none.
+        region: measured region in local coordinates; None: everything.
         folder: folder for the files, which exists.
     """
     found = runs.read([code_range])
     if not len(found.points):
-        return TileSummary(number, 0, np.zeros(3), np.zeros(3))
+        return TileSummary(number, 0, np.zeros(3), np.zeros(3), 0, np.full(3, np.inf))
     points = found.points - origin
     if pose is not None:
         points = pose.apply(points)
@@ -116,8 +115,10 @@ def make_tile(
     if found.normals is not None and pose is None:
         directions, is_valid = unit(found.normals)
         directions[~is_valid] = np.nan
-        columns["normals"] = directions
+        columns["given_normals"] = directions
     for name, values in columns.items():
         if values is not None:
             save_column(folder, number, name, values)
-    return TileSummary(number, len(points), *bounds(points))
+    measured = points if region is None else points[region.contains(points)]
+    lowest = bounds(measured)[0] if len(measured) else np.full(3, np.inf)
+    return TileSummary(number, len(points), *bounds(points), len(measured), lowest)

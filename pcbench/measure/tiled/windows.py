@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
@@ -62,12 +63,12 @@ class Windows:
         return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
 
 
-def _every(values: np.ndarray, count: int) -> np.ndarray:  # type: ignore[type-arg]
+def _every(values: IntArray, count: int) -> IntArray:
     step = max(1, -(-len(values) // count))
     return values[step // 2 :: step] if len(values) > step // 2 else values[:1]
 
 
-def _range_of(codes: Codes, ranges: Codes) -> np.ndarray:  # type: ignore[type-arg]
+def _range_of(codes: Codes, ranges: Codes) -> IntArray:
     """Return the row of the range that contains each code (N,), or -1."""
     at = np.searchsorted(ranges[:, 0], codes, side="right") - 1
     return np.where((at >= 0) & (codes < ranges[at, 1]), at, -1)
@@ -112,7 +113,13 @@ def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity) -> St
     window = _range_of(windows.lattice.codes(moved), windows.ranges)
     low, high = windows.inner_boxes()
     inside = np.flatnonzero((window >= 0) & ((moved >= low[window]) & (moved <= high[window])).all(axis=1))
-    return StoredPoints(*(None if column is None else column[inside] for column in stored))  # type: ignore[arg-type]
+    normals, classes = stored.normals, stored.classes
+    return StoredPoints(
+        stored.points[inside],
+        stored.rows[inside],
+        None if normals is None else normals[inside],
+        None if classes is None else classes[inside],
+    )
 
 
 def _as_cloud(cloud: StoredCloud, parts: Sequence[StoredPoints]) -> Cloud:
@@ -120,7 +127,7 @@ def _as_cloud(cloud: StoredCloud, parts: Sequence[StoredPoints]) -> Cloud:
     total = sum(len(part.points) for part in parts)
     step = max(1, -(-total // (2 * MAX_SAMPLE)))
 
-    def column(name: str) -> np.ndarray | None:  # type: ignore[type-arg]
+    def column(name: str) -> Any:
         columns = [getattr(part, name) for part in parts]
         return None if not columns or any(c is None for c in columns) else np.concatenate(columns)[::step]
 
