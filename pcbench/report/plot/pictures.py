@@ -125,7 +125,7 @@ def _maps(
 
 
 def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture]:
-    """Return a picture of each overview raster in the folder of the map files, of all points as seen from above."""
+    """Return a picture of each overview raster in the folder of the map files, as seen from above."""
 
     def picture(path: Path, title: str, label: str) -> Picture:
         def draw(picture_file: Path) -> bool:
@@ -134,7 +134,7 @@ def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture
 
         return Picture(draw)
 
-    kinds = {"distance": "{}, all points from above", "completeness": "completeness of {}, all points from above"}
+    kinds = {"distance": "{} from above", "completeness": "completeness of {} from above"}
     return {
         f"{candidate.name}_{kind}_overview": picture(path, title.format(candidate.name), maps.LABELS[kind])
         for candidate in report.candidates
