@@ -116,7 +116,11 @@ def _map_samples(candidate: Candidate) -> dict[str, Any]:
     """Return the size of each map that is a sample of the measured points, by direction."""
     maps = {CANDIDATE_TO_REFERENCE: candidate.deviation, REFERENCE_TO_CANDIDATE: candidate.completeness}
     return {
-        direction: {"points": len(map_.points), "sampled_from": map_.sampled_from}
+        direction: {
+            "points": len(map_.points),
+            "even": int(np.count_nonzero(map_.is_even)),
+            "sampled_from": map_.sampled_from,
+        }
         for direction, map_ in maps.items()
         if map_.sampled_from is not None
     }

@@ -196,7 +196,9 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
     """
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
-    highest = [{name: robust_maximum(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps]
+    highest = [
+        {name: robust_maximum(map_.even_values("distance")) for name, map_ in by_name.items()} for by_name in maps
+    ]
     to_reference, to_candidate = (
         ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest
     )
@@ -217,10 +219,12 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
 
 
 def _colour_cloud(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
+    """Return the points with their scalars, those of an even sample first: comparison.json has their number."""
+    rows = slice(None) if deviation.sample_step is None else np.argsort(~deviation.is_even, kind="stable")
     return Cloud(
-        deviation.points,
-        colors=scale.colors(deviation.scalars["distance"]),
-        attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
+        deviation.points[rows],
+        colors=scale.colors(deviation.scalars["distance"][rows]),
+        attributes={name: values[rows].astype(np.float32) for name, values in deviation.scalars.items()},
         crs=comparison.reference.crs,
         unit=comparison.reference.unit,
     )

@@ -55,9 +55,9 @@ def remarks(comparison: SourcedComparison) -> Iterator[str]:
     """Yield how tiles were used, the RMSE of control and check points of each candidate that has some, and samples."""
     if comparison.tiling is not None:
         yield tiling_sentence(comparison, comparison.tiling)
-    if samples := [words for candidate in comparison if (words := _map_sample_words(candidate))]:
+    if samples := list(_map_samples(comparison)):
         where = "; all points are in maps/" if comparison.has_map_files else ""
-        yield f"Maps, charts and local statistics show a sample: {'; '.join(samples)}{where}."
+        yield f"Maps, charts and local statistics show a sample: {join_words(samples)}{where}."
     unit = comparison.reference.unit
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
@@ -84,7 +84,7 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
         )
     known = comparison.candidates[0].metrics.presets
     if missing := [name for name in comparison.settings.presets if name not in known]:
-        text += f" The preset {join_words(missing)} is left out, because it needs all points at once."
+        text += f" Not computed in tiles: {'the preset' if len(missing) == 1 else 'the presets'} {join_words(missing)}."
     return text
 
 
@@ -166,14 +166,14 @@ def _left_out_words(left_out: Sequence[LeftOut]) -> str:
     )
 
 
-def _map_sample_words(candidate: Candidate) -> str:
-    """Return how many points of the candidate and of the reference are in its maps; empty if these are all."""
-    parts = [
-        f"{sample_count(map_)} {whose}"
-        for map_, whose in ((candidate.deviation, f"of {candidate.name}"), (candidate.completeness, "of the reference"))
-        if map_.sampled_from is not None
-    ]
-    return join_words(parts) if parts else ""
+def _map_samples(comparison: SourcedComparison) -> Iterator[str]:
+    """Yield how many points are in each map that is a sample; those of the reference are named once."""
+    for candidate in comparison:
+        if candidate.deviation.sampled_from is not None:
+            yield f"{sample_count(candidate.deviation)} of {candidate.name}"
+    first = comparison.candidates[0].completeness
+    if first.sampled_from is not None:
+        yield f"{sample_count(first)} of the reference"
 
 
 def _percentage(share: float) -> str:
@@ -182,7 +182,10 @@ def _percentage(share: float) -> str:
 
 def _crop_advice(candidate: Candidate) -> str:
     """Return the options that exclude points beyond the reference; its bounding box only if many are outside."""
-    points, (lower, upper) = candidate.deviation.points, bounds(candidate.completeness.points)
+    points, (lower, upper) = (
+        candidate.deviation.points[candidate.deviation.is_even],
+        bounds(candidate.completeness.points),
+    )
     outside = float(((points < lower) | (points > upper)).any(axis=1).mean())
     if outside < _MIN_OUTSIDE_SHARE * (1 - candidate.registration.overlap):
         return "--crop polygon:FILE measures only points inside a region"

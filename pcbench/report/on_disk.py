@@ -93,20 +93,16 @@ class CloudsOnDisk:
             name: [(str(file.path.absolute()), file.count, *_status(file.path)) for file in cloud.files]
             for name, cloud in {"": self.reference, **self.candidates}.items()
         }
-        parts = [pcbench.__version__, record(settings), record_tiling(tiling), tiling.memory, clouds]
+        size = tiling.memory, tiling.workers  # they determine the size of tiles
+        parts = [pcbench.__version__, record(settings), record_tiling(tiling), size, clouds]
         return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 
 def filters_for(path: Path, settings: Settings) -> dict[str, Any]:
     """Return the filters that apply to a path: candidates may have other formats than a filtered LAS reference."""
-    if path.suffix.lower() in FILTERABLE_EXTENSIONS or is_several_files(path):
+    if path.suffix.lower() in FILTERABLE_EXTENSIONS or is_in_pieces(path):
         return {"classes": settings.classes, "returns": settings.returns}
     return {}
-
-
-def is_several_files(path: Path) -> bool:
-    """Return whether a path names several files: a folder of tiles, a pattern, a `.vpc` index or an EPT folder."""
-    return not (path.is_file() and path.suffix.lower() != ".vpc" and path.name != "ept.json") and is_in_pieces(path)
 
 
 def choose_tiles(
@@ -194,7 +190,7 @@ def _link(source: str, target: str) -> str:
 def _fits_surely(paths: list[Path], memory: int) -> bool:
     """Return whether the sizes of the files alone show that they fit, without a look at their headers."""
     try:
-        sizes = [path.stat().st_size for path in paths if path.is_file() and not is_several_files(path)]
+        sizes = [path.stat().st_size for path in paths if path.is_file() and not is_in_pieces(path)]
     except OSError:
         return True  # the reader in memory gives the error
     points = sum(sizes) / _MIN_FILE_BYTES_PER_POINT

@@ -13,11 +13,11 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import read_cloud
 from pcbench.io.files import digest, file_in_setting
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.io.pieces import open_cloud
+from pcbench.io.pieces import is_in_pieces, open_cloud
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.inputs import InputFile, SceneFolder
-from pcbench.report.on_disk import filters_for, is_several_files, parts_digest
+from pcbench.report.on_disk import filters_for, parts_digest
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
     """Read a cloud and record its file; raises the same errors as `read_reference`."""
     warnings: list[str] = []
     cloud = read_cloud(path, on_warning=warnings.append, **filters_for(path, settings))
-    found = parts_digest(open_cloud(path)) if is_several_files(path) else digest(path)
+    found = parts_digest(open_cloud(path)) if is_in_pieces(path) else digest(path)
     return cloud, InputFile(str(path), found, tuple(warnings))
 
 

@@ -20,6 +20,7 @@ from pcbench.report import document, markdown, to_json
 from pcbench.report.comparison import Comparison
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.html import page
+from pcbench.report.html.charts import charts
 from pcbench.report.html.layers import layers
 from pcbench.report.html.places import worst_places
 from pcbench.report.html.tiles import tile_maps
@@ -44,7 +45,7 @@ def full():
 
 @pytest.fixture(scope="module")
 def tiled(full):
-    return Comparison.of(tiled_fake.as_tiled(full, TilingSettings(2000, max_distance=5.0), 3000, LEFT_OUT, CENSORED))
+    return Comparison.of(tiled_fake.as_tiled(full, TilingSettings(2000, max_distance=5.0), 2, LEFT_OUT, CENSORED))
 
 
 def test_warnings_name_files_left_out_and_capped_distances(tiled):
@@ -86,7 +87,7 @@ def test_the_json_has_all_files_and_shares(tiled):
     assert values["tiling"]["map_files"] is False
     (candidate,) = values["candidates"]
     assert candidate["censored"] == CENSORED
-    assert candidate["map_samples"]["candidate_to_reference"] == {"points": 3000, "sampled_from": 6001}
+    assert candidate["map_samples"]["candidate_to_reference"] == {"points": 3138, "even": 3001, "sampled_from": 6001}
 
 
 def test_statistics_are_those_of_all_points(tiled, full):
@@ -98,8 +99,12 @@ def test_statistics_are_those_of_all_points(tiled, full):
 
 
 def test_the_worst_place_is_found_although_the_sample_lacks_it(tiled, full):
-    assert 6000 not in tiled["a"].deviation.rows
-    worst = worst_places(tiled)[0]
+    (candidate,) = tiled.candidates
+    map_ = candidate.deviation
+    lacking = map_.rows != 6000
+    scalars = {name: values[lacking] for name, values in map_.scalars.items()}
+    deviation = replace(map_, points=map_.points[lacking], rows=map_.rows[lacking], scalars=scalars)
+    worst = worst_places(replace(tiled, candidates=(replace(candidate, deviation=deviation),)))[0]
     assert worst == worst_places(Comparison.of(full))[0]
     assert worst.at == (25.0, 25.0, 30.0)
 
@@ -107,14 +112,50 @@ def test_the_worst_place_is_found_although_the_sample_lacks_it(tiled, full):
 def test_the_page_counts_all_points_and_says_that_it_shows_a_sample(tiled):
     heads = [layer.head for layer in layers(tiled)]
     assert [(head["total"], head["shown"], head["is_sample"]) for head in heads] == [
-        (6001, 3000, True),
-        (9000, 3000, True),
+        (6001, 3138, True),
+        (9000, 4710, True),
     ]
     assert tile_maps(tiled).is_sample
     html = page(tiled, document(tiled)["provenance"])
-    assert "a: 3,000 of 6,001 points, a random sample; reference: 3,000 of 9,000 points, a random sample" in html
-    assert "of a random sample of the points of a candidate" in html
+    assert "a: 3,138 of 6,001 points, a sample with the largest deviations; reference: 4,710 of 9,000" in html
+    assert "of an even sample of the points of a candidate" in html
     assert "sampled points</th>" in html
+
+
+def test_added_large_deviations_do_not_change_statistics_of_the_page(tiled):
+    (candidate,) = tiled.candidates
+
+    def even(map_):
+        scalars = {name: map_.even_values(name) for name in map_.scalars}
+        return replace(map_, points=map_.points[map_.is_even], rows=map_.rows[map_.is_even], scalars=scalars)
+
+    maps = {"deviation": even(candidate.deviation), "completeness": even(candidate.completeness)}
+    without = replace(tiled, candidates=(replace(candidate, **maps),))
+    assert len(maps["deviation"].points) < len(candidate.deviation.points)
+    ours, theirs = tile_maps(tiled), tile_maps(without)
+    assert (ours.tiles, ours.scale, ours.sparse) == (theirs.tiles, theirs.scale, theirs.sparse)
+    assert [chart.series for chart in charts(tiled)] == [chart.series for chart in charts(without)]
+    for ours, theirs in zip(layers(tiled), layers(without), strict=True):
+        assert [scalar["high"] for scalar in ours.head["scalars"]] == [
+            scalar["high"] for scalar in theirs.head["scalars"]
+        ]
+
+
+def test_the_reference_is_shown_by_points_that_all_candidates_share():
+    points = shapes.city(3000, seed=1)[0]
+    rng = np.random.default_rng(0)
+    clouds = {
+        name: Cloud(points[:count] + rng.normal(0, noise, (count, 3)))
+        for name, count, noise in (("a", 2000, 0.02), ("b", 1500, 0.1))
+    }
+    full = comparison.compare(Cloud(points), clouds, Settings(register="none"))
+    found = Comparison.of(tiled_fake.as_tiled(full, TilingSettings(), 3))
+    a, b = (candidate.completeness for candidate in found)
+    assert not np.array_equal(a.rows, b.rows)
+    layer = layers(found)[-1]
+    assert (layer.head["shown"], layer.head["total"]) == (1000, 3000)
+    assert [scalar["of"] for scalar in layer.head["scalars"]] == ["a", "b"]
+    check_text(list(remarks(found))[1], masked=False)
 
 
 def test_the_page_of_a_comparison_in_memory_has_no_sample(full):
@@ -127,13 +168,23 @@ def test_saved_samples_are_read_back_with_their_totals(tiled, tmp_path):
     with report_folder(tmp_path / "report") as folder:
         write_report(folder, tiled)
     report = read_report(tmp_path / "report")
+    distances = tiled["a"].deviation.even_values("distance")
+    even, even_back = (
+        np.percentile(map_.even_values("distance"), 95) for map_ in (tiled["a"].deviation, tiled["a"].completeness)
+    )
     assert report.reference_path is None
     assert report.candidates[0].path is None
-    assert report.candidates[0].sampled_from == {"candidate_to_reference": 6001, "reference_to_candidate": 9000}
+    assert report.candidates[0].samples == {
+        "candidate_to_reference": (3001, 6001),
+        "reference_to_candidate": (4500, 9000),
+    }
     for maps in (CandidateMaps.of_report(report, None), CandidateMaps.of_comparison(tiled, None)):
         assert maps.of("a", "distance").sampled_from == 6001
         assert maps.of("a", "completeness").sampled_from == 9000
-        assert len(maps.of("a", "distance").points) == 3000
+        assert len(maps.of("a", "distance").points) == 3138
+        assert maps.ranges("distance")["a"].high == pytest.approx(even, rel=1e-6)  # 32 bits
+        assert maps.ranges("completeness")["a"].high < 1.05 * even_back
+    assert np.sort(report.candidates[0].even_values("distance")) == pytest.approx(np.sort(distances), rel=1e-6)
 
 
 def test_reports_of_earlier_versions_have_no_samples(full, tmp_path):
@@ -142,7 +193,7 @@ def test_reports_of_earlier_versions_have_no_samples(full, tmp_path):
         values = json.loads((folder / "comparison.json").read_text())
         del values["tiling"], values["candidates"][0]["map_samples"]
         (folder / "comparison.json").write_text(json.dumps(values))
-    assert read_report(tmp_path / "report").candidates[0].sampled_from == {}
+    assert read_report(tmp_path / "report").candidates[0].samples == {}
 
 
 def test_python_compares_paths_in_tiles(tmp_path, monkeypatch):
@@ -151,14 +202,13 @@ def test_python_compares_paths_in_tiles(tmp_path, monkeypatch):
     for name in ("ref", "a"):
         write_cloud(tmp_path / f"{name}.ply", Cloud(points))
     steps = []
-    with pytest.warns(UserWarning, match="a warning of the header"):
-        found = pcbench.compare(
-            tmp_path / "ref.ply",
-            tmp_path / "a.ply",
-            tiling=pcbench.TilingSettings(500, workers=2),
-            workspace=tmp_path / "work",
-            on_step=steps.append,
-        )
+    found = pcbench.compare(
+        tmp_path / "ref.ply",
+        tmp_path / "a.ply",
+        tiling=pcbench.TilingSettings(500, workers=2),
+        workspace=tmp_path / "work",
+        on_step=steps.append,
+    )
     assert found.tiling.tile_points == 500
     assert found.inputs.tiling == TilingSettings(500, workers=2)
     assert "sorting the reference" in steps

@@ -442,7 +442,7 @@ class _Run:
             for number in tiles.occupied
         ]
         parts = self._results(f"{stage}-map", sample_map, tasks, "sampling the map")
-        return deviation_map(parts, count, spreads, origin, with_planes=with_planes)
+        return deviation_map(parts, count, step, spreads, origin, with_planes=with_planes)
 
     def _write_maps(
         self,

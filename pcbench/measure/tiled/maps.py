@@ -65,13 +65,20 @@ def _map_points(tiles: Path, folder: Path, number: int) -> MapPoints:
 
 
 def deviation_map(
-    parts: Iterable[MapPoints], count: int, spreads: Mapping[str, Spread], origin: FloatArray, *, with_planes: bool
+    parts: Iterable[MapPoints],
+    count: int,
+    step: int,
+    spreads: Mapping[str, Spread],
+    origin: FloatArray,
+    *,
+    with_planes: bool,
 ) -> DeviationMap:
     """Return a map from the sampled points of its tiles, in the order of their rows.
 
     Args:
         parts: sampled points.
         count: number of points that were measured.
+        step: interval of the rows of the even sample, as in `sample_map`.
         spreads: summary statistics of all of them.
         origin: (3,) offset that was subtracted from all coordinates.
         with_planes: whether the map has distances to planes.
@@ -90,4 +97,5 @@ def deviation_map(
         scalars,
         sampled_from=count if is_sample else None,
         known_spreads={name: spread for name, spread in spreads.items() if name in scalars},
+        sample_step=step if is_sample else None,
     )

@@ -80,7 +80,7 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
     maps = {c.name: c.deviation for c in comparison}
     scales = {}
     for key in dict.fromkeys(key for map_ in maps.values() for key in map_.scalars):
-        having = {name: map_.scalars[key] for name, map_ in maps.items() if key in map_.scalars}
+        having = {name: map_.even_values(key) for name, map_ in maps.items() if key in map_.scalars}
         scales[key] = ranges_of(having, spacing=spacing, given=given)
     for name, map_ in maps.items():
         scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
@@ -89,11 +89,17 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
     along = ranges_of({name: found.distances for name, found in cores.items()}, spacing=spacing, given=given)
     for name, found in cores.items():
         yield _Source(f"{name}, M3C2", found.cores, [_Scalar("m3c2_distance", found.distances, along[name])])
-    missing = {c.name: c.completeness.scalars["distance"] for c in comparison}
-    to_candidates = ranges_of(missing, spacing=spacing, given=given)
+    backward = {c.name: c.completeness for c in comparison}
+    to_candidates = ranges_of(
+        {name: map_.even_values("distance") for name, map_ in backward.items()}, spacing=spacing, given=given
+    )
+    shared, *others = backward.values()
+    points, missing = shared.points, {name: map_.scalars["distance"] for name, map_ in backward.items()}
+    if not all(np.array_equal(map_.rows, shared.rows) for map_ in others):  # samples have their own largest deviations
+        points = shared.points[shared.is_even]
+        missing = {name: map_.even_values("distance") for name, map_ in backward.items()}
     scalars = [_Scalar("distance", values, to_candidates[name], name) for name, values in missing.items()]
-    shared = comparison.candidates[0].completeness  # the same points for each candidate
-    yield _Source("", shared.points, scalars, shared.sampled_from)
+    yield _Source("", points, scalars, shared.sampled_from)
 
 
 def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:

@@ -103,13 +103,17 @@ def _maps(
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
-    label = f"{maps.label_of(scalar)} [{report.unit}]"
     is_m3c2 = scalar.startswith("m3c2")
-    totals = {} if is_m3c2 else {c.name: c.sampled_from.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
+    samples = {} if is_m3c2 else {c.name: c.samples.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
+    even = {
+        name: known if (sample := samples.get(name)) is None else known[: sample.even] for name, known in values.items()
+    }
+    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
+    label = f"{maps.label_of(scalar)} [{report.unit}]"
 
     def picture(name: str, scale: Range) -> Picture:
-        count = point_count(len(clouds[name]), totals.get(name), "core point" if is_m3c2 else "point")
+        sample = samples.get(name)
+        count = point_count(len(clouds[name]), sample and sample.sampled_from, "core point" if is_m3c2 else "point")
         title = f"{name} ({count})"
         return Picture(
             lambda path: maps.draw_coloured_cloud(
@@ -121,7 +125,7 @@ def _maps(
 
 
 def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture]:
-    """Return a picture of each overview raster in the folder of the map files, of all points as seen from above."""
+    """Return a picture of each overview raster in the folder of the map files, as seen from above."""
 
     def picture(path: Path, title: str, label: str) -> Picture:
         def draw(picture_file: Path) -> bool:
@@ -130,7 +134,7 @@ def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture
 
         return Picture(draw)
 
-    kinds = {"distance": "{}, all points from above", "completeness": "completeness of {}, all points from above"}
+    kinds = {"distance": "{} from above", "completeness": "completeness of {} from above"}
     return {
         f"{candidate.name}_{kind}_overview": picture(path, title.format(candidate.name), maps.LABELS[kind])
         for candidate in report.candidates
@@ -152,7 +156,8 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     clouds = {candidate.name: candidate.deviation for candidate in report.candidates}
     scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
-    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
+    even = {candidate.name: candidate.even_values(scalar) for candidate in report.candidates}
+    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
     label = f"{maps.LABELS[scalar]} [{report.unit}]"
 
     def picture(name: str) -> Picture:
@@ -178,7 +183,8 @@ def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[
         def draw(path: Path) -> bool:
             cloud = candidate.completeness()
             assert cloud is not None
-            count = point_count(len(cloud), candidate.sampled_from.get(REFERENCE_TO_CANDIDATE))
+            sample = candidate.samples.get(REFERENCE_TO_CANDIDATE)
+            count = point_count(len(cloud), sample and sample.sampled_from)
             title = f"completeness of {candidate.name} (the reference's {count})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
             return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, scenery, path, look)

@@ -20,7 +20,7 @@ from pcbench.report.plot.maps import frame, frame_of, label_of
 from pcbench.report.plot.panels import join_title
 from pcbench.report.plot.views import Frame
 from pcbench.report.plotters.stage import Stage, Window
-from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate
+from pcbench.report.read import UNKNOWN_UNIT, MapSample, Report, ReportedCandidate
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import point_count
 
@@ -34,11 +34,23 @@ class ScalarMap(NamedTuple):
         points: (N, 3) points.
         values: (N,) finite values.
         sampled_from: number of measured points, if these are a sample of them.
+        is_even: (N,) whether a point belongs to the even sample, see `DeviationMap.is_even`; None: all do.
     """
 
     points: FloatArray
     values: FloatArray
     sampled_from: int | None = None
+    is_even: NDArray[np.bool_] | None = None
+
+    @property
+    def even_values(self) -> FloatArray:
+        """Values at the points of the even sample."""
+        return self.values if self.is_even is None else self.values[self.is_even]
+
+    def at(self, rows: NDArray[np.bool_]) -> ScalarMap:
+        """Return the map at some of its points."""
+        is_even = None if self.is_even is None else self.is_even[rows]
+        return ScalarMap(self.points[rows], self.values[rows], self.sampled_from, is_even)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +98,7 @@ class CandidateMaps:
 
     def ranges(self, scalar: str) -> dict[str, Range]:
         """Return the colour range of a scalar for each candidate that has it."""
-        values = {name: maps[scalar].values for name, maps in self.maps.items() if scalar in maps}
+        values = {name: maps[scalar].even_values for name, maps in self.maps.items() if scalar in maps}
         return ranges_of(values, spacing=self.spacing, given=self.range)
 
     @cached_property
@@ -120,38 +132,38 @@ def _measured(candidate: Candidate) -> dict[str, ScalarMap]:
     deviation = candidate.deviation
     completeness = candidate.completeness
     maps = {
-        name: ScalarMap(deviation.points, values, deviation.sampled_from) for name, values in deviation.scalars.items()
+        name: ScalarMap(deviation.points, values, deviation.sampled_from, deviation.is_even)
+        for name, values in deviation.scalars.items()
     }
     if deviation.m3c2 is not None:
         maps["m3c2_distance"] = ScalarMap(deviation.m3c2.cores, deviation.m3c2.distances)
     distances = completeness.scalars["distance"]
-    maps[COMPLETENESS] = ScalarMap(completeness.points, distances, completeness.sampled_from)
+    maps[COMPLETENESS] = ScalarMap(completeness.points, distances, completeness.sampled_from, completeness.is_even)
     return _known(maps)
 
 
 def _reported(candidate: ReportedCandidate) -> dict[str, ScalarMap]:
     deviation, m3c2, completeness = candidate.deviation, candidate.m3c2, candidate.completeness()
-    total = candidate.sampled_from.get(CANDIDATE_TO_REFERENCE)
-    maps = {name: ScalarMap(deviation.points, _float(values), total) for name, values in deviation.attributes.items()}
+    sample = candidate.samples.get(CANDIDATE_TO_REFERENCE)
+    maps = {name: _scalar_map(deviation.points, values, sample) for name, values in deviation.attributes.items()}
     if m3c2 is not None:
-        maps["m3c2_distance"] = ScalarMap(m3c2.points, _float(m3c2.attributes["m3c2_distance"]))
+        maps["m3c2_distance"] = _scalar_map(m3c2.points, m3c2.attributes["m3c2_distance"])
     if completeness is not None:
-        total = candidate.sampled_from.get(REFERENCE_TO_CANDIDATE)
-        maps[COMPLETENESS] = ScalarMap(completeness.points, _float(completeness.attributes["distance"]), total)
+        sample = candidate.samples.get(REFERENCE_TO_CANDIDATE)
+        maps[COMPLETENESS] = _scalar_map(completeness.points, completeness.attributes["distance"], sample)
     return _known(maps)
+
+
+def _scalar_map(points: FloatArray, values: NDArray[np.generic], sample: MapSample | None = None) -> ScalarMap:
+    numbers = np.asarray(values, dtype=np.float64)
+    if sample is None:
+        return ScalarMap(points, numbers)
+    return ScalarMap(points, numbers, sample.sampled_from, np.arange(len(numbers)) < sample.even)
 
 
 def _known(maps: Mapping[str, ScalarMap]) -> dict[str, ScalarMap]:
     """Return the points of each map whose value is known, without maps that have none."""
     known = {name: np.isfinite(shown.values) for name, shown in maps.items()}
     return {
-        name: shown
-        if known[name].all()
-        else ScalarMap(shown.points[known[name]], shown.values[known[name]], shown.sampled_from)
-        for name, shown in maps.items()
-        if known[name].any()
+        name: shown if known[name].all() else shown.at(known[name]) for name, shown in maps.items() if known[name].any()
     }
-
-
-def _float(values: NDArray[np.generic]) -> FloatArray:
-    return np.asarray(values, dtype=np.float64)
