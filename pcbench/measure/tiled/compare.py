@@ -23,8 +23,8 @@ from typing import TypeVar
 
 import numpy as np
 
-import pcbench
 from pcbench.errors import InputError, Notice
+from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
@@ -157,7 +157,7 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
-    found = [pcbench.__version__, files, settings.plain(), tiling.tile_points, tiling.max_distance, tiling.skip_bad]
+    found = [installed_versions(("pcbench",)), files, settings.plain(), tiling.tile_points, tiling.max_distance, tiling.skip_bad]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
