@@ -157,7 +157,8 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
-    found = [installed_versions(("pcbench",)), files, settings.plain(), tiling.tile_points, tiling.max_distance, tiling.skip_bad]
+    how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
+    found = [installed_versions(("pcbench",)), files, settings.plain(), how]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
