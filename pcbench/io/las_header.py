@@ -49,8 +49,11 @@ EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's o
 
 _MAX_RECORDS = 10_000  # real files have about a dozen
 _MAX_RECORD_BYTES = 1 << 20  # longer extended records (waveforms, COPC's hierarchy) are not needed
-# The variable length records that are read: coordinate system, extra bytes, LASzip.
-_READ_RECORDS = {("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4), ("laszip encoded", 22204)}
+# The variable length records that are read: coordinate system, extra bytes, LASzip, COPC.
+_READ_RECORDS = {
+    *(("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4)),
+    *(("laszip encoded", 22204), ("copc", 1)),
+}
 
 
 class ExtraDimension(NamedTuple):
@@ -91,8 +94,13 @@ class LasHeader:
         return self.record_bytes - np.dtype(POINT_FORMATS[self.point_format]).itemsize
 
 
-def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
+def read_header(file: BinaryIO, warn: Warn, allow_empty: bool = False) -> LasHeader:
     """Read the header and the records that are needed.
+
+    Args:
+        file: input file.
+        warn: callback for warnings.
+        allow_empty: whether the file may have no points, as tiles do.
 
     Raises:
         InputError: the file is not a LAS file, or its header is inconsistent or does not fit the size of the file.
@@ -144,7 +152,7 @@ def read_header(file: BinaryIO, warn: Warn) -> LasHeader:
         if long_count and count not in (0, long_count):
             raise InputError(f"expected one point count in the header, got {count} and {long_count}: export it again")
         count = long_count or count
-    if not count:
+    if not count and not allow_empty:
         raise InputError("expected at least one point, got 0: export the file again")
     records = _read_records(file, VLR, vlr_count, header_bytes, start)
     if evlr_count:

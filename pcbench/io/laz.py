@@ -10,18 +10,21 @@ from __future__ import annotations
 
 import struct
 import sys
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.children import Limits, run_script
+from pcbench.children import ChildResult, Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
+from pcbench.io.copc import check_hierarchy
 from pcbench.io.files import Warn
 from pcbench.io.las_header import LasHeader
+from pcbench.io.laz_worker import clip_chunks
 
 LASZIP = ("laszip encoded", 22204)
 _LASZIP_LAYOUT = struct.Struct("<HHBBHIIqqH")  # compressor, coder, version (3), options, chunk size, 2 counts, items
@@ -31,14 +34,49 @@ _VARIABLE_CHUNKS = 0xFFFFFFFF  # COPC: the chunk table states the number of poin
 # Bound of the decompressed size: this factor times the file size, plus bytes. Clouds shrink 3 to 20 times, grids more.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 1000, 256 << 20
 _EXIT_SOME_DIFFER, _EXIT_ALL_DIFFER = 4, 5  # exit statuses of the worker: encoding the points again gives other bytes
+UNVERIFIED = (
+    "could not verify the compressed points: encoding them again gives other bytes, so they are damaged or were written"
+    " by a program other than LASzip and lazrs"
+)
 _WORKER = str(Path(__file__).with_name("laz_worker.py"))
 _MAX_WORKER_MEMORY = 1 << 30  # bytes of address space besides twice the points: code, stacks, one heap per thread
 _MAX_WORKER_SECONDS = 30.0  # plus the time for the points at `_MIN_WORKER_SPEED`
 _MIN_WORKER_SPEED = 1e6  # bytes per second; lazrs does 30 million on one core, in both directions
 
 
-def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint8]:
-    """Decompress the point records to the bytes of a LAS file, (count * record_bytes,).
+class LazChunk(NamedTuple):
+    """Number of points that are compressed together, and their compressed size in bytes."""
+
+    points: int
+    size: int
+
+
+def read_chunks(file: BinaryIO, header: LasHeader) -> list[LazChunk]:
+    """Read the chunk table: all chunks that contain points, in the order of the file.
+
+    Raises:
+        InputError: the table is damaged, or does not fit the header, the size of the file or the hierarchy of COPC.
+        MissingExtra: lazrs is not installed.
+    """
+    lazrs = require("lazrs")
+    table = _check_chunks(file, header)
+    file.seek(header.start)
+    try:
+        # `_check_chunks` has limited the number of chunks, from which lazrs allocates memory.
+        entries = lazrs.read_chunk_table(file, lazrs.LazVlr(header.records[LASZIP]))
+        chunks = [LazChunk(*entry) for entry in clip_chunks(entries, header.count)]
+    except (lazrs.LazrsError, ValueError, OverflowError, OSError) as error:
+        raise _damage_error(f"the chunk table cannot be read: {error}") from error
+    if (size := sum(chunk.size for chunk in chunks)) > table - header.start - 8:
+        raise _damage_error(f"the chunk table states {size} bytes of points, the file has {table - header.start - 8}")
+    check_hierarchy(file, header, chunks)
+    return chunks
+
+
+def decompress(
+    file: BinaryIO, header: LasHeader, chunks: Sequence[LazChunk], warn: Warn, first: int = 0, end: int | None = None
+) -> NDArray[np.uint8]:
+    """Decompress chunks to the bytes of point records as in a LAS file, (points * record_bytes,).
 
     If the encoding of all chunks differs from the file, a warning says that the points could not be verified. If only
     some chunks differ, these are damaged, since one program wrote all of them.
@@ -46,54 +84,66 @@ def decompress(file: BinaryIO, header: LasHeader, warn: Warn) -> NDArray[np.uint
     Args:
         file: input file.
         header: header of the file.
+        chunks: all chunks of the file, see `read_chunks`.
         warn: callback for warnings.
+        first: index of the first chunk to decompress.
+        end: index after the last chunk to decompress; None: to the end of the file.
 
     Raises:
         InputError: the compressed data are damaged.
         MissingExtra: lazrs is not installed.
     """
-    require("lazrs")
-    _check_chunks(file, header)
+    end = len(chunks) if end is None else end
+    count = sum(chunk.points for chunk in chunks[first:end])
+    points, done = _run_worker(file, header, count, first, end)
+    if done.code == 3:
+        raise MissingExtra("lazrs", "las", "it is installed but does not load")
+    if done.received < len(points) or done.code not in (0, _EXIT_SOME_DIFFER, _EXIT_ALL_DIFFER):
+        raise _damage_error(f"decompressed only {done.received // header.record_bytes} of {count} points")
+    differing, index = count, sum(chunk.points for chunk in chunks[:first])
+    if done.code == _EXIT_SOME_DIFFER:
+        differing, index = map(int, done.last_error_line.split())
+    elif done.code == _EXIT_ALL_DIFFER:
+        other = first - 1 if first else end  # another chunk shows whether lazrs reproduces the bytes of this writer
+        if other == len(chunks) or _run_worker(file, header, chunks[other].points, other, other + 1)[1].code:
+            warn(UNVERIFIED)
+            return points
+    if done.code:
+        raise _damage_error(
+            f"{differing} of {count} points, from point {index + 1} on, failed verification: encoding them again gives"
+            " other bytes"
+        )
+    return points
+
+
+def _run_worker(
+    file: BinaryIO, header: LasHeader, count: int, first: int, end: int
+) -> tuple[NDArray[np.uint8], ChildResult]:
+    """Decompress chunks with `count` points in a child process; return their bytes and how it ended."""
     if not sys.executable:
         raise InputError(
             "expected a Python interpreter to decompress LAZ in a child process, got none: convert the file to .las"
         )
-    total = header.count * header.record_bytes
-    points = np.empty(total, dtype=np.uint8)
+    points = np.empty(count * header.record_bytes, dtype=np.uint8)
+    arguments = (header.start, header.records[LASZIP].hex(), header.count, header.record_bytes, first, end)
+    seconds = _MAX_WORKER_SECONDS + len(points) / _MIN_WORKER_SPEED
     done = run_script(
         _WORKER,
-        str(header.start),
-        header.records[LASZIP].hex(),
-        str(header.count),
-        str(header.record_bytes),
-        limits=Limits(seconds=_MAX_WORKER_SECONDS + total / _MIN_WORKER_SPEED, memory=_MAX_WORKER_MEMORY + 2 * total),
+        *map(str, arguments),
+        limits=Limits(seconds=seconds, memory=_MAX_WORKER_MEMORY + 2 * len(points)),
         environment={"MALLOC_ARENA_MAX": "4"},  # each arena takes 64 MiB of the allowed address space
         stdin=file,
         into=points.data,
     )
-    if done.code == 3:
-        raise MissingExtra("lazrs", "las", "it is installed but does not load")
-    if done.code == _EXIT_SOME_DIFFER and done.received == total and len(words := done.last_error_line.split()) == 2:
-        raise _damage_error(
-            f"{words[0]} of {header.count} points, from point {int(words[1]) + 1} on, failed verification: encoding"
-            " them again gives other bytes"
-        )
-    if done.code == _EXIT_ALL_DIFFER and done.received == total:
-        warn(
-            "could not verify the compressed points: encoding them again gives other bytes, so they are damaged or were"
-            " written by a program other than LASzip and lazrs"
-        )
-    elif done.code or done.received < total:
-        raise _damage_error(f"decompressed only {done.received // header.record_bytes} of {header.count} points")
-    return points
+    return points, done
 
 
 def _damage_error(reason: str) -> InputError:
     return InputError(f"damaged LAZ data: {reason}: copy or export the file again")
 
 
-def _check_chunks(file: BinaryIO, header: LasHeader) -> None:
-    """Check the LASzip record, and the position and length of the chunk table after the points."""
+def _check_chunks(file: BinaryIO, header: LasHeader) -> int:
+    """Check the LASzip record, and the position and length of the chunk table after the points; return its position."""
     record = header.records.get(LASZIP, b"")
     if len(record) < _LASZIP_LAYOUT.size:
         raise _damage_error("the header has no LASzip record")
@@ -125,6 +175,7 @@ def _check_chunks(file: BinaryIO, header: LasHeader) -> None:
     unpacked = header.count * header.record_bytes
     if unpacked > _MAX_FREE_GROWTH_BYTES + _MAX_GROWTH * size:
         raise _damage_error(f"{size} bytes would decompress to {unpacked} bytes")
+    return table
 
 
 def _read_integer(file: BinaryIO, offset: int, code: str) -> int:

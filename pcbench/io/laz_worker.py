@@ -1,23 +1,24 @@
-"""Decompress LAZ in a child process: `laz_worker.py START LASZIP COUNT BYTES`, from standard input to standard output.
+"""Decompress chunks of LAZ in a child process, from standard input to standard output.
+
+Usage: `laz_worker.py START LASZIP COUNT BYTES FIRST END`, for the chunks FIRST to END - 1 of a file with COUNT points.
 
 lazrs trusts the sizes in a file; on damaged data it may request 55 GB and abort. LAZ also lacks a checksum: damaged
 bytes in the middle may decode to other times or colours. Since encoding is deterministic, the decoded points are
 encoded again and compared with the file.
 
-`pcbench.io.laz` runs this script and never imports it: without pcbench and numpy it starts in 25 ms. Exit status: 0;
-3 if lazrs does not load; 4 if the encoding of some points differs (their count and the first index go to standard
+`pcbench.io.laz` runs this script: without pcbench and numpy it starts in 25 ms. Exit status: 0; 3 if lazrs does not
+load; 4 if the encoding of some points differs (their count and the index of the first one in the file go to standard
 error); 5 if that of all points differs; any other value if the data are damaged.
 """
 
 import io
-import os
 import sys
 
 _MAX_BATCH_BYTES = 32 << 20  # decompressed at a time: enough chunks to occupy all cores
 
 
-def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
-    """Decompress and verify the points of a LAZ file."""
+def main(start: int, laszip: bytes, count: int, record_bytes: int, first: int, end: int) -> None:
+    """Decompress and verify the points of some chunks of a LAZ file."""
     try:
         import lazrs
     except ImportError:
@@ -26,34 +27,40 @@ def main(start: int, laszip: bytes, count: int, record_bytes: int) -> None:
     source, target = sys.stdin.buffer, sys.stdout.buffer
     source.seek(start)
     vlr = lazrs.LazVlr(laszip)
-    chunks = _clip_chunks(lazrs.read_chunk_table(source, vlr), count)
-    source.seek(start)
-    decompressor = lazrs.ParLasZipDecompressor(source, laszip)
-    offset, first = start + 8, 0  # byte in the file, after the pointer to the chunk table; index of the point
+    table = clip_chunks(lazrs.read_chunk_table(source, vlr), count)
+    chunks = table[first:end]
+    index = sum(points for points, _ in table[:first])  # of the next point
+    source.seek(start + 8 + sum(size for _, size in table[:first]))  # 8: pointer to the chunk table
+    wanted = sum(points for points, _ in chunks)
     damaged: list[tuple[int, int]] = []  # first point and point count of each damaged chunk
     while chunks:
         batch = _take_batch(chunks, record_bytes)
+        compressed = source.read(sum(size for _, size in batch))
         points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
-        decompressor.decompress_many(points_bytes)
+        lazrs.decompress_points_with_chunk_table(compressed, laszip, points_bytes, batch)
         target.write(points_bytes)
+        offset = 0
         encoded = _encode(points_bytes, [points * record_bytes for points, _ in batch], vlr)
         for (points, size), encoded_chunk in zip(batch, encoded, strict=True):
-            if os.pread(source.fileno(), size, offset) != encoded_chunk:
-                damaged.append((first, points))
-            offset, first = offset + size, first + points
+            if compressed[offset : offset + size] != encoded_chunk:
+                damaged.append((index, points))
+            offset, index = offset + size, index + points
     target.flush()
     number = sum(points for _, points in damaged)
-    if number == count:
+    if number == wanted:
         sys.exit(5)
     if damaged:
         print(number, damaged[0][0], file=sys.stderr)
         sys.exit(4)
 
 
-def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
+def clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
     """Return the point count and compressed size in bytes of each chunk that contains some of the `count` points.
 
     If all chunks have the same point count, the table states it for the last one too, which is rarely full.
+
+    Raises:
+        ValueError: the chunks contain fewer points.
     """
     chunks = []
     for points, size in table:
@@ -61,7 +68,7 @@ def _clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, in
             chunks.append((min(points, count), size))
             count -= chunks[-1][0]
     if count:
-        sys.exit("the chunks contain too few points")
+        raise ValueError("the chunks contain too few points")
     return chunks
 
 
@@ -100,4 +107,4 @@ def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[by
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), bytes.fromhex(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
+    main(int(sys.argv[1]), bytes.fromhex(sys.argv[2]), *map(int, sys.argv[3:]))

@@ -53,15 +53,18 @@ def _places(comparison: SourcedComparison, count: int) -> Iterator[Place]:
     unit, radius = comparison.reference.unit, _RADIUS_SHARE * comparison.reference.extent
     least = rounding_limit(comparison)
     for candidate in comparison:
-        name = candidate.name
+        name, hausdorff = candidate.name, candidate.metrics.hausdorff
         sides = (
-            (candidate.deviation, "off the reference", (name, "")),
-            (candidate.completeness, "missing in the candidate", ("", name)),
+            (candidate.deviation, hausdorff.accuracy, "off the reference", (name, "")),
+            (candidate.completeness, hausdorff.completeness, "missing in the candidate", ("", name)),
         )
-        for map_, what, layer in sides:
-            distances = map_.scalars["distance"]
-            for row in _peaks(map_.points, distances, radius, count, least):
-                far, at = float(distances[row]), _tuple(map_.points[row])
+        for map_, extremes, what, layer in sides:
+            points, distances = map_.points, map_.scalars["distance"]
+            if map_.sampled_from is not None:  # a sample hardly ever contains the farthest point
+                points = np.concatenate([extremes.worst_point[None], points])
+                distances = np.concatenate([[extremes.largest], distances])
+            for row in _peaks(points, distances, radius, count, least):
+                far, at = float(distances[row]), _tuple(points[row])
                 yield Place(name, what, far, length(far, unit), at, *layer, radius)
         local = candidate.deformation.local
         if local is not None and local.largest is not None and local.at is not None:
