@@ -360,7 +360,10 @@ class _Run:
         folders = [self.folder / stage / way for way in ("forth", "back")]
         for folder in folders:
             folder.mkdir(parents=True, exist_ok=True)
-        local = reference.stored.even - reference.origin
+        stored, origin, pixels = reference.stored, reference.origin, None
+        if self.maps is not None:
+            corners = stored.low - origin, stored.high - origin
+            pixels = PixelGrid.covering(stored.even - origin, *corners, reference.spacing)
         return TiledPair(
             reference=reference.tiles,
             candidate=candidate,
@@ -374,7 +377,7 @@ class _Run:
             has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
-            pixels=None if self.maps is None else PixelGrid.covering(*robust_bounds(local)),
+            pixels=pixels,
         )
 
     def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
