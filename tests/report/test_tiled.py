@@ -105,8 +105,16 @@ def test_the_worst_place_is_found_although_the_sample_lacks_it(tiled, full):
     scalars = {name: values[lacking] for name, values in map_.scalars.items()}
     deviation = replace(map_, points=map_.points[lacking], rows=map_.rows[lacking], scalars=scalars)
     worst = worst_places(replace(tiled, candidates=(replace(candidate, deviation=deviation),)))[0]
-    assert worst == worst_places(Comparison.of(full))[0]
+    assert replace(worst, size="") == replace(worst_places(Comparison.of(full))[0], size="")
     assert worst.at == (25.0, 25.0, 30.0)
+
+
+def test_distances_at_the_limit_are_called_lower_bounds(full):
+    limited = tiled_fake.as_tiled(full, TilingSettings(max_distance=0.5), 2, censored=CENSORED)
+    places = worst_places(Comparison.of(limited))
+    assert places[0].size.startswith("≥ ")
+    assert not any("≥" in place.size for place in places[1:3])
+    assert not any("≥" in place.size for place in worst_places(Comparison.of(full)))
 
 
 def test_the_page_counts_all_points_and_says_that_it_shows_a_sample(tiled):
