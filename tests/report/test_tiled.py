@@ -1,6 +1,7 @@
 """A comparison in tiles in all outputs: how it was computed, what is missing, and maps that are samples."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -241,6 +242,31 @@ def test_the_estimate_of_memory_is_near_measured_peaks(counts, peak_mb):
     )
     clouds = CloudsOnDisk(reference, dict(enumerate(candidates)))
     assert clouds.memory == pytest.approx(1e6 * peak_mb, rel=0.05)
+
+
+def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):
+    write_cloud(tmp_path / "a.ply", Cloud(shapes.city(100, seed=1)[0]))
+    (tmp_path / "matrix.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    settings, tiling = Settings(register=f"matrix:{tmp_path / 'matrix.txt'}"), TilingSettings()
+
+    def key(settings=settings, tiling=tiling):
+        path = tmp_path / "a.ply"
+        return CloudsOnDisk.open(path, {"a": path}, settings).key(settings, tiling)
+
+    found = {
+        key(),
+        key(),
+        key(settings=Settings()),
+        *(
+            key(tiling=TilingSettings(**changed))
+            for changed in ({"workers": 2}, {"tile_points": 500}, {"memory": 1 << 30})
+        ),
+    }
+    for name in ("matrix.txt", "a.ply"):
+        os.utime(tmp_path / name, ns=(1, 1))
+        found.add(key())
+    assert len(found) == 7
+    assert key(tiling=TilingSettings(cluster="tcp://host:8786")) == key()
 
 
 def test_attributes_need_memory_too():
