@@ -156,6 +156,7 @@ class DenseMvs:
             maps = compute_bundled_maps(matching, matched, workspace)
 
         filtered = self._filter_maps(photographs, references, maps, workspace)
+        photographs.clear()
         notes += _describe_missing_maps(filtered, references)
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered])
         images = {
