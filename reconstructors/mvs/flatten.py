@@ -6,6 +6,7 @@ are largely independent, so that a plane through the neighbors is more accurate 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ _MAX_SHIFT = 1 / 3  # of the radius of the neighbors, somewhat less than the poi
 _BLOCK_POINTS = 1 << 14  # points processed at a time: each needs some 200 float64 values of temporary memory
 
 
-def flatten(cloud: Cloud) -> Cloud:
+def flatten(cloud: Cloud, around: Sequence[Cloud] = ()) -> Cloud:
     """Return a cloud whose points on flat surface are moved along its normal onto planes through their neighbors.
 
     A plane has the mean normal of 20 nearest points and passes through their median along this normal. The surface is
@@ -31,26 +32,35 @@ def flatten(cloud: Cloud) -> Cloud:
 
     Args:
         cloud: cloud with normals.
+        around: other clouds with normals, whose points are neighbors too, and do not move.
     """
-    if len(cloud) < _NEIGHBORS:
-        return cloud
     assert cloud.normals is not None
-    index, points, normals = Index(cloud.points), cloud.points.copy(), cloud.normals.copy()
+    points, normals = cloud.points.copy(), cloud.normals.copy()
+    all_points = np.concatenate([points, *(other.points for other in around)]) if around else cloud.points
+    all_normals = np.concatenate([normals, *(_normals(other) for other in around)]) if around else cloud.normals
+    if len(all_points) < _NEIGHBORS:
+        return cloud
+    index = Index(all_points)
     for start in range(0, len(cloud), _BLOCK_POINTS):
         rows = np.arange(start, min(start + _BLOCK_POINTS, len(cloud)))
         neighbors = index.query(cloud.points[rows], _NEIGHBORS)
-        neighbor_normals = cloud.normals[neighbors.indices]
+        neighbor_normals = all_normals[neighbors.indices]
         planes = neighbor_normals.sum(axis=1)
         planes /= np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), np.finfo(float).tiny)
         cosines = _dot(neighbor_normals, planes[:, None])
         is_parallel = cosines >= np.cos(np.radians(_MAX_ANGLE_DEG))
-        offsets = _dot(cloud.points[neighbors.indices] - cloud.points[rows, None], planes[:, None])
+        offsets = _dot(all_points[neighbors.indices] - cloud.points[rows, None], planes[:, None])
         shift = np.median(offsets, axis=1)
         is_flat = is_parallel.mean(axis=1) >= _MIN_PARALLEL_SHARE
         is_flat &= np.abs(shift) <= _MAX_SHIFT * neighbors.distances[:, -1]
         points[rows[is_flat]] += shift[is_flat, None] * planes[is_flat]
         normals[rows[is_flat]] = planes[is_flat]
     return replace(cloud, points=points, normals=normals)
+
+
+def _normals(cloud: Cloud) -> FloatArray:
+    assert cloud.normals is not None
+    return cloud.normals
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

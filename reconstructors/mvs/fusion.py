@@ -7,6 +7,7 @@ therefore has its principal points shifted by half a pixel and serves fusion onl
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -59,6 +60,11 @@ class OverlapSamples:
     points: FloatArray
     agreement: NDArray[np.bool_]
     sources: Sequence[str]
+
+    def restrict(self, names: Collection[str]) -> OverlapSamples:
+        """Return the samples with only those sources that are among the names."""
+        used = [k for k, name in enumerate(self.sources) if name in names]
+        return OverlapSamples(self.points, self.agreement[used], tuple(self.sources[k] for k in used))
 
 
 def sample_overlap(
@@ -182,7 +188,7 @@ def fuse(workspace: Path, out: Path, cameras: Mapping[str, Camera], normal_deg: 
 
 
 def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, Path], min_views: int) -> Cloud:
-    """Read the fused cloud in the workspace's frame, with normals, colours and the attribute `views`.
+    """Read a fused cloud with points in the workspace's frame, with normals, colours and the attribute `views`.
 
     `views` is the number of images that agree on a point: the largest count of the filter at the point's pixels.
 
@@ -192,15 +198,8 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
         counts: .npy files by image name with the number (H, W) of images that agree at each pixel.
         min_views: minimum number of images that agree on a point, by the filter's criteria.
 
-    Raises:
-        ReconstructionError: the cloud is empty.
     """
     point, image = read_visibility(_visibility_path(path))
-    if not len(point):
-        raise ReconstructionError(
-            "fusion produced no points: no depth is confirmed by enough images. Take more images with more overlap,"
-            " check the cameras, or lower --set confidence or --set views"
-        )
     cloud = read_cloud(path, on_warning=lambda _: None)
     # The median of merged pixels may fall into a neighbouring pixel without a depth.
     views = np.full(len(cloud), min_views, dtype=np.int32)
@@ -211,6 +210,12 @@ def read_fused(path: Path, cameras: Mapping[str, Camera], counts: Mapping[str, P
         column = np.clip(u, 0, count.shape[1] - 1).astype(np.int64)
         views[here] = np.maximum(views[here], count[row, column])
     return replace(cloud, attributes={"views": views})
+
+
+def count_fused(path: Path) -> int:
+    """Return the number of points of a fused .ply file; 0 if there is no file."""
+    visibility = _visibility_path(path)
+    return int(np.fromfile(visibility, dtype="<u8", count=1)[0]) if visibility.is_file() else 0
 
 
 def read_visibility(path: Path) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -264,13 +269,13 @@ def _link(path: Path, target: Path) -> None:
     path.symlink_to(os.path.relpath(target.absolute(), path.parent.absolute()))
 
 
-def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> int:
-    """Write a Poisson mesh (Kazhdan and Hoppe 2013) of a fused cloud, in world coordinates; return its face count.
+def write_mesh(fused: Sequence[Path], out: Path, origin: FloatArray, unit: str | None) -> int:
+    """Write a Poisson mesh (Kazhdan and Hoppe 2013) of fused clouds, in world coordinates; return its face count.
 
     Args:
-        fused: the fused .ply file.
+        fused: the fused .ply files.
         out: the .ply file to write.
-        origin: world coordinates (3,) of the fused cloud's origin.
+        origin: world coordinates (3,) of the fused clouds' origin.
         unit: unit of the coordinates.
 
     Raises:
@@ -280,18 +285,31 @@ def write_mesh(fused: Path, out: Path, origin: FloatArray, unit: str | None) -> 
 
     # The octree depth matches the point density of evenly spread points. Trimming removes surface that
     # only closes holes: surface is kept down to a density three levels below.
-    count = int(np.fromfile(_visibility_path(fused), dtype="<u8", count=1)[0])
-    depth = int(np.clip(np.ceil(0.5 * np.log2(count)), 6, 13))
+    depth = int(np.clip(np.ceil(0.5 * np.log2(sum(map(count_fused, fused)))), 6, 13))
     options = pycolmap.PoissonMeshingOptions()
     options.depth, options.trim = depth, float(depth - 3)
     options.num_threads = 1
-    raw = out.with_name(f".{out.name}")
+    raw, joined = out.with_name(f".{out.name}"), out.with_name(f".points.{out.name}")
     try:
-        pycolmap.poisson_meshing(fused, raw, options)
+        if len(fused) > 1:
+            _concatenate_fused(fused, joined)
+        pycolmap.poisson_meshing(joined if len(fused) > 1 else fused[0], raw, options)
         mesh = read_mesh(raw)
     except (RuntimeError, ValueError) as error:
         raise ReconstructionError(f"no mesh: {' '.join(str(error).split())}") from error
     finally:
         raw.unlink(missing_ok=True)
+        joined.unlink(missing_ok=True)
     write_mesh_ply(out, Mesh(mesh.vertices + origin, mesh.faces, unit=unit))
     return len(mesh)
+
+
+def _concatenate_fused(paths: Sequence[Path], out: Path) -> None:
+    """Write the points of several fused .ply files, whose headers differ in the number of points only, into one."""
+    end = b"end_header\n"
+    header = paths[0].read_bytes().split(end, 1)[0]
+    count = sum(map(count_fused, paths))
+    with out.open("wb") as file:
+        file.write(re.sub(rb"element vertex \d+", b"element vertex %d" % count, header) + end)
+        for path in paths:
+            file.write(path.read_bytes().split(end, 1)[1])

@@ -7,7 +7,7 @@ bundled matcher is of the same family and runs on any CPU.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -25,22 +25,12 @@ from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
+from reconstructors.mvs.blocks import FilteredImage, fuse_blocks, fused_files, plan_cells
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
 from reconstructors.mvs.filter import Criteria, filter_map
-from reconstructors.mvs.flatten import flatten
-from reconstructors.mvs.fusion import (
-    FUSED,
-    OverlapSamples,
-    build_tracks,
-    fuse,
-    link_maps,
-    read_fused,
-    sample_overlap,
-    write_mesh,
-    write_workspace,
-)
+from reconstructors.mvs.fusion import OverlapSamples, sample_overlap, write_mesh
 from reconstructors.mvs.halos import remove_halos
-from reconstructors.mvs.maps import read_map, write_map
+from reconstructors.mvs.maps import read_depth, write_map
 from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, MatchingPlan, make_plan, measure_textured_share
 from reconstructors.mvs.sources import MIN_POINTS, MatchedImage, choose_references
 from reconstructors.mvs.sparse import SparseModel, recenter_camera, sparse_from_colmap, without_points
@@ -51,6 +41,7 @@ from reconstructors.sfm.sfm import ColmapSfm
 
 MAPS = "maps"  # in the workspace: one folder per image, and the model of their cameras
 MESH = "mesh.ply"  # in the workspace
+MIN_MEMORY_GB = 0.01
 
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
 _OVERLAP_FILE = "links.npz"
@@ -63,11 +54,11 @@ _EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and
 _TWO_IMAGES_NOTE = "two images: no third one confirms the points on which both agree, so more of them are wrong"
 
 
-class _FilteredStages(NamedTuple):
-    """Stages of the filtered maps that have depths, and the names of the images whose maps are empty."""
+class _FilteredStage(NamedTuple):
+    """Stage of a filtered map, and the number of its depths."""
 
-    folders: dict[str, Path]
-    empty: list[str]
+    folder: Path
+    depths: int
 
 
 class _CameraSolution(NamedTuple):
@@ -93,6 +84,8 @@ class DenseMvs:
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
     confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
     gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
+    memory: gigabytes that the points of one block may take while they are fused. Larger scenes are fused in several
+    blocks, whose number grows with the scene.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
@@ -102,6 +95,7 @@ class DenseMvs:
     backend: Backend = "auto"
     confidence: float = 0.3
     views: int = 2
+    memory: float = 4.0
     mesh: bool = False
     seed: int = 0
 
@@ -114,6 +108,8 @@ class DenseMvs:
             raise ValueError(f"expected a confidence from 0 to 1, got {self.confidence}")
         if self.views < 2:
             raise ValueError(f"expected points of at least 2 images, got views={self.views}")
+        if not (np.isfinite(self.memory) and self.memory >= MIN_MEMORY_GB):
+            raise ValueError(f"expected at least {MIN_MEMORY_GB:g} gigabytes of memory, got {self.memory:g}")
         if not 0 <= self.seed < 2**31:
             raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
 
@@ -160,21 +156,28 @@ class DenseMvs:
             maps = compute_bundled_maps(matching, matched, workspace)
 
         filtered = self._filter_maps(photographs, references, maps, workspace)
+        photographs.clear()
         notes += _describe_missing_maps(filtered, references)
-        write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered.folders])
-        fused = self._fuse_maps(cameras, views, filtered.folders, workspace)
-        counts = {name: folder / VIEW_COUNTS for name, folder in filtered.folders.items()}
-        cloud = flatten(read_fused(fused / FUSED, {name: cameras[name] for name in counts}, counts, self.views))
+        write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered])
+        images = {
+            name: FilteredImage(
+                cameras[name], views[name] / IMAGE, folder, folder / VIEW_COUNTS, _read_overlap(folder), depths
+            )
+            for name, (folder, depths) in filtered.items()
+        }
+        cells = plan_cells(images, self.memory)
+        cloud = fuse_blocks(images, cells, plan.spacing, self.views, workspace)
         cloud = replace(cloud, points=cloud.points + origin, unit=solved.unit)
+        in_blocks = f" in {len(cells)} blocks" if len(cells) > 1 else ""
         notes.append(
-            f"{len(filtered.folders)} depth maps fused; median of {np.median(cloud.attributes['views']):.0f} images"
+            f"{len(images)} depth maps fused{in_blocks}; median of {np.median(cloud.attributes['views']):.0f} images"
             " per point"
         )
-        if len(filtered.folders) == 2:
+        if len(images) == 2:
             notes.append(_TWO_IMAGES_NOTE)
         if self.mesh:
             progress("meshing")
-            faces = write_mesh(fused / FUSED, workspace / MESH, origin, cloud.unit)
+            faces = write_mesh(fused_files(workspace), workspace / MESH, origin, cloud.unit)
             notes.append(f"Poisson mesh with {faces} faces: {workspace / MESH}")
         return Reconstruction(cloud, solved.gauge, solved.cameras, [*solved.notes, *notes], solved.residuals)
 
@@ -226,14 +229,17 @@ class DenseMvs:
 
     def _filter_maps(
         self, photographs: ViewCache, references: Sequence[MatchedImage], maps: Mapping[str, Path], workspace: Path
-    ) -> _FilteredStages:
+    ) -> dict[str, _FilteredStage]:
         """Keep the depths that other maps confirm and that are no halos, in one stage per image.
+
+        Returns:
+            The stages of the maps that have depths, by image name.
 
         Raises:
             ReconstructionError: no map has a confirmed depth.
         """
         criteria = Criteria(confidence=self.confidence, views=self.views)
-        folders, empty = {}, []
+        stages = {}
         for reference in with_time_left([r for r in references if r.name in maps], "filtering"):
             sources = [name for name in reference.sources if name in maps]
 
@@ -254,33 +260,15 @@ class DenseMvs:
                 "files": [VIEW_COUNTS, _OVERLAP_FILE],
             }
             folder = stage(*stage_location(workspace / MAPS, reference.name), inputs, make)
-            if read_map(folder).known.any():
-                folders[reference.name] = folder
-            else:
-                empty.append(reference.name)
-        if not folders:
+            if depths := int(np.count_nonzero(read_depth(folder))):
+                stages[reference.name] = _FilteredStage(folder, depths)
+        if not stages:
             raise ReconstructionError(
-                f"no depth map has confirmed depths: in {len(empty)} images no depth is confident"
+                f"no depth map has confirmed depths: in {len(maps)} images no depth is confident"
                 f" (confidence={self.confidence}) and confirmed by {self.views} images. The images lack texture, are"
                 " blurred or masked, or the cameras are wrong"
             )
-        return _FilteredStages(folders, empty)
-
-    def _fuse_maps(
-        self, cameras: Mapping[str, Camera], views: Mapping[str, Path], maps: Mapping[str, Path], workspace: Path
-    ) -> Path:
-        """Fuse the filtered maps; return the stage with the fused cloud and COLMAP's workspace."""
-        inputs = {"maps": {name: stage_digest(folder) for name, folder in maps.items()}}
-
-        def make(folder: Path) -> None:
-            progress(f"fusing {len(maps)} maps")
-            used = {name: cameras[name] for name in maps}
-            overlaps = {name: _restrict_sources(_read_overlap(path), used) for name, path in maps.items()}
-            write_workspace(folder, used, {name: views[name] / IMAGE for name in maps}, build_tracks(overlaps, used))
-            link_maps(folder, maps)
-            fuse(folder, folder / FUSED, used, Criteria.normal_deg)
-
-        return stage(workspace, "fused", inputs, make)
+        return stages
 
 
 def _matched_names(references: Sequence[MatchedImage]) -> list[str]:
@@ -345,9 +333,9 @@ def _mebibytes(size: int) -> str:
     return f"{size / 2**20:,.0f} MiB"
 
 
-def _describe_missing_maps(filtered: _FilteredStages, references: Sequence[MatchedImage]) -> list[str]:
+def _describe_missing_maps(filtered: Collection[str], references: Sequence[MatchedImage]) -> list[str]:
     """Return a note on the images without a confirmed depth, if there are any."""
-    missing = [r.name for r in references if r.name not in filtered.folders]
+    missing = [r.name for r in references if r.name not in filtered]
     if not missing:
         return []
     return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {join_names(missing)}"]
@@ -356,9 +344,3 @@ def _describe_missing_maps(filtered: _FilteredStages, references: Sequence[Match
 def _read_overlap(folder: Path) -> OverlapSamples:
     with np.load(folder / _OVERLAP_FILE) as file:
         return OverlapSamples(file["points"], file["agree"], tuple(str(name) for name in file["sources"]))
-
-
-def _restrict_sources(overlap: OverlapSamples, cameras: Mapping[str, Camera]) -> OverlapSamples:
-    """Return the overlap samples with only those sources that are fused."""
-    used = [k for k, name in enumerate(overlap.sources) if name in cameras]
-    return OverlapSamples(overlap.points, overlap.agreement[used], tuple(overlap.sources[k] for k in used))

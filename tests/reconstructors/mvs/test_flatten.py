@@ -95,3 +95,18 @@ def test_small_clouds_are_returned_as_they_are():
 
 def _dot(a, b):
     return np.einsum("ni,ni->n", a, b)
+
+
+def test_parts_with_their_surroundings_are_smoothed_as_the_whole():
+    rng = np.random.default_rng(5)
+    cloud = make_cloud(make_grid(rng), [0, 0, 1], rng)
+    whole, left = flatten(cloud), cloud.points[:, 0] < 2
+    around = [cloud.select(~left & (cloud.points[:, 1] < 2)), cloud.select(~left & (cloud.points[:, 1] >= 2))]
+    part = flatten(cloud.select(left), around)
+    np.testing.assert_allclose(part.points, whole.points[left], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(part.normals, whole.normals[left], rtol=0, atol=1e-15)
+    assert not np.array_equal(flatten(cloud.select(left)).points, part.points)
+    # A part with fewer points than a plane needs is smoothed too, if its surroundings have enough.
+    few = cloud.select(np.arange(5))
+    assert (flatten(few).points == few.points).all()
+    assert not (flatten(few, [cloud.select(np.arange(5, len(cloud)))]).points == few.points).all()

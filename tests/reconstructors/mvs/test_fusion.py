@@ -5,12 +5,12 @@ import os
 import numpy as np
 import pytest
 from exact_maps import mesh_map, plane_map
+from filtered_maps import cameras_over_plane, filter_maps
 from optional import import_or_skip
-from PIL import Image
 from wording import check_error
 
 from pcbench.errors import ReconstructionError
-from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.visibility import in_frame
@@ -19,7 +19,6 @@ from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.scenes.synthetic.rigs import Site, rig
 from pcbench.scenes.synthetic.surface import build_city
 from pcbench.scenes.synthetic.truth import surface_cloud
-from reconstructors.mvs.filter import Criteria, filter_map
 from reconstructors.mvs.fusion import (
     FUSED,
     OverlapSamples,
@@ -32,40 +31,21 @@ from reconstructors.mvs.fusion import (
     write_mesh,
     write_workspace,
 )
-from reconstructors.mvs.maps import write_map
 
 import_or_skip("pycolmap")
-
-K = Intrinsics(160, 120, 150.0, 155.0, 81.0, 58.5)
-
-
-def cameras_over_plane(count=5):
-    return [Camera(f"{k}/a b.jpg", K, look_at([0.5 * k, 0.4 * (k % 2), 5], [0.4 * k, 0, 0])) for k in range(count)]
 
 
 def fuse_maps(folder, cameras, maps, image=None):
     """Fuse maps with the reconstructor's steps; return the arguments of `read_fused`."""
-    cameras_by_name = {camera.name: camera for camera in cameras}
-    overlaps, folders, images, counts = {}, {}, {}, {}
-    for k, (camera, depth_map) in enumerate(zip(cameras, maps, strict=True)):
-        others = [j for j in range(len(cameras)) if j != k]
-        sources = [(cameras[j], maps[j]) for j in others]
-        filtered_map, agreement = filter_map(camera, depth_map, sources, Criteria(views=3))
-        folders[camera.name] = folder / f"map{k}"
-        folders[camera.name].mkdir()
-        write_map(folders[camera.name], filtered_map)
-        counts[camera.name] = folder / f"count{k}.npy"
-        np.save(counts[camera.name], np.where(filtered_map.known, 1 + agreement.sum(axis=0), 0).astype(np.uint8))
-        overlaps[camera.name] = sample_overlap(camera, filtered_map, agreement, [cameras[j].name for j in others])
-        images[camera.name] = folder / f"image{k}.png"
-        grey = np.full((camera.intrinsics.height, camera.intrinsics.width, 3), 10 + k, np.uint8)
-        Image.fromarray(grey if image is None else image(camera)).save(images[camera.name])
+    images = filter_maps(folder, cameras, maps, image)
+    cameras_by_name = {name: image.camera for name, image in images.items()}
     workspace = folder / "fused"
     workspace.mkdir()
-    write_workspace(workspace, cameras_by_name, images, build_tracks(overlaps, cameras_by_name))
-    link_maps(workspace, folders)
+    tracks = build_tracks({name: image.overlap for name, image in images.items()}, cameras_by_name)
+    write_workspace(workspace, cameras_by_name, {name: image.photograph for name, image in images.items()}, tracks)
+    link_maps(workspace, {name: image.map for name, image in images.items()})
     fuse(workspace, workspace / FUSED, cameras_by_name, 30.0)
-    return workspace / FUSED, cameras_by_name, counts, 3
+    return workspace / FUSED, cameras_by_name, {name: image.counts for name, image in images.items()}, 3
 
 
 @pytest.fixture(scope="module")
@@ -137,16 +117,6 @@ def test_city_is_recovered(tmp_path):
     assert (gaps < 2 * footprint).mean() > 0.9
 
 
-def test_empty_fusion_is_reported(tmp_path):
-    cameras = cameras_over_plane(3)
-    maps = [plane_map(camera, (0, 0, 1), 0.0) for camera in cameras]
-    arguments = fuse_maps(
-        tmp_path, cameras, [depth_map.where(np.zeros(depth_map.depth.shape, bool)) for depth_map in maps]
-    )
-    with check_error(ReconstructionError):
-        read_fused(*arguments)
-
-
 @pytest.mark.parametrize("file_name", [FUSED, f"{FUSED}.vis", "sparse/images.bin"])
 def test_truncated_colmap_files_are_refused(tmp_path, monkeypatch, file_name):
     """On a full disk COLMAP writes truncated files without an error."""
@@ -176,7 +146,7 @@ def test_truncated_colmap_files_are_refused(tmp_path, monkeypatch, file_name):
 
 @pytest.mark.long
 def test_mesh_of_the_plane(plane, tmp_path):
-    faces = write_mesh(plane[0], tmp_path / "mesh.ply", np.array([0.0, 0, 7]), "m")
+    faces = write_mesh([plane[0]], tmp_path / "mesh.ply", np.array([0.0, 0, 7]), "m")
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert len(mesh) == faces > 500
     is_inner = (mesh.vertices[:, :2] > [0.2, -0.8]).all(axis=1) & (mesh.vertices[:, :2] < [1.4, 0.8]).all(axis=1)

@@ -16,6 +16,7 @@ from wording import check_error, check_text
 
 from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Intrinsics
+from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
 from pcbench.scenes import read_scene
@@ -120,8 +121,21 @@ def test_mesh_is_written_on_request(workspace, completed_run, photographs, monke
     assert out == workspace / "mesh.ply"
     check_text(next(note for note in reconstruction.notes if f"1234 faces: {out}" in note))
     assert unit is None
-    points = read_cloud(fused).points + origin
+    (path,) = fused
+    points = read_cloud(path).points + origin
     np.testing.assert_allclose(points, completed_run[1].cloud.points, atol=0.01)  # before the cloud is smoothed
+
+
+def test_little_memory_fuses_the_same_maps_in_blocks(workspace, completed_run, photographs, monkeypatch):
+    matcher = ExactMatcher(read_scene(photographs).cameras, corner_map).install(monkeypatch)
+    reconstruction = DenseMvs(backend="bundled", memory=0.01).reconstruct(read_scene(photographs), workspace)
+    assert not matcher.matched
+    assert "5 depth maps fused in 8 blocks" in " ".join(reconstruction.notes)
+    whole = completed_run[1].cloud
+    assert len(reconstruction.cloud) == pytest.approx(len(whole), rel=0.01)
+    distances = Index(whole.points).query(reconstruction.cloud.points).distances
+    assert np.mean(distances == 0) > 0.5
+    assert np.quantile(distances, 0.99) < 0.017  # a pixel
 
 
 def test_resumed_run_computes_only_the_missing_maps(workspace, completed_run, photographs, monkeypatch):
@@ -239,7 +253,7 @@ def test_stereo_pairs(name, tmp_path):
 def test_full_disk_is_reported_before_matching(completed_run, workspace, photographs, monkeypatch):
     scene = read_scene(photographs)
     ExactMatcher(scene.cameras, corner_map).install(monkeypatch)
-    folders = [workspace / folder for folder in ("views", "photometric", "geometric", "maps", "fused")]
+    folders = [workspace / folder for folder in ("views", "photometric", "geometric", "maps", "blocks")]
     files = [path for folder in folders for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
     present_bytes = sum(path.stat().st_size for path in files)
 
@@ -276,7 +290,15 @@ def test_images_without_depths_are_named(workspace, photographs, monkeypatch):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"spacing": 0.0}, {"sources": 0}, {"sources": 9}, {"confidence": 1.5}, {"views": 1}, {"seed": -1}],
+    [
+        {"spacing": 0.0},
+        {"sources": 0},
+        {"sources": 9},
+        {"confidence": 1.5},
+        {"views": 1},
+        {"memory": 0.009},
+        {"seed": -1},
+    ],
     ids=str,
 )
 def test_settings_out_of_range_are_refused(settings):
