@@ -35,7 +35,7 @@ def read_fields(
         returns: returns to keep.
 
     Raises:
-        InputError: as `pcbench.read_cloud`. The message starts with the path of the file.
+        InputError: as `pcbench.read_cloud`. The message names the file.
         MissingExtra: an optional library is needed.
     """
     filters: dict[str, Any] = {"classes": classes, "returns": returns} if (classes, returns) != (None, None) else {}

@@ -45,9 +45,11 @@ def open_cloud(
 
     Raises:
         InputError: a file is damaged or missing, or no file is left; files have different coordinate reference systems
-            or units; or a filter is not available for a format. The message starts with the path of the file.
+            or units; or a filter is not available for a format. The message names the file.
         MissingExtra: an optional library is needed for a file.
     """
+    if piece_points < 1:
+        raise InputError(f"expected pieces of at least one point, got {piece_points}")
     path = cloud_file(as_path(path))
     filters = parse_filters(classes, returns)
     with errors_named(path):
