@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.io.files import Fields, Warn
 
+_NUMBER = re.compile(r"\d[\d.,]*(e[+-]?\d+)?")
 _ATTRIBUTE = "attribute "  # before names of attributes, which may be any text
 
 
@@ -34,32 +36,53 @@ def common_frame(frames: Sequence[Frame], warn: Warn) -> tuple[str | None, str |
     Raises:
         InputError: two files state different ones.
     """
-    crs = next((frame for frame in frames if frame.crs is not None), None)
-    unit = next((frame for frame in frames if frame.unit is not None), None)
-    different = set[str]()  # texts that have been compared
+    crs = next((frame for frame in frames if frame.crs is not None), Frame(Path(), None, None))
+    unit = next((frame for frame in frames if frame.unit is not None), Frame(Path(), None, None))
+    same = {crs.crs, None}  # texts of the same system
     for frame in frames:
-        if crs and frame.crs and crs.crs and frame.crs != crs.crs and frame.crs not in different:
+        if frame.crs not in same:
+            assert crs.crs is not None and frame.crs is not None
             if not same_crs(crs.crs, frame.crs):
                 raise InputError(
                     f"expected files in one coordinate reference system, got {crs_name(crs.crs)} in {crs.path} and"
                     f" {crs_name(frame.crs)} in {frame.path}: convert one of them"
                 )
-            different.add(frame.crs)
-        if unit and frame.unit and frame.unit != unit.unit:
+            same.add(frame.crs)
+        if frame.unit not in (unit.unit, None):
             raise InputError(
                 f"expected files in one unit, got {unit.unit} in {unit.path} and {frame.unit} in {frame.path}:"
                 " convert one of them"
             )
-    for found, name in ((crs, "crs"), (unit, "unit")):
-        silent = [frame for frame in frames if getattr(frame, name) is None]
-        if found is not None and silent:
-            what = "coordinate reference system" if name == "crs" else "unit"
-            text = crs_name(found.crs or "") if name == "crs" else f"in {found.unit}"
-            warn(
-                f"{len(silent)} of {len(frames)} files state no {what}, such as {silent[0].path.name}: their"
-                f" coordinates are taken as {text}"
-            )
-    return crs and crs.crs, unit and unit.unit
+    without = [frame for frame in frames if frame.crs is None]
+    if crs.crs is not None and without:
+        warn(
+            f"{len(without)} of {len(frames)} files state no coordinate reference system, such as"
+            f" {without[0].path.name}: their coordinates are taken as {crs_name(crs.crs)}"
+        )
+    without = [frame for frame in frames if frame.unit is None]
+    if unit.unit is not None and without and crs.crs is None:
+        warn(
+            f"{len(without)} of {len(frames)} files state no unit, such as {without[0].path.name}: their coordinates"
+            f" are taken as in {unit.unit}"
+        )
+    return crs.crs, unit.unit
+
+
+def merge_warnings(warnings: Iterable[tuple[Path, str]]) -> list[str]:
+    """Return warnings as lines that start with the path of a file; those that differ in numbers only become one line.
+
+    Args:
+        warnings: files and warnings without a path, in order.
+    """
+    kinds: dict[str, dict[Path, str]] = {}
+    for path, line in warnings:
+        kinds.setdefault(_NUMBER.sub("#", line), {}).setdefault(path, line)
+    lines = []
+    for found in kinds.values():
+        path, line = next(iter(found.items()))
+        rest = f"; likewise {len(found) - 1} other file{'s' * (len(found) > 2)}" if len(found) > 1 else ""
+        lines.append(f"{path}: {line}{rest}")
+    return lines
 
 
 def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:

@@ -41,6 +41,7 @@ from reconstructors.sfm.sfm import ColmapSfm
 
 MAPS = "maps"  # in the workspace: one folder per image, and the model of their cameras
 MESH = "mesh.ply"  # in the workspace
+MIN_MEMORY_GB = 0.01
 
 VIEW_COUNTS = "views.npy"  # in the folder of a map: how many images agree at each pixel, (H, W)
 _OVERLAP_FILE = "links.npz"
@@ -50,7 +51,6 @@ _MAX_TEXTURE_SAMPLES = 8  # images from which the share of texture is estimated
 _MAX_SAMPLE_SIDE_PX = 1000  # longer side of these images
 _BYTES_PER_PIXEL = 3 * 20 + 4 + 36  # depth, normal and confidence three times, the photograph, the cloud
 _EXTRA_CACHED_VIEWS = 3  # cached views and maps beyond those of a reference and its sources
-_MIN_MEMORY_GB = 0.01
 _TWO_IMAGES_NOTE = "two images: no third one confirms the points on which both agree, so more of them are wrong"
 
 
@@ -108,8 +108,8 @@ class DenseMvs:
             raise ValueError(f"expected a confidence from 0 to 1, got {self.confidence}")
         if self.views < 2:
             raise ValueError(f"expected points of at least 2 images, got views={self.views}")
-        if not (np.isfinite(self.memory) and self.memory >= _MIN_MEMORY_GB):
-            raise ValueError(f"expected at least {_MIN_MEMORY_GB:g} gigabytes of memory, got {self.memory:g}")
+        if not (np.isfinite(self.memory) and self.memory >= MIN_MEMORY_GB):
+            raise ValueError(f"expected at least {MIN_MEMORY_GB:g} gigabytes of memory, got {self.memory:g}")
         if not 0 <= self.seed < 2**31:
             raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
 
@@ -156,6 +156,7 @@ class DenseMvs:
             maps = compute_bundled_maps(matching, matched, workspace)
 
         filtered = self._filter_maps(photographs, references, maps, workspace)
+        photographs.clear()
         notes += _describe_missing_maps(filtered, references)
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered])
         images = {

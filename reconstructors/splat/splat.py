@@ -6,11 +6,12 @@ points.
 
 from __future__ import annotations
 
+import hashlib
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +23,17 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import progress, with_time_left
-from pcbench.plugins.stages import full_disk_explained, library_versions, stage
+from pcbench.plugins.stages import full_disk_explained, library_versions, stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
-from reconstructors.mvs.mvs import MAPS, DenseMvs
-from reconstructors.mvs.views import view_stage
+from reconstructors.mvs.cells import SPACE, SpaceCell
+from reconstructors.mvs.mvs import MAPS, MIN_MEMORY_GB, DenseMvs
+from reconstructors.mvs.views import ALPHA, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.background import Background, BackgroundChoice
+from reconstructors.splat.blocks import TrainedBlock, TrainingBlock, merge_clouds, merge_models, plan_blocks
 from reconstructors.splat.combine import combine
 from reconstructors.splat.density import GAO2025, Classic, Density
 from reconstructors.splat.devices import choose_device
@@ -52,12 +55,16 @@ from reconstructors.splat.resume import load_model, run_with_checkpoints, save_m
 from reconstructors.splat.supervision import Supervision, read_supervision
 from reconstructors.splat.train import Schedule, Training, evaluate, render
 
+if TYPE_CHECKING:
+    import torch
+
 MODEL = "point_cloud.ply"  # in the stage `model`
 PARAMETERS = "model.pt"  # beside it: the parameters in the frame of training
 FINAL_STEP = "steps.txt"  # beside it: the step after which training ended
 GAINS = "gains.csv"  # beside it: the brightness of each training photograph relative to the model
 BACKGROUND = "background.txt"  # beside it: the color behind the Gaussians, from 0 to 1
 CURVE = "curve.csv"  # beside it, if the number of Gaussians was chosen
+BLOCKS = "blocks"  # in the workspace: a stage like `model` for each block, if there are several
 
 # Initial points may be less certain than measured ones: training moves them, but does not fill a place without any.
 INITIAL_MVS = DenseMvs(views=2, confidence=0.1)
@@ -72,6 +79,58 @@ _TRIAL_BYTES_PER_GAUSSIAN = 1000  # snapshots of the models among which one is c
 _BYTES_PER_PIXEL = 4  # of a photograph with its smaller sizes
 _DEPTH_BYTES_PER_PIXEL = 6  # of its depths, with supervision
 _BYTES_PER_GB = 1e9
+_PLANNED_SHARE = 0.9  # of the memory that blocks are planned for: the numbers of points are estimated from samples
+
+
+class _Part(NamedTuple):
+    """The scene or one block of it, as it is trained.
+
+    Args:
+        scene: its photographs.
+        initial: its cameras, and the points at which training starts.
+        split: its training images and held-out ones.
+        pinholes: its pinholes in the world by image name.
+        folders: stages of its undistorted photographs by image name.
+        device: device of the training.
+    """
+
+    scene: Scene
+    initial: Reconstruction
+    split: Split
+    pinholes: Mapping[str, Camera]
+    folders: Mapping[str, Path]
+    device: torch.device
+
+    @property
+    def frame(self) -> LocalFrame:
+        """Frame of its model."""
+        return LocalFrame.of(list(self.initial.cameras.values()))
+
+    def photograph(self, name: str) -> Photograph:
+        """Read a photograph at full size."""
+        return read_photographs({name: self.folders[name]}, self.pinholes, self.frame, 1, self.device)[0][0]
+
+    def select(self, block: TrainingBlock) -> _Part:
+        """Return the part of a block."""
+        cameras = {name: self.initial.cameras[name] for name in block.images}
+        held_out = tuple(kept for names in self.split.blocks if (kept := tuple(n for n in names if n in cameras)))
+        train = tuple(name for name in self.split.train if name in cameras)
+        return _Part(
+            self.scene.select(block.images),
+            replace(self.initial, cloud=self.initial.cloud.select(block.start), cameras=cameras),
+            replace(self.split, train=train, blocks=held_out),
+            {name: self.pinholes[name] for name in block.images},
+            {name: self.folders[name] for name in block.images},
+            self.device,
+        )
+
+
+class _TrainedPart(NamedTuple):
+    """A part with its block, and the stage of its model."""
+
+    part: _Part
+    block: TrainingBlock
+    folder: Path
 
 
 @dataclass(frozen=True)
@@ -170,35 +229,29 @@ class GaussianSplatting:
         initial = self._initial_reconstruction(scene, workspace)
         cameras = initial.cameras
         split = hold_out(list(cameras), self.hold_out, {name: c.position for name, c in cameras.items()})
-        frame = LocalFrame.of(list(cameras.values()))
         pinholes = {name: training_pinhole(camera, self.image_side) for name, camera in cameras.items()}
-        self._check_memory(pinholes)
+        blocks = self._plan_blocks(initial.cloud, pinholes)
         folders = {
             name: view_stage(scene, cameras[name], camera, workspace)
             for name, camera in with_time_left(list(pinholes.items()), "undistorting")
         }
-        photographs = read_photographs(folders, pinholes, frame, _PYRAMID_LEVELS, device)
+        whole = _Part(scene, initial, split, pinholes, folders, device)
         notes = [] if note is None else [note]
         if split.test:
             notes.append(f"{len(split.test)} of {len(cameras)} images held out: {split.words}")
             notes.append(f"held out of training only: the initial points (start={self.start}) come from all images")
-
-        inputs = {
-            "versions": library_versions(),
-            "settings": repr(self._training_settings()),
-            "scene": scene.fingerprint(),
-            "train": list(split.train),
-        }
-        model_folder = stage(
-            workspace,
-            "model",
-            inputs,
-            lambda folder: self._train(folder, photographs, split, initial, frame, workspace, repr(inputs)),
-        )
+        trained = list[_TrainedPart]()
+        if blocks:
+            trained = self._train_blocks(whole, blocks, workspace)
+            model_folder = self._merge_blocks(trained, whole.frame, workspace)
+            notes += self._blocks_notes(trained, len(blocks), workspace)
+        else:
+            shutil.rmtree(workspace / BLOCKS, ignore_errors=True)  # of an earlier run with less memory
+            model_folder = self._model_stage(whole, workspace, workspace, "model")
         model = load_model(model_folder / PARAMETERS, device)
         if (model_folder / CURVE).is_file():
             notes.append(f"{Curve.read(model_folder / CURVE).sentence}; all models tried: {model_folder / CURVE}")
-        elif self.density == "parsimonious":
+        elif self.density == "parsimonious" and not blocks:
             known = " with depths that three images confirm" if self.select == "surface" else ""
             notes.append(
                 f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
@@ -216,16 +269,26 @@ class GaussianSplatting:
             f"{len(model):,} Gaussians, spherical harmonics of degree {model.degree}, after step {last_step:,}{early}"
         )
         background = np.loadtxt(model_folder / BACKGROUND, dtype=np.float32)
-        notes += self._background_notes([pyramid[0] for pyramid in photographs], background)
+        notes += self._background_notes(folders, background)
         if (model_folder / GAINS).is_file():
-            held_out = [pyramid[0] for pyramid in photographs if pyramid[0].name in split.test]
+            held_out = [whole.photograph(name) for name in split.test]
             notes += _exposure_note(read_gains(model_folder / GAINS), model, held_out, background)
         if split.test:
-            self._write_views(workspace / VIEWS_FOLDER, scene, split, model, background, photographs)
+            self._write_views(workspace / VIEWS_FOLDER, whole, model, background)
             notes.append(f"renderings: pcbench views {workspace / VIEWS_FOLDER}")
         else:
             shutil.rmtree(workspace / VIEWS_FOLDER, ignore_errors=True)  # renderings of an earlier model
-        cloud = self._extract_cloud(model, frame, pinholes, initial.cloud, workspace / self.start / MAPS)
+        maps = workspace / self.start / MAPS
+        if self.cloud == "means":
+            cloud = extract.means(model, whole.frame, min_opacity=self.min_opacity or None)
+        elif blocks:
+            del model
+            clouds = self._extract_blocks(trained, initial.cloud, maps)
+            if len(clouds) < len(trained):
+                notes.append(f"{len(trained) - len(clouds)} of {len(blocks)} blocks have no surface: parts are missing")
+            cloud = merge_clouds(clouds)
+        else:
+            cloud = self._extract_surface(model, whole, initial.cloud, maps)
         if "stereo" in cloud.attributes:
             notes.append(_sources_note(cloud))
         return Reconstruction(
@@ -267,21 +330,127 @@ class GaussianSplatting:
         folder = workspace / self.start
         folder.mkdir(exist_ok=True)
         if self.start == "mvs":
-            return replace(INITIAL_MVS, poses=self.poses, seed=self.seed).reconstruct(scene, folder)
+            mvs = replace(INITIAL_MVS, poses=self.poses, memory=max(MIN_MEMORY_GB, self.memory), seed=self.seed)
+            return mvs.reconstruct(scene, folder)
         return ColmapSfm(poses=self.poses, seed=self.seed).reconstruct(scene, folder)
 
-    def _check_memory(self, pinholes: Mapping[str, Camera]) -> None:
-        pixels = sum(c.intrinsics.width * c.intrinsics.height for c in pinholes.values())
+    def _needed_gigabytes(self, gaussians: float, cameras: Iterable[Camera]) -> float:
+        """Return the memory of a training, in gigabytes."""
+        pixels = sum(c.intrinsics.width * c.intrinsics.height for c in cameras)
         gaussian = _BYTES_PER_GAUSSIAN + _TRIAL_BYTES_PER_GAUSSIAN * (self.density == "parsimonious")
         pixel = _BYTES_PER_PIXEL + _DEPTH_BYTES_PER_PIXEL * self._uses_depths
-        needed = (gaussian * self.gaussians + pixel * pixels) / _BYTES_PER_GB
-        if needed > self.memory:
+        return (gaussian * gaussians + pixel * pixels) / _BYTES_PER_GB
+
+    def _plan_blocks(self, cloud: Cloud, pinholes: Mapping[str, Camera]) -> list[TrainingBlock]:
+        """Return the blocks that fit into memory; none if the whole scene does.
+
+        Raises:
+            InputError: the smallest blocks need too much memory.
+        """
+        if self._needed_gigabytes(self.gaussians, pinholes.values()) <= self.memory:
+            return []
+
+        def needed(share: float, names: Sequence[str]) -> float:
+            return self._needed_gigabytes(share * self.gaussians, [pinholes[name] for name in names])
+
+        blocks = plan_blocks(
+            cloud.points, pinholes, lambda *size: needed(*size) <= _PLANNED_SHARE * self.memory, self.seed
+        )
+        largest = max(blocks, key=lambda block: needed(block.share, block.images))
+        if (least := needed(largest.share, largest.images)) > self.memory:
             longest = max(max(c.intrinsics.width, c.intrinsics.height) for c in pinholes.values())
             raise InputError(
-                f"{self.gaussians:,} Gaussians and {len(pinholes)} photographs of {longest} pixels need about"
-                f" {needed:.2g} GB, more than memory={self.memory:g} allows: set fewer gaussians, a smaller image_side,"
-                " or more memory"
+                f"{largest.share * self.gaussians:,.0f} Gaussians and {len(largest.images)} photographs of {longest}"
+                f" pixels need about {least:.2g} GB, more than memory={self.memory:g} allows, and cannot be split into"
+                " smaller blocks: set fewer gaussians, a smaller image_side, or more memory"
             )
+        return blocks
+
+    def _model_stage(self, part: _Part, workspace: Path, parent: Path, name: str) -> Path:
+        """Return the stage `parent/name` of the model that is trained on a part of the scene or on all of it."""
+        inputs = {
+            "versions": library_versions(),
+            "settings": repr(self._training_settings()),
+            "scene": part.scene.fingerprint(),
+            "train": list(part.split.train),
+            "points": hashlib.sha256(part.initial.cloud.points.data).hexdigest(),
+        }
+        return stage(parent, name, inputs, lambda folder: self._train(folder, part, workspace, repr(inputs)))
+
+    def _train_blocks(self, whole: _Part, blocks: Sequence[TrainingBlock], workspace: Path) -> list[_TrainedPart]:
+        """Train the blocks that have training photographs, one after the other.
+
+        Raises:
+            InputError: no block has a training photograph.
+        """
+        root = workspace / BLOCKS
+        root.mkdir(exist_ok=True)
+        trained = []
+        for number, block in enumerate(blocks, start=1):
+            shown = set(block.images).intersection(whole.split.train)
+            if not any(whole.photograph(name).has_valid_pixels for name in shown):
+                continue
+            part = whole.select(block)
+            progress(f"block {number} of {len(blocks)}: {len(part.split.train)} photographs")
+            own = replace(self, gaussians=max(2, round(block.share * self.gaussians)))
+            trained.append(_TrainedPart(part, block, own._model_stage(part, workspace, root, f"{number:04d}")))
+        for folder in set(root.iterdir()).difference(folder for _, _, folder in trained):  # of an earlier run
+            shutil.rmtree(folder)
+        if not trained:
+            raise InputError(
+                f"no block has a training photograph: masks hide all of the {len(whole.split.train)} photographs"
+            )
+        return trained
+
+    def _merge_blocks(self, trained: Sequence[_TrainedPart], frame: LocalFrame, workspace: Path) -> Path:
+        """Return the stage of the model of all blocks, in a frame."""
+        folders = [folder for _, _, folder in trained]
+        inputs = {"blocks": [stage_key(folder) for folder in folders]}
+
+        def make(folder: Path) -> None:
+            model = merge_models(
+                (
+                    TrainedBlock(load_model(source / PARAMETERS), part.frame, block.cell)
+                    for part, block, source in trained
+                ),
+                frame,
+            )
+            color = np.mean([np.loadtxt(source / BACKGROUND) for source in folders], axis=0).tolist()
+            last_step = max(int((source / FINAL_STEP).read_text(encoding="utf-8")) for source in folders)
+            (folder / FINAL_STEP).write_text(str(last_step), encoding="utf-8")
+            if self.exposure:
+                gains = [read_gains(source / GAINS) for source in folders]
+                names = dict.fromkeys(name for own in gains for name in own)
+                means = {name: float(np.mean([own[name] for own in gains if name in own])) for name in names}
+                write_gains(folder / GAINS, means)
+            np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
+            save_model(folder / PARAMETERS, model)
+            write_model(folder / MODEL, model, frame, background=color)
+
+        return stage(workspace, "model", inputs, make)
+
+    def _extract_blocks(self, trained: Sequence[_TrainedPart], stereo: Cloud, maps: Path) -> list[Cloud]:
+        """Return the clouds of the blocks, each from its own model and of the points in its cell, if it has some.
+
+        Raises:
+            ReconstructionError: no block has a surface.
+        """
+        clouds, problem = [], None
+        for part, block, folder in trained:
+            if len(part.pinholes) < _MIN_IMAGES:
+                continue
+            model = load_model(folder / PARAMETERS, part.device)
+            try:
+                cloud = self._extract_surface(model, part, stereo, maps, block.surroundings)
+            except ReconstructionError as error:
+                problem = error
+                continue
+            own = block.cell.contains(cloud.points)
+            if own.any():
+                clouds.append(cloud.select(own))
+        if not clouds:
+            raise problem or ReconstructionError("no block has a surface in its cell; check the cameras")
+        return clouds
 
     def _density_and_photographs(
         self,
@@ -308,17 +477,10 @@ class GaussianSplatting:
         shown = [photographs[name] for name in names if name not in selection_split.test]
         return Parsimonious(held_out_blocks, CRITERIA[self.select], score), shown
 
-    def _train(
-        self,
-        folder: Path,
-        photographs: list[Pyramid],
-        split: Split,
-        initial: Reconstruction,
-        frame: LocalFrame,
-        workspace: Path,
-        key: str,
-    ) -> None:
+    def _train(self, folder: Path, part: _Part, workspace: Path, key: str) -> None:
         progress("creating the initial Gaussians")
+        initial, split, frame = part.initial, part.split, part.frame
+        photographs = read_photographs(part.folders, part.pinholes, frame, _PYRAMID_LEVELS, part.device)
         pyramids = {pyramid[0].name: pyramid for pyramid in photographs}
         depths = None
         if self._uses_depths:
@@ -329,7 +491,7 @@ class GaussianSplatting:
         background = Background.choose(self.background, [pyramids[name][0] for name in split.train])
         model = initial_model(initial.cloud, frame, self.gaussians, self.seed, random=self.start == "random")
         training = Training(
-            model.to(photographs[0][0].color.device),
+            model.to(part.device),
             training_photographs,
             Schedule(
                 steps=self.steps,
@@ -353,6 +515,16 @@ class GaussianSplatting:
         save_model(folder / PARAMETERS, model)
         write_model(folder / MODEL, model, frame, background=color)
 
+    def _blocks_notes(self, trained: Sequence[_TrainedPart], planned: int, workspace: Path) -> Iterator[str]:
+        """Yield how the scene was split, and whether parts of it have no training photographs."""
+        most = max(len(part.pinholes) for part, _, _ in trained)
+        yield (
+            f"trained in {planned} blocks of at most {most} photographs each, for memory={self.memory:g} GB:"
+            f" {workspace / BLOCKS}"
+        )
+        if hidden := planned - len(trained):
+            yield f"{hidden} of {planned} blocks have no training photographs: these parts have no Gaussians"
+
     def _few_points_note(self, points: int) -> Iterator[str]:
         """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""
         if self.start == "random" or self._densification or points >= _MIN_START_SHARE * self.gaussians:
@@ -363,9 +535,9 @@ class GaussianSplatting:
             f" adds none up to gaussians={self.gaussians:,}; set {remedy}"
         )
 
-    def _background_notes(self, photographs: list[Photograph], color: NDArray[np.float32]) -> Iterator[str]:
+    def _background_notes(self, photographs: Mapping[str, Path], color: NDArray[np.float32]) -> Iterator[str]:
         """Yield how transparent photographs were used, and which color was learned behind opaque ones."""
-        transparent = sum(photograph.alpha is not None for photograph in photographs)
+        transparent = sum((folder / ALPHA).is_file() for folder in photographs.values())
         if transparent:
             colors = self.background if self.background in ("black", "white") else "random colors"
             yield (
@@ -375,37 +547,28 @@ class GaussianSplatting:
         if self.background in ("auto", "learned") and transparent < len(photographs) and color.any():
             yield f"color behind the Gaussians, learned: {_color_text(color)}"
 
-    def _write_views(
-        self,
-        folder: Path,
-        scene: Scene,
-        split: Split,
-        model: Gaussians,
-        color: NDArray[np.float32],
-        photographs: list[Pyramid],
-    ) -> None:
-        full_size = {pyramid[0].name: pyramid[0] for pyramid in photographs}
+    def _write_views(self, folder: Path, whole: _Part, model: Gaussians, color: NDArray[np.float32]) -> None:
         background = model.means.new_tensor(color)
 
         def pictures(name: str) -> ViewImages:
-            photograph = full_size[name]
+            photograph = whole.photograph(name)
             valid = None if photograph.valid is None else photograph.valid.cpu().numpy()
             rendering = render(model, photograph.view, background).cpu().numpy()
             return ViewImages(name, rendering, photograph.over(background).cpu().numpy(), valid)
 
         progress("rendering the images")
-        write_views(folder, scene.name, "splat", split, pictures)
+        write_views(folder, whole.scene.name, "splat", whole.split, pictures)
 
-    def _extract_cloud(
-        self, model: Gaussians, frame: LocalFrame, pinholes: Mapping[str, Camera], initial: Cloud, maps: Path
+    def _extract_surface(
+        self, model: Gaussians, part: _Part, stereo: Cloud, maps: Path, cell: SpaceCell = SPACE
     ) -> Cloud:
-        """Return the cloud of the setting; `initial` and the folder `maps` are points and depth maps of start=mvs."""
-        if self.cloud == "means":
-            return extract.means(model, frame, min_opacity=self.min_opacity or None)
-        surface = extract.surface(model, frame, pinholes)
+        """Return the surface of a part in a cell; `stereo` and the folder `maps` are points and maps of start=mvs."""
+        surface = extract.surface(model, part.frame, part.pinholes, cell=cell)
         if self.cloud == "surface" or self.start != "mvs":
             return surface
-        return combine(surface, initial, model, frame, pinholes, maps)
+        if cell is not SPACE:
+            stereo = stereo.select(cell.contains(stereo.points))
+        return combine(surface, stereo, model, part.frame, part.pinholes, maps)
 
 
 def _sources_note(cloud: Cloud) -> str:
@@ -418,7 +581,7 @@ def _sources_note(cloud: Cloud) -> str:
 
 
 def _exposure_note(
-    gains: Mapping[str, float], model: Gaussians, held_out: list[Photograph], color: NDArray[np.float32]
+    gains: Mapping[str, float], model: Gaussians, held_out: Sequence[Photograph], color: NDArray[np.float32]
 ) -> Iterator[str]:
     """Yield how much the exposures differ, with the PSNR of held-out views without and with a gain, if they do."""
     dark, bright = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)

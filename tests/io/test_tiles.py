@@ -71,6 +71,17 @@ def test_what_only_some_files_have_is_left_out(tiles):
     check_pieces(tiles, 7)
 
 
+def test_equal_warnings_of_many_files_are_one_line(tiles):
+    described = extras(extra(b"a\nb", 9))
+    for number in range(20, 26):
+        (tiles / f"tile_{number}.las").write_bytes(las(3, 5, vlrs=[described], tail=lambda i: bytes(4)))
+    lines = []
+    read_cloud(tiles / "tile_2?.las", on_warning=lines.append)
+    assert len(lines) == 1
+    check_text(lines[0], masked=False)
+    check_pieces(tiles / "tile_2?.las", 2)
+
+
 def test_tables_beside_clouds_are_left_out(tiles):
     (tiles / "readme.txt").write_text("three tiles")
     (tiles / "areas.csv").write_text("name,area\na,7\n")

@@ -7,12 +7,12 @@ from collections.abc import Collection
 from pathlib import Path
 
 from pcbench.errors import InputError
-from pcbench.io.files import Warn, as_path, errors_named, read_named
+from pcbench.io.files import as_path, check_readable, errors_named
 from pcbench.io.formats import CLOUDS
 from pcbench.io.las_records import LasFilters, parse_filters
-from pcbench.io.paths import EPT, find_tiles, is_tiled
+from pcbench.io.paths import EPT, Tiles, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
-from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Part, Piece
+from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
 from pcbench.io.reading import cloud_file, filtered_format
 from pcbench.io.tiles import Frame, common_frame, normals_warning
 
@@ -50,33 +50,30 @@ def open_cloud(
     """
     path = cloud_file(as_path(path))
     filters = parse_filters(classes, returns)
-    lines: list[str] = []
+    with errors_named(path):
+        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else Tiles((path,))
+    lines = [(path, line) for line in tiles.warnings]
 
     def warn(line: str) -> None:
-        lines.append(f"{path}: {line}")
+        lines.append((path, line))
 
-    with errors_named(path):
-        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else None
-    for line in tiles.warnings if tiles else ():
-        warn(line)
     files: list[CloudFile] = []
     pieces: list[Piece] = []
     left_out: list[DamagedFile] = []
-    for file in tiles.paths if tiles else (path,):
+    for file in tiles.paths:
         with errors_named(file):
             filtered_format(file, filters != LasFilters())  # a wrong name or filter is not damage
-        form = piece_format(file)
-
-        def describe(file: Path, warn: Warn, form: PieceFormat = form) -> tuple[CloudFile, list[Part]]:
-            return form.describe(file, piece_points, warn)
-
+        form, notes = piece_format(file), list[str]()
         try:
-            described, parts = read_named(file, describe, lines.append)
+            with errors_named(file):
+                check_readable(file)
+                described, parts = form.describe(file, piece_points, notes.append)
         except InputError as error:
             if not skip_bad:
                 raise
             left_out.append(DamagedFile(file, _stated_count(file, form), str(error).removeprefix(f"{file}: ")))
             continue
+        lines += [(file, note) for note in notes]
         files.append(described)
         for k, part in enumerate(parts, 1):
             label = f"piece {k} of {len(parts)}" if len(parts) > 1 else ""
@@ -99,7 +96,7 @@ def open_cloud(
         unit=unit,
         has_normals=with_normals == len(files),
         left_out=tuple(left_out),
-        warnings=tuple(lines),
+        file_warnings=tuple(lines),
     )
 
 

@@ -16,6 +16,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.measure.metrics import Distances
 from pcbench.measure.pair import align, assess_deformation, match_pair, measure_directions
 from pcbench.measure.reference import Reference
+from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.sums import GroupSums
 from pcbench.registration import (
@@ -81,12 +82,14 @@ class SampleResults:
         floors: sampling floors of both directions, c→r and r→c, of each mean metric by name.
         deformation: the deformation that remains.
         near: fit of the sample, to compare with that of all points; None if the sample is all points.
+        reference: the reference's sample in short: its normals and warnings.
     """
 
     registration: Registration
     floors: tuple[Mapping[str, float | None], Mapping[str, float | None]]
     deformation: Deformation
     near: NearFit | None
+    reference: ReferenceSummary
 
 
 def known_pose(settings: Settings) -> Similarity | None:
@@ -144,4 +147,4 @@ def assess_samples(
         registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
         near = NearFit.of(forth.distances, registration.overlap_distance)
     deformation = assess_deformation(reference, aligned, settings.seed)
-    return SampleResults(registration, (forth.floors, back.floors), deformation, near)
+    return SampleResults(registration, (forth.floors, back.floors), deformation, near, reference.summary())

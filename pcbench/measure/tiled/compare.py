@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,8 +23,8 @@ from typing import TypeVar
 
 import numpy as np
 
-import pcbench
 from pcbench.errors import InputError, Notice
+from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
@@ -35,17 +35,13 @@ from pcbench.io.pieces import CloudOnDisk, open_cloud
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
-from pcbench.measure.metrics import FScore
-from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
 from pcbench.measure.reference import VOXELS_ALONG, Reference
 from pcbench.measure.results import (
     CANDIDATE_TO_REFERENCE,
     REFERENCE_TO_CANDIDATE,
     Candidate,
     CandidateComparisons,
-    Metrics,
     ReferenceSummary,
-    ThresholdScores,
     Tiling,
 )
 from pcbench.measure.scores import Measurement, measure
@@ -62,6 +58,7 @@ from pcbench.measure.tiled.alignment import (
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
+    MeasuredDirection,
     TileDistances,
     TiledPair,
     measure_candidate_tile,
@@ -70,27 +67,23 @@ from pcbench.measure.tiled.directions import (
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums
+from pcbench.measure.tiled.overview import PixelGrid
+from pcbench.measure.tiled.presets import presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.measure.tiled.shared import share
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.sums import GroupSums
 from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
 from pcbench.measure.tiled.totals import DirectionTotals
 from pcbench.registration import Registration, local_origin_of_box
-from pcbench.systems import cpu_count, peak_memory
+from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
 
 T = TypeVar("T")
 
 _REFERENCE = "reference"
-_BASE_BYTES = 120 << 20  # memory of a worker without data
-_BYTES_PER_POINT = 450  # memory of a worker for each point of a tile
-_MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
-_MERGED_AT_ONCE = 32
 _PIECE_POINTS = 500_000
 
 
@@ -130,25 +123,13 @@ def compare_on_disk(
     )
     clouds = {_REFERENCE: opened(reference)}
     clouds |= {f"candidate-{number}": opened(path) for number, path in enumerate(candidates.values(), 1)}
-    tile_points = tiling.tile_points or _default_tile_points(tiling)
+    tile_points = tiling.chosen_tile_points
     key = _key(clouds, settings, replace(tiling, tile_points=tile_points))
-    workers = Workers(_worker_count(tiling, tile_points), tiling.cluster)
+    workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
         run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
-
-
-def _default_tile_points(tiling: TilingSettings) -> int:
-    workers = tiling.workers or cpu_count()
-    free = tiling.memory / (workers + 1) - _BASE_BYTES
-    return int(min(max(free / _BYTES_PER_POINT, 20_000), _MAX_TILE_POINTS))
-
-
-def _worker_count(tiling: TilingSettings, tile_points: int) -> int | None:
-    if tiling.workers is not None or tiling.cluster is not None:
-        return tiling.workers
-    return max(1, min(cpu_count(), tiling.memory // (_BASE_BYTES + _BYTES_PER_POINT * tile_points) - 1))
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings) -> str:
@@ -157,7 +138,8 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
-    found = [pcbench.__version__, files, settings.plain(), tiling.tile_points, tiling.max_distance, tiling.skip_bad]
+    how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
+    found = [installed_versions(("pcbench",)), files, settings.plain(), how]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
@@ -174,8 +156,7 @@ class _TiledReference:
     grid: CorrelationGrid
     voxel: float
     corner: FloatArray
-    sample: Reference
-    windows: windows.Windows | None  # None: the samples are the complete clouds
+    complete: Reference | None  # in memory, if all clouds are small
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,17 +183,20 @@ class _Run:
         timings: dict[str, float] = {}
         with record_time(timings, "reference"):
             reference = self._prepare(stored[_REFERENCE], are_small=are_small)
-        results, measured, tiles = [], [], len(reference.tiles)
+        samples, results, measured, tiles = list[ReferenceSummary](), [], [], len(reference.tiles)
         for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True):
-            result, measurement, count = self._compare_one(reference, stage, name, cloud)
+            sample, result, measurement, count = self._compare_one(reference, stage, name, cloud)
+            samples.append(sample)
             results.append(replace(result, timings_s={**result.timings_s, **timings}))
             measured.append(measurement)
             tiles += count
         left_out = [file for cloud in stored.values() for file in cloud.left_out]
-        sampled = None if reference.windows is None else len(reference.sample.points)
+        sampled = None if reference.complete is not None else max(sample.points for sample in samples)
         tiling = Tiling(self.tile_points, tiles, sampled, self.tiling.max_distance, tuple(left_out))
         apart = differences(_cells(reference.grid), results, measured)
-        return CandidateComparisons(self.settings, self._summary(reference), tuple(results), tuple(apart), tiling)
+        return CandidateComparisons(
+            self.settings, self._summary(reference, samples[0]), tuple(results), tuple(apart), tiling
+        )
 
     def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
         skip_bad = self.tiling.skip_bad
@@ -229,17 +213,14 @@ class _Run:
         crop = self.settings.crop
         if isinstance(crop, str) and crop.strip().lower() == "reference":
             crop = Box(cloud.low, cloud.high)
-        region = as_region(crop, even)
-        region = None if region is None else region.shifted(origin)
+        given = as_region(crop, even)
+        region = None if given is None else given.shifted(origin)
         summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
         tiles = Tiles.of(self.folder / _REFERENCE / "tiles", summaries)
         inside = sum(summary.inside for summary in summaries)
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
         measured = local if region is None else local[region.contains(local)]
-        chosen = None if are_small else windows.Windows.of(cloud, measured + origin)
-        self.report("sampling the reference")
-        sample = windows.complete_cloud(cloud) if chosen is None else windows.reference_in_windows(cloud, chosen)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -250,15 +231,8 @@ class _Run:
             grid=CorrelationGrid.covering(*robust_bounds(local)),
             voxel=(robust_extent(measured) / VOXELS_ALONG if len(measured) else 0.0) or 1.0,
             corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
-            sample=self._prepare_sample(sample),
-            windows=chosen,
+            complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
         )
-
-    def _prepare_sample(self, sample: Cloud) -> Reference:
-        try:
-            return Reference.prepare(sample, self.settings)
-        except InputError:  # the region has points, but the sample has none in it
-            return Reference.prepare(sample, replace(self.settings, crop="none"))
 
     def _make_tiles(
         self,
@@ -291,8 +265,8 @@ class _Run:
 
     def _compare_one(
         self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud
-    ) -> tuple[Candidate, Measurement, int]:
-        """Register and measure a candidate; return also the number of its tiles."""
+    ) -> tuple[ReferenceSummary, Candidate, Measurement, int]:
+        """Register and measure a candidate; return also the summary of the sample, and the number of tiles."""
         timings: dict[str, float] = {}
         with record_time(timings, "registration"):
             sample = self._register(reference, stage, name, cloud)
@@ -325,7 +299,7 @@ class _Run:
             )
             if self.maps is not None:
                 self._write_maps(self.maps, reference, stage, name, pair, forth, back)
-        quoted = _presets(measurement.metrics, self.settings, reference.region, (inside, reference.inside))
+        quoted = presets_of(measurement.metrics, self.settings, reference.region, (inside, reference.inside))
         near = NearFit.of_sums(forth.near, inside, has_normals=pair.has_normals)
         warnings = [
             *crs_warnings(reference.stored.source.crs, cloud.source.crs),
@@ -354,33 +328,42 @@ class _Run:
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
-        return candidate, measurement, len(summaries)
+        return sample.reference, candidate, measurement, len(summaries)
 
     def _register(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> SampleResults:
         """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
-        settings = self.settings
-        if reference.windows is None:
+        if reference.complete is not None:
             self.report(f"{name}: registering")
             sample = windows.complete_cloud(cloud)
-        else:
-            self.report(f"{name}: registering thinned clouds")
-            source = cloud.source
-            even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
-            pose = find_pose(Cloud(reference.stored.even, crs=source.crs), even, name, settings)
-            sample = windows.candidate_in_windows(
-                cloud, reference.windows, pose, self.runner, f"{stage}-sample", self.key
-            )
-            settings = refine_settings(settings, pose)
-            self.report(f"{name}: registering")
-        return assess_samples(
-            reference.sample, sample, name, settings, reference.origin, is_complete=reference.windows is None
-        )
+            return assess_samples(reference.complete, sample, name, self.settings, reference.origin, is_complete=True)
+        self.report(f"{name}: registering thinned clouds")
+        stored, source = reference.stored, cloud.source
+        even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
+        thinned = Cloud(stored.even, crs=stored.source.crs, unit=stored.source.unit)
+        pose = find_pose(thinned, even, name, self.settings)
+        places = pose.apply(cloud.even)
+        region = None if reference.region is None else reference.region.shifted(-reference.origin)
+        if region is not None and (inside := region.contains(places)).any():
+            places = places[inside]
+        chosen = windows.Windows.of(stored, places)
+        inner = windows.WindowRegion(chosen, region, np.zeros(3))
+        sampled = windows.reference_in_windows(stored, chosen)
+        if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
+            inner = replace(inner, region=None)
+        sample = windows.candidate_in_windows(cloud, chosen, pose, self.runner, f"{stage}-sample", self.key)
+        self.report(f"{name}: registering")
+        settings = replace(refine_settings(self.settings, pose), crop=inner)
+        prepared = Reference.prepare(sampled, settings)
+        return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
         folders = [self.folder / stage / way for way in ("forth", "back")]
         for folder in folders:
             folder.mkdir(parents=True, exist_ok=True)
-        local = reference.stored.even - reference.origin
+        stored, origin, pixels = reference.stored, reference.origin, None
+        if self.maps is not None:
+            corners = stored.low - origin, stored.high - origin
+            pixels = PixelGrid.covering(stored.even - origin, *corners, reference.spacing)
         return TiledPair(
             reference=reference.tiles,
             candidate=candidate,
@@ -394,21 +377,21 @@ class _Run:
             has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
-            pixels=None if self.maps is None else PixelGrid.covering(*robust_bounds(local)),
+            pixels=pixels,
         )
 
-    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[_Measured, _Measured]:
+    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
         """Measure both directions, tile by tile."""
         file = self.folder / f"{stage}.pair"
         share(pair, file)
 
-        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> _Measured:
+        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
             tasks = [
                 Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
                 for number in tiles.occupied
             ]
             results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
-            return _Measured.of(found for _, found in results)
+            return MeasuredDirection.of(found for _, found in results)
 
         return (
             measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
@@ -428,7 +411,7 @@ class _Run:
         stage: str,
         tiles: Tiles,
         folder: Path,
-        found: _Measured,
+        found: MeasuredDirection,
         spreads: Mapping[str, Spread],
         origin: FloatArray,
         *,
@@ -453,8 +436,8 @@ class _Run:
         stage: str,
         name: str,
         pair: TiledPair,
-        forth: _Measured,
-        back: _Measured,
+        forth: MeasuredDirection,
+        back: MeasuredDirection,
     ) -> None:
         """Write the maps of all points, their indexes and overviews."""
         maps.mkdir(parents=True, exist_ok=True)
@@ -475,8 +458,8 @@ class _Run:
             if pair.pixels is not None and found.pixels is not None:
                 write_overview(maps, name, found.pixels.overview(pair.pixels, reference.origin), kind=kind, crs=crs)
 
-    def _summary(self, reference: _TiledReference) -> ReferenceSummary:
-        source, sample = reference.stored.source, reference.sample.summary()
+    def _summary(self, reference: _TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
+        source = reference.stored.source
         return ReferenceSummary(
             points=reference.stored.count,
             points_in_region=reference.inside,
@@ -524,36 +507,6 @@ class _Run:
         return map_files
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
-
-    totals: DirectionTotals
-    censored: int
-    near: GroupSums
-    pixels: PixelSums | None
-
-    @classmethod
-    def of(cls, parts: Iterable[TileDistances]) -> _Measured:
-        """Merge the tiles, some at a time to limit memory."""
-        merged: list[TileDistances] = []
-        for part in parts:
-            merged.append(part)
-            if len(merged) == _MERGED_AT_ONCE:
-                merged = [_merge(merged)]
-        return cls(*_merge(merged))
-
-
-def _merge(parts: Sequence[TileDistances]) -> TileDistances:
-    pixels = [part.pixels for part in parts if part.pixels is not None]
-    return TileDistances(
-        DirectionTotals.merge([part.totals for part in parts]),
-        sum(part.censored for part in parts),
-        GroupSums.merge([part.near for part in parts]),
-        PixelSums.merge(pixels) if pixels else None,
-    )
-
-
 def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
     distances = replace(tiles, folder=folder)
     return {name: [distances.file(number, name) for number in tiles.occupied] for name in (DISTANCE, PLANE_DISTANCE)}
@@ -561,35 +514,3 @@ def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
 
 def _cells(grid: CorrelationGrid) -> CorrelationCells:
     return CorrelationCells(np.zeros(0, np.int64), grid.shape, grid.side)
-
-
-def _presets(
-    metrics: Metrics, settings: Settings, region: Region | None, counts: tuple[int, int]
-) -> Iterator[tuple[str, Preset]]:
-    """Yield the presets that follow from the metrics; with a region they would need a search in cropped clouds.
-
-    Args:
-        metrics: the metrics.
-        settings: the settings, which name the presets.
-        region: the measured region.
-        counts: number of queries c→r and r→c.
-    """
-    if region is not None:
-        return
-    d1, d2 = metrics.d1_mse, metrics.d2_mse
-    forth, back = (float(way.value or 0.0) for way in (d1.accuracy, d1.completeness))
-    largest = metrics.hausdorff.symmetric_max
-    for name in settings.presets:
-        if name == "gao2025":
-            yield name, Gao2025(forth, d2.accuracy.value, None, largest, forth + back, back)
-        elif name == "open3d":
-            chamfer = float(metrics.chamfer.sum_unsquared.value or 0.0)
-            yield name, Open3d(chamfer, largest, tuple(_fscore(scores) for scores in metrics.fscores))
-        elif name == "pdal":
-            yield name, Pdal(counts[0] * forth + counts[1] * back, largest)
-
-
-def _fscore(scores: ThresholdScores) -> FScore:
-    return FScore(
-        scores.threshold, *(float(part.value or 0.0) for part in (scores.precision, scores.recall, scores.fscore))
-    )

@@ -9,13 +9,14 @@ stratified in space.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.regions import Mask, Region
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
 from pcbench.measure.tiled.runs import CloudRuns, StoredPoints, leaf_ranges
@@ -24,8 +25,8 @@ from pcbench.tasks import Task, TaskRunner
 
 MAX_SAMPLE = 400_000
 """Largest number of points of a sample; clouds that all have fewer are used as they are."""
-_WINDOW_POINTS = 4_000  # 20 m wide for a scan with 10 points per square metre
-_MARGIN = 0.1  # share of a window's side, at its border, without candidate points: their counterparts may lie outside
+_WINDOW_POINTS = 2_000  # 14 m wide for a scan with 10 points per square metre
+_MARGIN = 0.25  # share of a window's side, at its border, where no point is measured: its neighbours may lie outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,31 +42,61 @@ class Windows:
     ranges: Codes
 
     @classmethod
-    def of(cls, cloud: StoredCloud, preferred: FloatArray) -> Windows:
+    def of(cls, cloud: StoredCloud, places: FloatArray) -> Windows:
         """Return windows with about `MAX_SAMPLE` points of the reference.
 
         Args:
             cloud: the reference.
-            preferred: (M, 3) even sample of the points of interest, in whose places half of the windows lie.
+            places: (M, 3) points of interest. Half of the windows are spread over the reference, half over these.
         """
-        leaves = np.array(leaf_ranges(cloud.runs, _WINDOW_POINTS), np.uint64)
-        wanted = max(1, MAX_SAMPLE // 2 // _WINDOW_POINTS)
-        lattice = cloud.runs.lattice
-        of_interest = np.unique(_range_of(lattice.codes(preferred), leaves))
-        chosen = [np.arange(len(leaves)), of_interest[of_interest >= 0]]
-        rows = np.unique(np.concatenate([_every(which, wanted) for which in chosen]))
-        return cls(lattice, leaves[rows])
+        leaves, lattice = np.array(leaf_ranges(cloud.runs, _WINDOW_POINTS), np.uint64), cloud.runs.lattice
+        wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
+        of_interest = np.unique(_range_of(lattice.codes(places), leaves))
+        of_interest = of_interest[of_interest >= 0]
+        rows = [_evenly(len(leaves), wanted), of_interest[_evenly(len(of_interest), wanted)]]
+        return cls(lattice, leaves[np.unique(np.concatenate(rows))])
 
-    def inner_boxes(self) -> tuple[FloatArray, FloatArray]:
-        """Return the corners (W, 3) of the windows without their margins."""
-        corners = [self.lattice.box((int(low), int(high))) for low, high in self.ranges]
+
+@dataclass(frozen=True, eq=False)
+class WindowRegion:
+    """The inner parts of windows, where the neighbours of a point lie in the same window.
+
+    Attributes:
+        windows: the windows.
+        region: another region, to which they are limited; None: they are not.
+        origin: (3,) origin of the coordinates of points.
+        text: text of the region in settings and errors.
+    """
+
+    windows: Windows
+    region: Region | None
+    origin: FloatArray
+    text: str = "windows"
+
+    def contains(self, points: FloatArray) -> Mask:
+        """Return the mask (N,) of the points inside."""
+        moved = points + self.origin
+        window = _range_of(self.windows.lattice.codes(moved), self.windows.ranges)
+        corners = [self.windows.lattice.box((int(low), int(high))) for low, high in self.windows.ranges]
         low, high = (np.array(side) for side in zip(*corners, strict=True))
-        return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
+        margin = _MARGIN * (high - low)
+        low, high = low + margin, high - margin
+        inside: Mask = (window >= 0) & ((moved >= low[window]) & (moved <= high[window])).all(axis=1)
+        return inside if self.region is None else inside & self.region.contains(moved)
+
+    def shifted(self, origin: FloatArray) -> WindowRegion:
+        """Return the region in coordinates minus `origin`."""
+        return replace(self, origin=self.origin + origin)
+
+    def describe(self) -> str:
+        """Return a readable name."""
+        return f"the inner parts of {len(self.windows.ranges)} windows"
 
 
-def _every(values: IntArray, count: int) -> IntArray:
-    step = max(1, -(-len(values) // count))
-    return values[step // 2 :: step] if len(values) > step // 2 else values[:1]
+def _evenly(count: int, most: int) -> IntArray:
+    """Return at most about `most` of the rows 0 to `count` - 1, at even steps."""
+    step = max(1, -(-count // max(most, 1)))
+    return np.arange(min(step // 2, max(count - 1, 0)), count, step)
 
 
 def _range_of(codes: Codes, ranges: Codes) -> IntArray:
@@ -107,12 +138,9 @@ def candidate_in_windows(
 
 
 def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity) -> StoredPoints:
-    """Return the points of runs inside windows, without margins, in the order of their rows."""
+    """Return the points of runs inside windows, in the order of their rows."""
     stored = runs.read([(0, 1 << CODE_BITS)])
-    moved = pose.apply(stored.points)
-    window = _range_of(windows.lattice.codes(moved), windows.ranges)
-    low, high = windows.inner_boxes()
-    inside = np.flatnonzero((window >= 0) & ((moved >= low[window]) & (moved <= high[window])).all(axis=1))
+    inside = np.flatnonzero(_range_of(windows.lattice.codes(pose.apply(stored.points)), windows.ranges) >= 0)
     normals, classes = stored.normals, stored.classes
     return StoredPoints(
         stored.points[inside],
