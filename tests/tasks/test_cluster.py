@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from concurrent.futures import Future
 from contextlib import contextmanager
 
@@ -205,6 +206,12 @@ class Cluster:
                         stderr=log,
                     )
                 )
+        for _ in range(600):
+            with socket.socket() as client:
+                if client.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return
+            time.sleep(0.1)
+        raise AssertionError((self.folder / "log.txt").read_text())
 
     def kill_scheduler(self):
         self.processes[0].kill()
