@@ -17,7 +17,6 @@ import itertools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,6 +29,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.io import has_filters
+from pcbench.io.files import digest, file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
@@ -114,15 +115,9 @@ def compare_on_disk(
         WorkerError: a tile needs too much memory, or the cluster is lost.
     """
     report = on_step or (lambda _: None)
-    opened = partial(
-        open_cloud,
-        classes=settings.classes,
-        returns=settings.returns,
-        piece_points=_PIECE_POINTS,
-        skip_bad=tiling.skip_bad,
-    )
-    clouds = {_REFERENCE: opened(reference)}
-    clouds |= {f"candidate-{number}": opened(path) for number, path in enumerate(candidates.values(), 1)}
+    paths = {_REFERENCE: reference}
+    paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
+    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
     key = _key(clouds, settings, replace(tiling, tile_points=tile_points))
     workers = Workers(tiling.chosen_workers, tiling.cluster)
@@ -132,6 +127,12 @@ def compare_on_disk(
         return run.compare(clouds, list(candidates))
 
 
+def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+    """Describe a cloud; classes and returns select points where files have them, as in memory."""
+    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
+
+
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings) -> str:
     """Return a text that identifies the inputs and everything that stored results depend on."""
     files = {
@@ -139,7 +140,8 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         for name, cloud in clouds.items()
     }
     how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
-    found = [installed_versions(("pcbench",)), files, settings.plain(), how]
+    named = [digest(file) for file in map(file_in_setting, (settings.register, settings.crop)) if file is not None]
+    found = [installed_versions(("pcbench",)), files, settings.plain(), named, how]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
