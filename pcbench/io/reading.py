@@ -13,7 +13,7 @@ from pcbench.io.files import Fields, Warn, errors_named, read_named
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, CloudFormat, format_of
 from pcbench.io.las_records import parse_filters
 from pcbench.io.paths import EPT, find_tiles, is_tiled
-from pcbench.io.tiles import Frame, common_frame, concatenate, merge_warnings
+from pcbench.io.tiles import StatedCrs, common_crs, concatenate, merge_warnings
 from pcbench.regular_files import has_entry
 
 
@@ -35,7 +35,7 @@ def read_fields(
         returns: returns to keep.
 
     Raises:
-        InputError: as `pcbench.read_cloud`. The message starts with the path of the file.
+        InputError: as `pcbench.read_cloud`. The message names the file.
         MissingExtra: an optional library is needed.
     """
     filters: dict[str, Any] = {"classes": classes, "returns": returns} if (classes, returns) != (None, None) else {}
@@ -57,8 +57,8 @@ def read_fields(
         lines.append((path, line))
 
     parts = [read_named(tile, read_tile, partial(_keep, lines, tile)) for tile in tiles.paths]
-    frames = [Frame(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
-    crs, unit = common_frame(frames, warn_of_all)
+    stated = [StatedCrs(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
+    crs, unit = common_crs(stated, warn_of_all)
     fields = concatenate(parts, warn_of_all)
     if not len(fields["points"]):
         wanted = f"points with {parse_filters(classes, returns)}" if filters else "at least one point"

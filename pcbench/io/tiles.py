@@ -18,7 +18,7 @@ _NUMBER = re.compile(r"\d[\d.,]*(e[+-]?\d+)?")
 _ATTRIBUTE = "attribute "  # before names of attributes, which may be any text
 
 
-class Frame(NamedTuple):
+class StatedCrs(NamedTuple):
     """Coordinate reference system and unit that one file states; None if it states none."""
 
     path: Path
@@ -26,43 +26,43 @@ class Frame(NamedTuple):
     unit: str | None
 
 
-def common_frame(frames: Sequence[Frame], warn: Warn) -> tuple[str | None, str | None]:
+def common_crs(stated: Sequence[StatedCrs], warn: Warn) -> tuple[str | None, str | None]:
     """Return the coordinate reference system and the unit of all files that state one.
 
     Args:
-        frames: what each file states.
+        stated: what each file states.
         warn: callback for warnings, without a path.
 
     Raises:
         InputError: two files state different ones.
     """
-    crs = next((frame for frame in frames if frame.crs is not None), Frame(Path(), None, None))
-    unit = next((frame for frame in frames if frame.unit is not None), Frame(Path(), None, None))
+    crs = next((one for one in stated if one.crs is not None), StatedCrs(Path(), None, None))
+    unit = next((one for one in stated if one.unit is not None), StatedCrs(Path(), None, None))
     same = {crs.crs, None}  # texts of the same system
-    for frame in frames:
-        if frame.crs not in same:
-            assert crs.crs is not None and frame.crs is not None
-            if not same_crs(crs.crs, frame.crs):
+    for one in stated:
+        if one.crs not in same:
+            assert crs.crs is not None and one.crs is not None
+            if not same_crs(crs.crs, one.crs):
                 raise InputError(
                     f"expected files in one coordinate reference system, got {crs_name(crs.crs)} in {crs.path} and"
-                    f" {crs_name(frame.crs)} in {frame.path}: convert one of them"
+                    f" {crs_name(one.crs)} in {one.path}: convert one of them"
                 )
-            same.add(frame.crs)
-        if frame.unit not in (unit.unit, None):
+            same.add(one.crs)
+        if one.unit not in (unit.unit, None):
             raise InputError(
-                f"expected files in one unit, got {unit.unit} in {unit.path} and {frame.unit} in {frame.path}:"
+                f"expected files in one unit, got {unit.unit} in {unit.path} and {one.unit} in {one.path}:"
                 " convert one of them"
             )
-    without = [frame for frame in frames if frame.crs is None]
+    without = [one for one in stated if one.crs is None]
     if crs.crs is not None and without:
         warn(
-            f"{len(without)} of {len(frames)} files state no coordinate reference system, such as"
+            f"{len(without)} of {len(stated)} files state no coordinate reference system, such as"
             f" {without[0].path.name}: their coordinates are taken as {crs_name(crs.crs)}"
         )
-    without = [frame for frame in frames if frame.unit is None]
+    without = [one for one in stated if one.unit is None]
     if unit.unit is not None and without and crs.crs is None:
         warn(
-            f"{len(without)} of {len(frames)} files state no unit, such as {without[0].path.name}: their coordinates"
+            f"{len(without)} of {len(stated)} files state no unit, such as {without[0].path.name}: their coordinates"
             f" are taken as in {unit.unit}"
         )
     return crs.crs, unit.unit
@@ -89,7 +89,7 @@ def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
     """Concatenate the points of several files; normals, colours and attributes are kept if all files have them.
 
     Args:
-        parts: fields of each file. The coordinate system is left out, see `common_frame`.
+        parts: fields of each file. The coordinate system is left out, see `common_crs`.
         warn: callback for warnings, without a path.
     """
     columns = [_columns(part) for part in parts]

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import pcbench
 from pcbench.errors import InputError, MissingExtra
-from pcbench.io import FILTERABLE_EXTENSIONS
+from pcbench.io import has_filters
 from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
@@ -102,7 +102,7 @@ class CloudsOnDisk:
 
 def filters_for(path: Path, settings: Settings) -> dict[str, Any]:
     """Return the filters that apply to a path: candidates may have other formats than a filtered LAS reference."""
-    if path.suffix.lower() in FILTERABLE_EXTENSIONS or is_in_pieces(path):
+    if has_filters(path):
         return {"classes": settings.classes, "returns": settings.returns}
     return {}
 

@@ -157,8 +157,9 @@ class GaussianSplatting:
     transparent where they are.
     exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
     image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
-    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
-    that training may use.
+    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`.
+    memory: gigabytes that training may use. A scene that needs more is trained in blocks, one after the other, each for
+    `steps` steps on the photographs that show it; the blocks share the `gaussians`.
     device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
     The workspace keeps the model (model/point_cloud.ply), which splat viewers open.
     """

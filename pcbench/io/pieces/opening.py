@@ -10,11 +10,11 @@ from pcbench.errors import InputError
 from pcbench.io.files import as_path, check_readable, errors_named
 from pcbench.io.formats import CLOUDS
 from pcbench.io.las_records import LasFilters, parse_filters
-from pcbench.io.paths import EPT, Tiles, find_tiles, is_tiled
+from pcbench.io.paths import EPT, TileFiles, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
 from pcbench.io.reading import cloud_file, filtered_format
-from pcbench.io.tiles import Frame, common_frame, normals_warning
+from pcbench.io.tiles import StatedCrs, common_crs, normals_warning
 
 PIECE_POINTS = 1_000_000
 
@@ -45,13 +45,15 @@ def open_cloud(
 
     Raises:
         InputError: a file is damaged or missing, or no file is left; files have different coordinate reference systems
-            or units; or a filter is not available for a format. The message starts with the path of the file.
+            or units; or a filter is not available for a format. The message names the file.
         MissingExtra: an optional library is needed for a file.
     """
+    if piece_points < 1:
+        raise InputError(f"expected pieces of at least one point, got {piece_points}")
     path = cloud_file(as_path(path))
     filters = parse_filters(classes, returns)
     with errors_named(path):
-        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else Tiles((path,))
+        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else TileFiles((path,))
     lines = [(path, line) for line in tiles.warnings]
 
     def warn(line: str) -> None:
@@ -85,7 +87,7 @@ def open_cloud(
     with_normals = sum(file.has_normals for file in files)
     if 0 < with_normals < len(files):
         warn(normals_warning(with_normals, len(files)))
-    crs, unit = common_frame([Frame(file.path, file.crs, file.unit) for file in files], warn)
+    crs, unit = common_crs([StatedCrs(file.path, file.crs, file.unit) for file in files], warn)
     return CloudOnDisk(
         path=path,
         files=tuple(files),

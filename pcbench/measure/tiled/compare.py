@@ -15,9 +15,9 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,11 +30,14 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.io import has_filters
+from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
+from pcbench.measure.presets import Preset
 from pcbench.measure.reference import VOXELS_ALONG, Reference
 from pcbench.measure.results import (
     CANDIDATE_TO_REFERENCE,
@@ -68,7 +71,7 @@ from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
 from pcbench.measure.tiled.overview import PixelGrid
-from pcbench.measure.tiled.presets import presets_of
+from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TilingSettings
@@ -114,17 +117,11 @@ def compare_on_disk(
         WorkerError: a tile needs too much memory, or the cluster is lost.
     """
     report = on_step or (lambda _: None)
-    opened = partial(
-        open_cloud,
-        classes=settings.classes,
-        returns=settings.returns,
-        piece_points=_PIECE_POINTS,
-        skip_bad=tiling.skip_bad,
-    )
-    clouds = {_REFERENCE: opened(reference)}
-    clouds |= {f"candidate-{number}": opened(path) for number, path in enumerate(candidates.values(), 1)}
+    paths = {_REFERENCE: reference}
+    paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
+    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
-    key = _key(clouds, settings, replace(tiling, tile_points=tile_points))
+    key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
     workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
@@ -132,14 +129,23 @@ def compare_on_disk(
         return run.compare(clouds, list(candidates))
 
 
-def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings) -> str:
+def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+    """Describe a cloud; classes and returns select points where files have them, as in memory."""
+    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
+
+
+def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
     """Return a text that identifies the inputs and everything that stored results depend on."""
     files = {
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
     how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
-    found = [installed_versions(("pcbench",)), files, settings.plain(), how]
+    pose, crop = known_pose(settings), file_in_setting(settings.crop)
+    region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
+    read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
+    found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
@@ -299,7 +305,8 @@ class _Run:
             )
             if self.maps is not None:
                 self._write_maps(self.maps, reference, stage, name, pair, forth, back)
-        quoted = presets_of(measurement.metrics, self.settings, reference.region, (inside, reference.inside))
+        with record_time(timings, "presets"):
+            quoted = self._presets(reference, pair, stage, name, (forth.totals, back.totals))
         near = NearFit.of_sums(forth.near, inside, has_normals=pair.has_normals)
         warnings = [
             *crs_warnings(reference.stored.source.crs, cloud.source.crs),
@@ -316,10 +323,7 @@ class _Run:
             points=cloud.count,
             points_in_region=inside,
             registration=sample.registration,
-            metrics=replace(
-                measurement.metrics,
-                presets=dict(quoted),
-            ),
+            metrics=replace(measurement.metrics, presets=quoted),
             deviation=deviation,
             completeness=completeness,
             deformation=sample.deformation,
@@ -357,9 +361,6 @@ class _Run:
         return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
-        folders = [self.folder / stage / way for way in ("forth", "back")]
-        for folder in folders:
-            folder.mkdir(parents=True, exist_ok=True)
         stored, origin, pixels = reference.stored, reference.origin, None
         if self.maps is not None:
             corners = stored.low - origin, stored.high - origin
@@ -367,8 +368,8 @@ class _Run:
         return TiledPair(
             reference=reference.tiles,
             candidate=candidate,
-            forth=folders[0],
-            back=folders[1],
+            forth=self.folder / stage / "forth",
+            back=self.folder / stage / "back",
             region=reference.region,
             grid=reference.grid,
             voxel=reference.voxel,
@@ -382,6 +383,8 @@ class _Run:
 
     def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
         """Measure both directions, tile by tile."""
+        for folder in (pair.forth, pair.back):
+            folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{stage}.pair"
         share(pair, file)
 
@@ -397,6 +400,43 @@ class _Run:
             measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
             measured("back", measure_reference_tile, pair.reference, f"{name}: measuring r→c"),
         )
+
+    def _presets(
+        self,
+        reference: _TiledReference,
+        pair: TiledPair,
+        stage: str,
+        name: str,
+        totals: tuple[DirectionTotals, DirectionTotals],
+    ) -> dict[str, Preset]:
+        """Return the presets, measured again between clouds cut at the region if there is one."""
+        names = [preset for preset in self.settings.presets if preset in TILED_PRESETS]
+        if reference.region is not None and names:
+            cropped = replace(
+                pair,
+                reference=self._crop(_REFERENCE, pair.reference, reference.region),
+                candidate=self._crop(stage, pair.candidate, reference.region),
+                forth=pair.forth / "cropped",
+                back=pair.back / "cropped",
+                region=None,
+                pixels=None,
+            )
+            forth, back = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+            totals = forth.totals, back.totals
+        return dict(presets_of(*totals, pair.thresholds, names))
+
+    def _crop(self, stage: str, tiles: Tiles, region: Region) -> Tiles:
+        """Cut tiles at the region."""
+        folder = self.folder / stage / "cropped"
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            Task(f"{number:06d}", (tiles.folder, number, region, folder), int(tiles.counts[number]))
+            for number in tiles.occupied
+        ]
+        found = {
+            tile.number: tile for tile in self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+        }
+        return Tiles.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
 
     def _spreads(self, stage: str, totals: DirectionTotals, files: Mapping[str, list[Path]]) -> dict[str, Spread]:
         distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}

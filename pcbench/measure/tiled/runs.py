@@ -150,7 +150,7 @@ class CloudRuns:
                 for name in _COLUMNS:
                     file = column_file(self.folder, run.number, name)
                     if name in ("points", "order") or file.exists():
-                        values = np.load(file, mmap_mode="r")[start:stop]
+                        values = np.array(np.load(file, mmap_mode="r")[start:stop])  # a map would keep the file open
                         parts[name].append(values.astype(np.int64) + run.first_row if name == "order" else values)
         if not parts["order"]:
             return StoredPoints(np.zeros((0, 3)), np.zeros(0, np.int64), None, None)
