@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pcbench.measure import metrics as metrics
     from pcbench.measure.m3c2_settings import M3C2Settings as M3C2Settings
     from pcbench.measure.settings import Settings as Settings
+    from pcbench.measure.tiled.settings import TilingSettings as TilingSettings
     from pcbench.registration import IcpSettings as IcpSettings
     from pcbench.registration import Registration as Registration
     from pcbench.registration import register as register
@@ -52,6 +53,7 @@ _MODULES = {
     "Settings": "measure.settings",
     "Similarity": "geometry.transform",
     "Sphere": "geometry.regions",
+    "TilingSettings": "measure.tiled.settings",
     "Union": "geometry.regions",
     "compare": "report.comparison",
     "crop": "io.crop",

@@ -3,6 +3,8 @@
 The command line prints each on one line.
 """
 
+from __future__ import annotations
+
 import logging
 from dataclasses import dataclass
 
@@ -23,6 +25,10 @@ class ReconstructionError(PcbenchError):
     """A reconstructor computed no cloud: the images do not allow it, or it failed."""
 
 
+class WorkerError(PcbenchError):
+    """A task ended its workers again and again, or a cluster cannot be used."""
+
+
 class MissingExtra(PcbenchError, ImportError):
     """An optional library is not installed or cannot be loaded.
 
@@ -36,7 +42,12 @@ class MissingExtra(PcbenchError, ImportError):
     def __init__(self, library: str, extra: str, reason: str = "", remedy: str = "") -> None:
         because = f" ({reason})" if reason else ""
         remedy = remedy or f"pip install 'pcbench[{extra}]'"
+        self._arguments = (library, extra, reason, remedy)
         super().__init__(f"{library} is needed for this{because}: {remedy}")
+
+    def __reduce__(self) -> tuple[type[MissingExtra], tuple[str, ...]]:
+        """Pickle the arguments instead of the message, so that workers can return the error."""
+        return type(self), self._arguments
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ class _Library(NamedTuple):
 LIBRARIES = {
     "PIL": _Library("pillow", "sfm"),
     "cuda": _Library("cuda-core", "cuda"),
+    "distributed": _Library("distributed", "cluster"),
     "fricp_cpp": _Library("fricp-cpp", ""),
     "flip_evaluator": _Library("flip-evaluator", ""),
     "jinja2": _Library("jinja2", ""),  # of pages; a dependency of pcbench, so that only a broken installation lacks it

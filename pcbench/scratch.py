@@ -16,7 +16,7 @@ import secrets
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -101,6 +101,20 @@ def scratch_folder(output: Path | None = None) -> Iterator[Path]:
             shutil.rmtree(path, ignore_errors=True)
             if descriptor is not None:
                 os.close(descriptor)
+
+
+def make_parents(folder: Path) -> list[Path]:
+    """Create a folder and its parents, and return the created ones, outermost first."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing[::-1]
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove those folders of `make_parents` that are empty."""
+    for folder in reversed(folders):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -16,6 +16,7 @@ from pcbench.measure.metrics import Distances
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.measure.scores import measure
+from pcbench.measure.summaries import summarize
 
 Floats = NDArray[np.float64]
 NOISES = ("none", "white", "L/40", "L/20", "L/10", "clusters")
@@ -81,9 +82,12 @@ def draw(case: Case, run: int) -> tuple[Draw, tuple[Notice, ...]]:
         both_directions.append(
             Direction(queries, Distances(matches.distances, planes), no_floors, prepared.cells.of_point[reference_rows])
         )
-    scores = measure(
-        *both_directions, (1.5 * spacing,), cells=prepared.cells, voxel=0.1, corner=np.zeros(3), origin=np.zeros(3)
+    thresholds, nowhere = (1.5 * spacing,), np.zeros(3)
+    forth, back = (
+        summarize(direction, thresholds, cells=prepared.cells, voxel=0.1, corner=nowhere, origin=nowhere)
+        for direction in both_directions
     )
+    scores = measure(forth, back, thresholds, cells=prepared.cells)
     estimates = [scores.metrics.directed[metric][direction] for metric, direction in SCORES[:-1]]
     estimates.append(scores.metrics.fscores[0].precision)
     rows = [(e.value, e.interval.low, e.interval.high) for e in estimates if e.interval is not None]

@@ -57,10 +57,15 @@ def extras(*descriptions):
 
 
 def las(form=0, count=10, minor=None, vlrs=(), evlrs=(), tail=lambda i: b"", compress=None, **replaced):
-    """Build a file: `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (COPC)."""
+    """Build a file: `tail` gives the extra bytes of a point; `compress` is None, "chunks" or "variable" (COPC).
+
+    Its points are `values(form, i)` for i from 0 to `count` - 1, or for `indices`.
+    """
     minor = (4 if form >= 6 else 2) if minor is None else minor
+    indices = replaced.get("indices", range(count))
+    count = len(indices)
     points = b"".join(struct.pack(RECORDS[form], *values(form, i, replaced.get("color", 256))) + tail(i)
-                      for i in range(count))  # fmt: skip
+                      for i in indices)  # fmt: skip
     record_bytes = struct.calcsize(RECORDS[form]) + len(tail(0))
     header_bytes = {3: 235, 4: 375}.get(minor, 227)
     laszip = None
@@ -101,6 +106,33 @@ def compress_points(points, laszip, start):
     return buffer.getvalue()[start:]
 
 
+def copc(count=300, form=7, change=lambda entries: None):
+    """Build a COPC file with two chunks, whose hierarchy has a second page; `change` edits its entries in place.
+
+    An entry is [depth, x, y, z, offset, bytes, points]; the last one, of the first page, refers to the second page.
+    """
+    import lazrs
+
+    info, hierarchy = (lambda data: vlr(b"copc", 1, data)), (lambda data: vlr(b"copc", 1000, data, extended=True))
+    plain = las(form, count, vlrs=[info(bytes(160))], evlrs=[hierarchy(bytes(96))], compress="variable")
+    start = int.from_bytes(plain[96:100], "little")
+    source = io.BytesIO(plain)
+    source.seek(start)
+    laszip = lazrs.LazVlr.new_for_compression(form, 0, True)
+    (first, first_bytes), (second, second_bytes), *_ = lazrs.read_chunk_table(source, laszip)
+    pages = len(plain) - 96
+    entries = [
+        [0, 0, 0, 0, start + 8, first_bytes, first],
+        [1, 0, 0, 0, pages + 64, 32, -1],
+        [1, 0, 0, 0, start + 8 + first_bytes, second_bytes, second],
+    ]
+    change(entries)
+    root = struct.pack("<5dQQ", 0, 0, 0, 1, 1, pages, 64)
+    record = info(root + bytes(160 - len(root)))
+    data = plain[:pages] + b"".join(struct.pack("<4iQii", *entry) for entry in entries)
+    return data.replace(info(bytes(160)), record)
+
+
 UTM = (
     'PROJCS["WGS 84 / UTM zone 17N",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
     'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
@@ -125,4 +157,5 @@ def laz_corpus():
     files = {f"format {form}": las(form, 300, compress="chunks") for form in RECORDS}
     files["extra bytes"] = las(7, 99, vlrs=[descriptions], tail=lambda i: struct.pack("<f", i / 4), compress="chunks")
     files["variable"] = las(7, 300, compress="variable", vlrs=[wkt(UTM)])
+    files["copc"] = copc()
     return files

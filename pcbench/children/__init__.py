@@ -130,6 +130,28 @@ def run_script(
     return _run([str(file), *arguments], sys.path, limits, environment, stdin=stdin, into=into)
 
 
+def start_module(
+    name: str,
+    *,
+    environment: Mapping[str, str],
+    stdin: BinaryIO | int,
+    stdout: BinaryIO | int,
+    stderr: BinaryIO | int,
+) -> subprocess.Popen[bytes]:
+    """Start a module of this pcbench package as a program; its imports resolve as in this process.
+
+    The caller ends it with `pcbench.systems.end_tree` and `reap`. On Linux it ends with the thread that started it.
+
+    Args:
+        name: name of the module.
+        environment: variables to add to those of this process.
+        stdin: standard input, as for `subprocess.Popen`.
+        stdout: standard output.
+        stderr: standard error.
+    """
+    return _start([name], sys.path, Limits(), environment, stdin=stdin, stdout=stdout, stderr=stderr, buffer=-1)
+
+
 def _run(
     program: list[str],
     path: list[str],
@@ -140,7 +162,35 @@ def _run(
     stdin: BinaryIO | None = None,
     into: memoryview | None = None,
 ) -> ChildResult:
-    limits = limits or Limits()
+    process = _start(
+        program,
+        path,
+        limits or Limits(),
+        environment,
+        stdin=subprocess.DEVNULL if stdin is None else stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if log is None else subprocess.STDOUT,
+    )
+    output = _PipeReader(process.stdout if into is None else None, log)
+    errors = _PipeReader(process.stderr)
+    code, timed_out, cpu_s, received = _wait(process, limits.seconds if limits else None, into)
+    if (error := output.finish()) is not None:
+        raise OSError(error.errno, error.strerror, getattr(log, "name", None)) from error
+    errors.finish()
+    return ChildResult(code, timed_out, cpu_s, output.text(), errors.text(), received)
+
+
+def _start(
+    program: list[str],
+    path: list[str],
+    limits: Limits,
+    environment: Mapping[str, str] | None,
+    *,
+    stdin: BinaryIO | int,
+    stdout: BinaryIO | int,
+    stderr: BinaryIO | int,
+    buffer: int = 0,
+) -> subprocess.Popen[bytes]:
     own = {"PYTHONPATH": os.pathsep.join(filter(None, path)), "PYTHONUNBUFFERED": "1"}
     start_arguments = [
         str(os.getpid()),
@@ -148,22 +198,15 @@ def _run(
         str(limits.memory or 0),
         str(int(limits.one_cpu)),
     ]
-    process = subprocess.Popen(
+    return subprocess.Popen(
         [sys.executable, "-P", _START_SCRIPT, *start_arguments, *program],
-        stdin=subprocess.DEVNULL if stdin is None else stdin,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE if log is None else subprocess.STDOUT,
-        bufsize=0,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=stderr,
+        bufsize=buffer,
         env={**os.environ, **own, **(environment or {})},
         start_new_session=True,  # its processes can be ended together
     )
-    output = _PipeReader(process.stdout if into is None else None, log)
-    errors = _PipeReader(process.stderr)
-    code, timed_out, cpu_s, received = _wait(process, limits.seconds, into)
-    if (error := output.finish()) is not None:
-        raise OSError(error.errno, error.strerror, getattr(log, "name", None)) from error
-    errors.finish()
-    return ChildResult(code, timed_out, cpu_s, output.text(), errors.text(), received)
 
 
 class _PipeReader(Thread):

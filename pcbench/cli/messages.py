@@ -48,6 +48,19 @@ def warn_unless(quiet: bool) -> Callable[[str], None]:
     return (lambda text: LOGGER.warning("%s", text)) if quiet else warn
 
 
+def notice_unless(quiet: bool) -> Callable[[str], None]:
+    """Return a function that prints a line on stderr, or only logs it if `quiet`."""
+
+    def notice(text: str) -> None:
+        line = _one_line(text)
+        LOGGER.info("%s", line)
+        if not quiet:
+            with suppress(OSError):  # stderr has no reader
+                click.echo(line, err=True)
+
+    return notice
+
+
 def name_files(kind: str, out: Path, *files: str) -> str:
     """Return a line that names the files of a study's folder, its page first if there is one."""
     from pcbench.report.html import PAGE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,10 @@ from pcbench.errors import InputError
 
 _Number = TypeVar("_Number", int, float)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
+
+_POINTS = re.compile(r"(\d+(?:\.\d*)?(?:e\d{1,2})?)([kMG]?)", re.IGNORECASE)
+_POINT_FACTORS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9}
+_CLUSTER = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+")
 
 FILE = click.Path(path_type=Path)
 
@@ -187,6 +192,76 @@ def numbers(option: str, text: str | None, kind: type[_Number]) -> tuple[_Number
         return tuple(kind(word) for word in text.split(","))
     except ValueError:
         raise InputError(f"expected {option} as comma-separated numbers, got {text!r}") from None
+
+
+def tiling_options(command: _Command) -> _Command:
+    """Add the options of a comparison in tiles, see `tiling_choice`."""
+    texts = {
+        "--tiles": (
+            "auto|SIZE",
+            "Compute in tiles of at most SIZE points (1e6, 500k, 2M); auto, as without this option: only if the clouds"
+            " do not fit into --memory.",
+        ),
+        "--memory": ("SIZE", "Memory that may be used, such as 4GiB or 500MB.  [default: 4GiB]"),
+        "--workers": ("N", "Worker processes that compute tiles.  [default: the CPUs, as far as the memory allows]"),
+        "--cluster": ("ADDRESS", "Compute tiles on a Dask cluster: tcp://HOST:PORT of its scheduler."),
+        "--max-distance": (
+            "LENGTH",
+            "Compute in tiles, and search no closest point beyond this length: larger distances count as this one, and"
+            " their share is stated.",
+        ),
+        "--workspace": (
+            "FOLDER",
+            "Folder for sorted copies and finished tiles, from which the same command continues after a failure."
+            "  [default: a hidden folder beside --out]",
+        ),
+    }
+    types: dict[str, Any] = {"--workers": click.IntRange(min=1), "--max-distance": POSITIVE, "--workspace": FILE}
+    skip = "Compute in tiles, and leave out damaged files, which the report lists."
+    command = click.option("--skip-bad", is_flag=True, help=skip)(command)
+    for name, (metavar, text) in reversed(texts.items()):
+        command = click.option(name, type=types.get(name), metavar=metavar, help=text)(command)
+    return command
+
+
+def tiling_choice(
+    tiles: str | None,
+    memory: str | None,
+    workers: int | None,
+    cluster: str | None,
+    max_distance: float | None,
+    skip_bad: bool,
+    workspace: Path | None,
+) -> Any:
+    """Return the `TilingChoice` of the options of `tiling_options`.
+
+    Raises:
+        InputError: a value is not usable.
+    """
+    from pcbench.measure.tiled.settings import DEFAULT_MEMORY, TilingSettings, parse_bytes
+    from pcbench.report.on_disk import TilingChoice
+
+    if cluster is not None and not _CLUSTER.fullmatch(cluster):
+        raise InputError(f"expected --cluster as the address of a Dask scheduler, tcp://HOST:PORT, got {cluster!r}")
+    points = None if tiles in (None, "auto") else point_number("--tiles", str(tiles))
+    size = DEFAULT_MEMORY if memory is None else parse_bytes(memory)
+    settings = TilingSettings(points, size, workers, cluster, max_distance, skip_bad)
+    if points is not None or cluster is not None or max_distance is not None or skip_bad:
+        return TilingChoice(settings, "always", workspace)
+    return TilingChoice(settings, "if-possible" if tiles is None else "auto", workspace)
+
+
+def point_number(option: str, text: str) -> int:
+    """Parse a number of points such as 1e6, 500k or 2M.
+
+    Raises:
+        InputError: the text is no such number, or not a whole number above 0.
+    """
+    found = _POINTS.fullmatch(text.strip())
+    number = float(found[1]) * _POINT_FACTORS[found[2].lower()] if found else 0.0
+    if not 1 <= number < 1e15 or number != int(number):
+        raise InputError(f"expected {option} as auto or a number of points such as 1e6, 500k or 2M, got {text!r}")
+    return int(number)
 
 
 def share(option: str, text: str) -> float:

@@ -11,7 +11,7 @@ import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.log import LOGGER
-from pcbench.cli.messages import steps, warn, warn_of_missing, warn_unless
+from pcbench.cli.messages import notice_unless, steps, warn, warn_of_missing, warn_unless
 from pcbench.cli.options import (
     FILE,
     background_option,
@@ -31,6 +31,8 @@ from pcbench.cli.options import (
     share,
     splat_options,
     split_names,
+    tiling_choice,
+    tiling_options,
 )
 from pcbench.errors import InputError
 
@@ -79,6 +81,7 @@ if TYPE_CHECKING:
 )
 @las_options("LAS files")
 @splat_options
+@tiling_options
 @seed_option("Random seed of the samples on a mesh, the sampling floors, and the folds of cross-validation.")
 @click.option(
     "--settings",
@@ -118,6 +121,13 @@ def compare(
     returns: str | None,
     min_opacity: float | None,
     max_axis: float | None,
+    tiles: str | None,
+    memory: str | None,
+    workers: int | None,
+    cluster: str | None,
+    max_distance: float | None,
+    skip_bad: bool,
+    workspace: Path | None,
     seed: int,
     settings_file: Path | None,
     json_file: str | None,
@@ -148,7 +158,7 @@ def compare(
     if settings_file is not None:
         options = [
             *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
-            *("max_axis", "seed", "tolerance"),
+            *("max_axis", "seed", "tolerance", "max_distance", "skip_bad"),
         ]
         if reference is not None or any(is_given(context, name) for name in options):
             raise click.UsageError(
@@ -159,6 +169,7 @@ def compare(
         job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
         if viewed is not None:
             job = replace(job, scene=viewed, recorded_cameras=None)
+        job = job.with_tiles(tiling_choice(tiles, memory, workers, cluster, None, False, workspace))
     else:
         if reference is None or not candidates:
             raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
@@ -177,7 +188,15 @@ def compare(
             tolerance=None if tolerance is None else share("--tolerance", tolerance),
         )
         figures = Figures().with_changes(background, color_range, figure_format)
-        job = ComparisonJob.of(reference, candidates, settings, figures, viewed)
+        choice = tiling_choice(tiles, memory, workers, cluster, max_distance, skip_bad, workspace)
+        if "mpeg" in split_names(presets):  # all settings have it; tiles leave it out, unless a user asks for it
+            if choice.when != "if-possible":
+                raise InputError(
+                    "a comparison in tiles does not support the preset mpeg (--preset) in this version: compare in"
+                    " memory"
+                )
+            choice = None
+        job = ComparisonJob.of(reference, candidates, settings, figures, viewed, choice)
     if table is not None and (full or json_file == "-"):
         raise click.UsageError("--table prints only a table: omit --full, and give --json a file")
     compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
@@ -202,7 +221,7 @@ def compare_and_print(
     output = JsonOutput(json_file)
     output.check(job.inputs, folder=out)
     with steps(quiet) as step:
-        outcome = compare_files(job, Outputs(out, figures), step)
+        outcome = compare_files(job, Outputs(out, figures), step, notice_unless(quiet))
     for text in warnings(outcome.comparison):
         LOGGER.warning("%s", text)
     if json_file is not None:

@@ -61,6 +61,38 @@ def is_projected_crs(text: str | None) -> bool:
     return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
 
 
+def epsg_code(text: str) -> tuple[int, bool] | None:
+    """Return the EPSG code of a CRS in the plane, and whether it is geographic; None if it has none or is unknown."""
+    crs = _parse_crs(text)
+    if crs is None:
+        return None
+    crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
+    code = crs.to_epsg(min_confidence=100)
+    return None if code is None or not (crs.is_projected or crs.is_geographic) else (code, bool(crs.is_geographic))
+
+
+def wkt2(text: str) -> str:
+    """Return a known CRS as WKT 2.
+
+    Raises:
+        ValueError: pyproj is not installed or does not know the CRS.
+    """
+    return str(_known(text).to_wkt("WKT2_2019"))
+
+
+def to_wgs84(text: str, positions: FloatArray) -> FloatArray:
+    """Return longitude and latitude (N, 2) of positions (N, 2) in a known CRS, in degrees of WGS84.
+
+    Raises:
+        ValueError: pyproj is not installed or does not know the CRS.
+    """
+    crs = _known(text)
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(crs.sub_crs_list[0] if crs.sub_crs_list else crs, "EPSG:4326", always_xy=True)
+    return np.stack(transformer.transform(positions[:, 0], positions[:, 1]), axis=1)
+
+
 def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
     """Return offsets (N, 3) from positions (N, 3) on a map grid to their Euclidean positions, in the map's unit.
 
@@ -85,6 +117,13 @@ def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
         return None
     offsets: FloatArray = fit_similarity(space, positions, with_scale=False).apply(space) - positions
     return offsets
+
+
+def _known(text: str) -> Any:
+    crs = _parse_crs(text)
+    if crs is None:
+        raise ValueError(f"expected a CRS that pyproj knows, got {text[:60]!r}")
+    return crs
 
 
 def _parse_crs(text: str) -> Any | None:

@@ -50,11 +50,13 @@ class LocalPlanes(NamedTuple):
         normals: (M, 3) unit vectors, oriented upwards: z > 0; if z is 0, y > 0; if both are 0, x > 0.
         variation: (M,) smallest eigenvalue of the covariance divided by the sum of all three, from 0 to 1/3.
         nearest_other: nearest other point of each point, as from `Index.nearest_other`, without extra cost.
+        reach: (M,) a distance within which exactly the k nearest points lie, except for ties.
     """
 
     normals: NDArray[np.float64]
     variation: NDArray[np.float64]
     nearest_other: Matches
+    reach: NDArray[np.float64]
 
 
 class Index:
@@ -83,6 +85,10 @@ class Index:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __reduce__(self) -> tuple[type["Index"], tuple[NDArray[np.float64]]]:
+        """Pickle the points: another process builds the same tree."""
+        return Index, (self.points,)
 
     @property
     def nbytes(self) -> int:
@@ -169,6 +175,8 @@ class Index:
     def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
         """Fit a plane to the k nearest points, the point itself included, of each point or of those in `rows` (M,).
 
+        The result depends only on these k points and their order in the index, to the last bit.
+
         Raises:
             InputError: k is less than 3 or exceeds the number of points, or `rows` are not indices of points.
         """
@@ -177,9 +185,12 @@ class Index:
         selected = None if rows is None else self._as_indices(rows, "rows")
         count = len(self) if selected is None else len(selected)
         fits = LocalPlanes(
-            np.empty((count, 3)), np.empty(count), Matches(np.empty(count), np.empty(count, dtype=np.int64))
+            np.empty((count, 3)),
+            np.empty(count),
+            Matches(np.empty(count), np.empty(count, dtype=np.int64)),
+            np.empty(count),
         )
-        self._tree.planes(k, selected, fits.normals, fits.variation, *fits.nearest_other)
+        self._tree.planes(k, selected, fits.normals, fits.variation, *fits.nearest_other, fits.reach)
         return fits
 
     def query_index(self, queries: "Index") -> Matches:

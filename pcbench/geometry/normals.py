@@ -105,12 +105,12 @@ class Surface:
                 is_missing[rows] = True
                 missing = np.flatnonzero(is_missing & ~self._is_known)
             if len(missing) == len(self):
-                self._normals, self._variation[:], self._nearest_other = self._planes(None)
+                self._normals, self._variation[:], self._nearest_other, _ = self._planes(None)
             elif len(missing) > _SWEEP_SHARE * len(self):
-                directions, variation, self._nearest_other = self._planes(None)
+                directions, variation, self._nearest_other, _ = self._planes(None)
                 self._normals_array()[missing], self._variation[missing] = directions[missing], variation[missing]
             elif len(missing):
-                directions, self._variation[missing], _ = self._planes(missing)
+                directions, self._variation[missing], *_ = self._planes(missing)
                 self._normals_array()[missing] = directions
             self._is_known[missing] = True
             self._is_complete = bool(self._is_known.all())

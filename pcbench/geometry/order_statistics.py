@@ -28,10 +28,25 @@ def percentiles(values: FloatArray, ranks: Sequence[float]) -> FloatArray:
     """
     if len(values) <= _MAX_PARTITIONED:
         return np.asarray(np.percentile(values, ranks), dtype=np.float64)
-    position = (len(values) - 1) * (np.asarray(ranks, dtype=np.float64) / 100)
+    neighbors, share = neighboring_ranks(len(values), ranks)
+    below, above = _order_statistics(values, None, neighbors)
+    return interpolate(below, above, share)
+
+
+def neighboring_ranks(count: int, ranks: Sequence[float]) -> tuple[IntArray, FloatArray]:
+    """Return the two order statistics (2, R) between which each percentile lies, and its share (R,) of the way.
+
+    Args:
+        count: number of values, at least 1; their order statistics are numbered from 0.
+        ranks: (R,) ranks from 0 to 100.
+    """
+    position = (count - 1) * (np.asarray(ranks, dtype=np.float64) / 100)
     lower = np.floor(position).astype(np.int64)
-    share = position - lower
-    below, above = _order_statistics(values, None, np.array([lower, np.minimum(lower + 1, len(values) - 1)]))
+    return np.array([lower, np.minimum(lower + 1, count - 1)]), position - lower
+
+
+def interpolate(below: FloatArray, above: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the percentiles (R,) between order statistics (R,), with numpy's rounding; see `neighboring_ranks`."""
     with np.errstate(invalid="ignore"):  # between infinite values
         step = above - below
         found: FloatArray = np.where(share >= 0.5, above - step * (1 - share), below + step * share)

@@ -6,37 +6,32 @@ To add a format, write a module with its reader next to the others and add a lin
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import TypeGuard
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
-from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
-from pcbench.io.colmap import model_file
-from pcbench.io.files import Warn, as_path, check_output, finite_cloud, read_named
-from pcbench.io.formats import CLOUDS, CloudFormat
+from pcbench.io.files import as_path, check_output, count_null_points, errors_named, finite_cloud, null_points_warning
+from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
+from pcbench.io.reading import cloud_file, has_filters, read_fields
 
 __all__ = [
     "FILTERABLE_EXTENSIONS",
     "CloudLike",
     "check_cloud_output",
+    "has_filters",
     "is_path",
     "read_cloud",
     "to_cloud",
     "write_cloud",
 ]
 
-_MIN_NULL_POINTS, _MIN_NULL_SHARE = 100, 0.001  # of points at the origin, for a warning
-
 CloudLike = Cloud | ArrayLike | os.PathLike[str]  # accepted by `to_cloud`; `ArrayLike` includes str, so paths too
-FILTERABLE_EXTENSIONS = tuple(
-    extension for extension, form in CLOUDS.items() if form.filtered
-)  # formats with classes and returns
 
 
 def read_cloud(
@@ -48,46 +43,45 @@ def read_cloud(
     min_opacity: float | None = None,
     max_axis: float | None = None,
 ) -> Cloud:
-    """Read a point cloud from a file and drop points with NaN or Inf coordinates.
+    """Read a point cloud from one or many files and drop points with NaN or Inf coordinates.
+
+    Many files are read one after the other, in the natural order of their names (tile_2 before tile_10). Normals,
+    colours and attributes are kept if all files have them.
 
     Args:
-        path: file with a known extension (upper or lower case), or folder with a COLMAP model.
+        path: file with a known extension (upper or lower case), folder of such files, pattern such as `tiles/*.laz`,
+            `.vpc` index, folder or ept.json of Entwine Point Tiles, or folder with a COLMAP model.
         on_warning: callback, called with one line per warning ("a.ply: dropped 12 of 1000 points with NaN or Inf
             coordinates"). Defaults to `warnings.warn`.
-        classes: class numbers to keep, such as (2, 6). LAS, LAZ and COPC only.
-        returns: returns to keep: "first", "last", or return numbers. LAS, LAZ and COPC only.
+        classes: class numbers to keep, such as (2, 6). LAS, LAZ, COPC and EPT only.
+        returns: returns to keep: "first", "last", or return numbers. LAS, LAZ, COPC and EPT only.
         min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. PLY files of splats only; stored logits of
             opacity and logarithms of the axes are converted.
         max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
 
     Raises:
-        InputError: the file cannot be read, does not match its extension, or no point passes the filters. The message
-            starts with the path.
+        InputError: a file cannot be read or does not match its extension, files have different coordinate reference
+            systems or units, or no point passes the filters. The message names the file.
         MissingExtra: an optional library is needed for this file.
     """
+    path = cloud_file(as_path(path))
+    lines: list[str] = []
 
-    def read(path: Path, warn: Warn) -> Cloud:
-        form = _format(path)
-        filters = {"classes": classes, "returns": returns} if classes is not None or returns is not None else {}
-        if filters and not form.filtered:
-            raise InputError(
-                f"expected {', '.join(FILTERABLE_EXTENSIONS)} to filter by classes or returns, got another format"
-            )
-        cloud = finite_cloud(form.read(path, warn, **filters), warn)
-        _warn_of_null_points(cloud.points, warn)
-        return filter_splats(cloud, min_opacity, max_axis)
+    def warn(line: str) -> None:
+        lines.append(f"{path}: {line}")
 
-    return read_named(model_file(as_path(path)), read, on_warning)
-
-
-def _warn_of_null_points(points: FloatArray, warn: Warn) -> None:
-    x, y, z = points.T
-    count = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-    if count >= max(_MIN_NULL_POINTS, _MIN_NULL_SHARE * len(points)):
-        warn(
-            f"{count:,} of {len(points):,} points are exactly (0, 0, 0), as some scanners write missing returns: remove"
-            " them, or they count as points"
-        )
+    fields = read_fields(path, lines.append, classes, returns)
+    with errors_named(path):
+        cloud = finite_cloud(fields, warn)
+        if line := null_points_warning(count_null_points(cloud.points), len(cloud)):
+            warn(line)
+        cloud = filter_splats(cloud, min_opacity, max_axis)
+    for line in lines:
+        if on_warning is None:
+            warnings.warn(line, stacklevel=2)
+        else:
+            on_warning(line)
+    return cloud
 
 
 def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
@@ -140,18 +134,9 @@ def _writer(path: Path) -> Callable[[Path, Cloud], None]:
     try:
         writable = {extension: form for extension, form in CLOUDS.items() if form.write}
         is_known = path.name in CLOUDS or path.suffix.lower() in CLOUDS
-        write = _format(path, CLOUDS if is_known else writable).write
+        write = format_of(path, CLOUDS if is_known else writable).write
         if write is None:
             raise InputError(f"{path.suffix} files can only be read: write one of {', '.join(writable)}")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return write
-
-
-def _format(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudFormat:
-    form = formats.get(path.name) or formats.get(path.suffix.lower())
-    if form is None:
-        known = ", ".join(extension for extension in formats if extension.startswith("."))
-        got = path.suffix.lower() or "none"
-        raise InputError(f"expected a file with extension {known}; got {got}: rename or convert the file")
-    return form

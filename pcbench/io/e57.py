@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +36,45 @@ def read_e57(path: Path, warn: Warn) -> Fields:
         MissingExtra: pye57 is not installed or does not load.
         OSError: the file cannot be read.
     """
+    with _worker_output(path, "all") as (folder, described):
+        return _fields(folder, list(enumerate(described["scans"])), described["crs"], warn)
+
+
+class E57Scan(NamedTuple):
+    """Number of points of a scan, including points that the file marks as invalid, and whether they have normals."""
+
+    points: int
+    has_normals: bool
+
+
+class E57Header(NamedTuple):
+    """All scans of a file, and its coordinate reference system."""
+
+    scans: tuple[E57Scan, ...]
+    crs: str | None
+
+
+def read_e57_header(path: Path) -> E57Header:
+    """Describe the scans of a file without reading points; raises the same errors as `read_e57`."""
+    with _worker_output(path, "headers") as (_, described):
+        scans = (E57Scan(scan["points"], set(_NORMALS) <= set(scan["fields"])) for scan in described["scans"])
+        return E57Header(tuple(scans), described["crs"].strip() or None)
+
+
+def read_e57_scan(path: Path, number: int, warn: Warn) -> Fields:
+    """Read one scan as `read_e57` does; it may have no valid points. Raises the same errors."""
+    with _worker_output(path, str(number)) as (folder, described):
+        return _fields(folder, [(number, described["scans"][0])], described["crs"], warn, allow_empty=True)
+
+
+def no_points_error(scans: int) -> InputError:
+    """Return the error of a file whose scans have no valid points."""
+    return InputError(f"expected at least one valid point, got none (scans: {scans}): export it again")
+
+
+@contextmanager
+def _worker_output(path: Path, wanted: str) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Run the worker, and provide its folder and the content of `scans.json`."""
     require("pye57")
     with path.open("rb") as file:
         if file.read(8) != b"ASTM-E57":
@@ -42,7 +84,7 @@ def read_e57(path: Path, warn: Warn) -> Fields:
     with scratch_folder() as folder:
         limits = Limits(seconds=30 + path.stat().st_size / _MIN_SPEED, memory=_MAX_MEMORY)
         done = run_script(
-            _WORKER, str(path.resolve()), str(folder), limits=limits, environment={"OPENBLAS_NUM_THREADS": "1"}
+            _WORKER, str(path.resolve()), str(folder), wanted, limits=limits, environment={"OPENBLAS_NUM_THREADS": "1"}
         )
         if done.code == 3:
             raise MissingExtra("pye57", "e57", "it is installed but does not load")
@@ -53,23 +95,24 @@ def read_e57(path: Path, warn: Warn) -> Fields:
         if done.code:
             reason = "".join(c if c.isprintable() else " " for c in done.last_error_line)[:200]
             raise InputError(f"damaged E57 data: {reason or 'the reader crashed'}: export the file again")
-        return _fields(folder, warn)
+        yield folder, read_json(folder / "scans.json")
 
 
-def _fields(folder: Path, warn: Warn) -> Fields:
-    """Concatenate the scans that the worker wrote."""
-    described = read_json(folder / "scans.json")
-    scans = [(k, scan) for k, scan in enumerate(described["scans"]) if scan["points"]]
-    if dropped := sum(scan["dropped"] for scan in described["scans"]):
+def _fields(
+    folder: Path, described: list[tuple[int, dict[str, Any]]], crs: str, warn: Warn, allow_empty: bool = False
+) -> Fields:
+    """Concatenate the scans that the worker wrote, given with their index."""
+    scans = [(k, scan) for k, scan in described if scan["points"]]
+    if dropped := sum(scan["dropped"] for _, scan in described):
         warn(
             f"dropped {dropped} of {dropped + sum(s['points'] for _, s in scans)} points that the file marks as invalid"
         )
+    if not scans and allow_empty:
+        return Fields(points=np.empty((0, 3)))
     if not scans:
-        raise InputError(
-            f"expected at least one valid point, got none (scans: {len(described['scans'])}): export it again"
-        )
-    if empty := len(described["scans"]) - len(scans):
-        warn(f"{empty} of {len(described['scans'])} scans have no valid point with coordinates")
+        raise no_points_error(len(described))
+    if empty := len(described) - len(scans):
+        warn(f"{empty} of {len(described)} scans have no valid point with coordinates")
     everywhere = [name for name in scans[0][1]["fields"] if all(name in scan["fields"] for _, scan in scans)]
     if partial := sorted({name for _, scan in scans for name in scan["fields"]} - set(everywhere)):
         warn(f"left out fields that only some of {len(scans)} scans have: {', '.join(partial)}")
@@ -91,6 +134,6 @@ def _fields(folder: Path, warn: Warn) -> Fields:
         normals=normals,
         colors=None if colors is None else colors.astype(np.uint8),
         attributes=attributes,
-        crs=str(described["crs"]).strip() or None,
+        crs=crs.strip() or None,
         unit="m",
     )

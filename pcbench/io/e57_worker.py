@@ -1,4 +1,7 @@
-"""Read an E57 file with pye57 in a child process: `e57_worker.py FILE FOLDER`.
+"""Read an E57 file with pye57 in a child process: `e57_worker.py FILE FOLDER [SCAN]`.
+
+SCAN is the index of the scan to read, or `headers` to describe all scans without reading points; by default all are
+read.
 
 libE57Format, which pye57 wraps, may crash or hang on damaged files. The parent limits the time and memory of this
 process, and reports the file. The script does not import pcbench. It writes to the folder `scans.json` (points, dropped
@@ -20,8 +23,8 @@ _NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState")
 
 
-def main(source: str, folder: str) -> None:
-    """Write the scans of an E57 file to a folder."""
+def main(source: str, folder: str, wanted: str = "all") -> None:
+    """Write all scans of an E57 file, one scan, or only their descriptions to a folder."""
     try:
         from pye57 import libe57
     except (ImportError, OSError):
@@ -32,10 +35,25 @@ def main(source: str, folder: str) -> None:
     scans = root["data3D"] if root.isDefined("data3D") else []
     described = []
     for number in range(len(scans)):
-        described.append(_read(file, libe57, scans[number], os.path.join(folder, str(number))))  # noqa: PTH118
+        if wanted == "headers":
+            described.append(_describe(libe57, scans[number]))
+        elif wanted in ("all", str(number)):
+            described.append(_read(file, libe57, scans[number], os.path.join(folder, str(number))))  # noqa: PTH118
     crs = root["coordinateMetadata"].value() if root.isDefined("coordinateMetadata") else ""
     with open(os.path.join(folder, "scans.json"), "w", encoding="utf-8") as out:  # noqa: PTH118, PTH123
         json.dump({"crs": crs, "scans": described}, out)
+
+
+def _describe(libe57: Any, scan: Any) -> dict[str, Any]:
+    """Return the point count of a scan, including points that are marked as invalid, and its fields."""
+    points = scan["points"]
+    names = _names(libe57.StructureNode(points.prototype()))
+    has_points = any(set(axes) <= set(names) for axes in (_CARTESIAN, _SPHERICAL))
+    return {"points": points.childCount() if has_points else 0, "fields": [name.replace(":", "_") for name in names]}
+
+
+def _names(prototype: Any) -> list[str]:
+    return [prototype.get(k).elementName() for k in range(prototype.childCount())]
 
 
 def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
@@ -44,7 +62,7 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
 
     points = scan["points"]
     prototype = libe57.StructureNode(points.prototype())
-    names = [prototype.get(k).elementName() for k in range(prototype.childCount())]
+    names = _names(prototype)
     axes = next((axes for axes in (_CARTESIAN, _SPHERICAL) if set(axes) <= set(names)), None)
     if axes is None:
         return {"points": 0, "dropped": 0, "fields": []}

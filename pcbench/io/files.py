@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud
+from pcbench.io.paths import EPT, find_tiles, is_pattern, is_tiled
 from pcbench.regular_files import open_regular, read_bytes, regular_status
 from pcbench.scratch import scratch_file
 from pcbench.systems import rename_open
@@ -25,6 +26,7 @@ Warn = Callable[[str], None]
 T = TypeVar("T")
 
 _MAX_JSON_BYTES = 1 << 30  # for results and cameras
+_MIN_NULL_POINTS, _MIN_NULL_SHARE = 100, 0.001  # of points at the origin, for a warning
 _FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name a file
 
 
@@ -81,21 +83,32 @@ def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | N
         MissingExtra: the reader needs a library that is not installed.
     """
     notes: list[str] = []
-    try:
+    with errors_named(path):
         check_readable(path)
         result = read(path, notes.append)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except MemoryError as error:
-        raise InputError(f"{path}: does not fit into memory: crop or downsample the file") from error
     for note in notes:
         if on_warning is None:
             warnings.warn(f"{path}: {note}", stacklevel=3)
         else:
             on_warning(f"{path}: {note}")
     return result
+
+
+@contextmanager
+def errors_named(name: object) -> Iterator[None]:
+    """Prefix the messages of errors that the block raises with the name of a file.
+
+    Raises:
+        InputError: the block raised InputError, OSError or MemoryError.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {reason_of(error)}") from error
+    except MemoryError as error:
+        raise InputError(f"{name}: does not fit into memory: crop or downsample the file") from error
 
 
 def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
@@ -110,8 +123,29 @@ def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
     count = len(fields["points"])
     cloud, dropped = Cloud.from_finite(**fields)
     if dropped:
-        warn(f"dropped {dropped} of {count} points with NaN or Inf coordinates")
+        warn(dropped_warning(dropped, count))
     return cloud
+
+
+def dropped_warning(dropped: int, count: int) -> str:
+    """Return the warning that points of a cloud were dropped because they are not finite."""
+    return f"dropped {dropped} of {count} points with NaN or Inf coordinates"
+
+
+def count_null_points(points: NDArray[np.float64]) -> int:
+    """Return how many points are exactly (0, 0, 0)."""
+    x, y, z = points.T
+    return int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
+
+
+def null_points_warning(null: int, count: int) -> str | None:
+    """Return a warning if many of `count` points, `null` of them, are exactly (0, 0, 0)."""
+    if null < max(_MIN_NULL_POINTS, _MIN_NULL_SHARE * count):
+        return None
+    return (
+        f"{null:,} of {count:,} points are exactly (0, 0, 0), as some scanners write missing returns: remove them, or"
+        " they count as points"
+    )
 
 
 def as_path(value: object) -> Path:
@@ -150,22 +184,51 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal; for a folder, the hash of the names and contents of its files.
+    """Return the SHA-256 of a file in hexadecimal; for several files, that of their names and contents.
+
+    Args:
+        path: a file, a folder, a pattern, a `.vpc` index with its tiles, or the ept.json of Entwine Point Tiles.
 
     Raises:
-        InputError: the path is a pipe or a device. The message starts with the path.
-        OSError: the file is missing or cannot be read.
+        InputError: the path is a pipe or a device, or an index is damaged. The message starts with the path.
+        OSError: a file is missing or cannot be read.
     """
-    if not path.is_dir():
-        try:
-            with open_regular(path) as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-    folder_hash = hashlib.sha256()
-    for inner in sorted(p for p in path.iterdir() if p.is_file()):
-        folder_hash.update(inner.name.encode() + b"\0" + bytes.fromhex(digest(inner)))
-    return folder_hash.hexdigest()
+    if path.name == EPT or (path / EPT).is_file():
+        folder = path.parent if path.name == EPT else path
+        return digest_files([file for file in folder.rglob("*") if file.is_file()])
+    if path.is_dir():
+        return digest_files([file for file in path.iterdir() if file.is_file()])
+    return digest_files(input_files(path)) if is_tiled(path) else _digest_file(path)
+
+
+def input_files(path: Path) -> list[Path]:
+    """Return the files of a pattern or a `.vpc` index, including the index; a folder is returned itself.
+
+    Raises:
+        InputError: the index is damaged, or no file matches. The message starts with the path.
+    """
+    if path.is_dir():
+        return [path]
+    try:
+        return [*([] if is_pattern(path) else [path]), *find_tiles(path, ()).paths]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def digest_files(paths: Sequence[Path]) -> str:
+    """Return the SHA-256 of the names and contents of files, sorted by path; raises the same errors as `digest`."""
+    combined = hashlib.sha256()
+    for path in sorted(paths):
+        combined.update(path.name.encode() + b"\0" + bytes.fromhex(_digest_file(path)))
+    return combined.hexdigest()
+
+
+def _digest_file(path: Path) -> str:
+    try:
+        with open_regular(path) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def file_in_setting(setting: object) -> Path | None:
@@ -193,7 +256,7 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
         InputError: the folder does not exist, or an input or another result would be replaced.
     """
     target = path.resolve()
-    for input_path in inputs:
+    for input_path in (file for named in inputs for file in (input_files(named) if is_tiled(named) else [named])):
         if target == input_path.resolve() or (path.exists() and target.is_relative_to(input_path.resolve())):
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):

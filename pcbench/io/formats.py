@@ -8,14 +8,16 @@ the file exists: `read_cloud` and `read_mesh` handle these for all formats.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.colmap import read_colmap
 from pcbench.io.e57 import read_e57
+from pcbench.io.ept import read_ept
 from pcbench.io.files import Fields, Warn
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.las import read_las, write_las
@@ -31,7 +33,7 @@ from pcbench.io.text import read_text, write_text
 class CloudFormat(NamedTuple):
     """Reader of a cloud format, and its writer if the format can be written."""
 
-    read: Callable[..., Fields]  # (path, warn); if `filtered`, also the keywords `classes` and `returns`
+    read: Callable[..., Fields]  # (path, warn); if `filtered`, also `classes`, `returns`, `allow_empty`
     write: Callable[[Path, Cloud], None] | None = None
     filtered: bool = False
 
@@ -49,9 +51,12 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".pts": CloudFormat(read_text),
     ".txt": CloudFormat(read_text, write_text),
     ".xyz": CloudFormat(read_text, write_text),
+    "ept.json": CloudFormat(read_ept, filtered=True),
     "points3D.bin": CloudFormat(read_colmap),
     "points3D.txt": CloudFormat(read_colmap),
 }
+
+FILTERABLE_EXTENSIONS = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # classes and returns
 
 MESHES: dict[str, Callable[[Path, Warn], Mesh]] = {
     ".stl": read_stl,
@@ -61,3 +66,17 @@ MESHES: dict[str, Callable[[Path, Warn], Mesh]] = {
     ".gltf": read_gltf,
     ".off": read_off,
 }
+
+
+def format_of(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudFormat:
+    """Return the format of a file by its name.
+
+    Raises:
+        InputError: the extension is unknown. The message does not name the path.
+    """
+    form = formats.get(path.name) or formats.get(path.suffix.lower())
+    if form is None:
+        known = ", ".join(extension for extension in formats if extension.startswith("."))
+        got = path.suffix.lower() or "none"
+        raise InputError(f"expected a file with extension {known}; got {got}: rename or convert the file")
+    return form

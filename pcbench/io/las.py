@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import laz
 from pcbench.io.files import Fields, Warn, atomic_write
-from pcbench.io.las_checks import check_points
+from pcbench.io.las_checks import count_records, warn_of_rest
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
 from pcbench.io.las_header import (
     EXTRA_LAYOUT,
@@ -31,9 +31,20 @@ from pcbench.io.las_header import (
     read_extras,
     read_header,
 )
+from pcbench.io.las_records import (
+    AXES,
+    NORMALS,
+    LasFilters,
+    classes_of,
+    coordinates,
+    extra_columns,
+    no_match_error,
+    parse_filters,
+    read_compressed_records,
+    read_records,
+    returns_of,
+)
 
-_AXES = ("X", "Y", "Z")
-_NORMALS = (("NormalX", "NormalY", "NormalZ"), ("nx", "ny", "nz"))
 _COLORS = ("red", "green", "blue")
 # Standard dimensions that become attributes, with the types in which they are written.
 _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
@@ -56,6 +67,7 @@ def read_las(
     warn: Warn,
     classes: Collection[int] | None = None,
     returns: str | Collection[int] | None = None,
+    allow_empty: bool = False,
 ) -> Fields:
     """Read the points of a LAS, LAZ or COPC file (all levels), optionally only some classes or returns.
 
@@ -70,171 +82,86 @@ def read_las(
         warn: callback for warnings.
         classes: class numbers to keep, such as (2, 6) for ground and buildings.
         returns: returns to keep: "first", "last", or return numbers, such as (1, 2) or "1,2".
+        allow_empty: whether the file may have no points, or none with these classes and returns.
 
     Raises:
         InputError: the file is damaged, or no point has these classes and returns.
         MissingExtra: the file is compressed, and lazrs is not installed.
         OSError: the file cannot be read.
     """
+    filters = parse_filters(classes, returns)
     with path.open("rb") as file:
-        header = read_header(file, warn)
+        header = read_header(file, warn, allow_empty)
         extras = read_extras(header, warn)
-        if header.compressed:
-            data = laz.decompress(file, header, warn)
-        else:
-            complete = (header.end - header.start) // header.record_bytes
-            if complete < header.count:
-                raise InputError(f"truncated: got {complete} of {header.count} points: copy or export the file again")
-            if complete > header.count:
-                warn(f"the header states {header.count} points, the file has space for {complete}: left out the rest")
-            data = np.empty(header.count * header.record_bytes, dtype=np.uint8)
-            file.seek(header.start)
-            file.readinto(data.data)
-    records = data.view(_record_type(header, extras))
-    check_points(records, *_returns(records, header), header, warn)
-    withheld = records["flags"] & 4 if header.is_extended else records["class_flags"] & 128
-    if count := int(np.count_nonzero(withheld)):
-        warn(f"kept {count} of {header.count} points that are marked as withheld")
-    if classes is not None or returns is not None:
-        records = _filter_records(records, header, classes, returns)
-    return _fields(records, header, extras, warn)
+        records = read_all_records(file, header, extras, warn)
+    return las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
 
 
-def _record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any]:
-    """Return the type of a point record. Extra dimensions are named by index, since their own names may be anything."""
-    standard = np.dtype(POINT_FORMATS[header.point_format])
-    fields = {name: (dtype, byte_offset) for name, (dtype, byte_offset, *_) in (standard.fields or {}).items()}
-    byte_offset = standard.itemsize
-    for index, extra in enumerate(extras):
-        fields[f"extra {index}"] = (np.dtype((extra.dtype, (extra.size,))), byte_offset)
-        byte_offset += extra.size * extra.dtype.itemsize
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [dtype for dtype, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
-            "itemsize": header.record_bytes,
-        }
-    )
+def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
+    """Read all point records of a LAS, LAZ or COPC file, and compare them with the header.
+
+    Raises:
+        InputError: the points are damaged or incomplete.
+        MissingExtra: the file is compressed, and lazrs is not installed.
+    """
+    if header.compressed:
+        records = read_compressed_records(file, header, extras, warn)
+    else:
+        records = read_records(file, header, extras)
+        warn_of_rest(header, warn)
+    for line in count_records(records, header).warnings(header):
+        warn(line)
+    return records
 
 
-def _classes(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
-    return records["classification"] if header.is_extended else records["class_flags"] & 31
+def filter_records(records: NDArray[Any], header: LasHeader, filters: LasFilters, allow_empty: bool) -> NDArray[Any]:
+    """Return the records that pass the filters.
 
-
-def _returns(records: NDArray[Any], header: LasHeader) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the return number of each point and the number of returns of its pulse."""
-    if header.is_extended:
-        return records["returns"] & 15, records["returns"] >> 4
-    return records["returns"] & 7, records["returns"] >> 3 & 7
-
-
-def _filter_records(
-    records: NDArray[Any], header: LasHeader, classes: Collection[int] | None, returns: str | Collection[int] | None
-) -> NDArray[Any]:
-    present, (return_number, return_count) = _classes(records, header), _returns(records, header)
-    keep = np.ones(len(records), dtype=np.bool_)
-    if classes is not None:
-        keep &= np.isin(present, _parse_numbers("classes as", classes))
-    if returns == "first":
-        keep &= return_number == 1
-    elif returns == "last":
-        keep &= return_number == return_count
-    elif returns is not None:
-        keep &= np.isin(return_number, _parse_numbers("returns as 'first', 'last' or", returns))
-    if not keep.any():
-        filters = [
-            f"{name} {_listed(value)}"
-            for name, value in (("classes", classes), ("returns", returns))
-            if value is not None
-        ]
-        raise InputError(
-            f"expected points with {' and '.join(filters)}, got none: the file has {_format_counts('class', present)};"
-            f" {_format_counts('return', return_number)}"
-        )
+    Raises:
+        InputError: there are none, unless this is allowed.
+    """
+    if filters == LasFilters():
+        return records
+    classes, returns = classes_of(records, header), returns_of(records, header)
+    keep = filters.keep(classes, *returns)
+    if not allow_empty and not keep.any():
+        raise no_match_error(filters, classes, returns[0])
     return records[keep]
 
 
-def _listed(wanted: str | Collection[int]) -> str:
-    """Return the wanted numbers as text, as on the command line."""
-    if isinstance(wanted, str) or not isinstance(wanted, Collection):
-        return repr(wanted)
-    return ",".join(map(str, wanted)) or "none"
-
-
-def _parse_numbers(what: str, wanted: str | Collection[int]) -> list[int]:
-    try:
-        numbers = [int(number) for number in (wanted.split(",") if isinstance(wanted, str) else wanted)]
-    except (TypeError, ValueError):
-        numbers = []
-    if not numbers or not all(0 <= number <= 255 for number in numbers):
-        raise InputError(f"expected {what} numbers from 0 to 255, such as 2,6; got {_listed(wanted)[:40]}")
-    return numbers
-
-
-def _format_counts(what: str, values: NDArray[Any]) -> str:
-    counts = np.bincount(values)
-    return ", ".join(f"{what} {value} ({counts[value]} points)" for value in np.flatnonzero(counts))
-
-
-def _fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
+def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
+    """Return the fields of a cloud from its point records."""
     attributes: dict[str, NDArray[Any]] = {"intensity": records["intensity"].copy()}
-    attributes["classification"] = _classes(records, header).copy()
-    attributes["return_number"], attributes["number_of_returns"] = _returns(records, header)
+    attributes["classification"] = classes_of(records, header).copy()
+    attributes["return_number"], attributes["number_of_returns"] = returns_of(records, header)
     names = records.dtype.names or ()
     if "gps_time" in names:
         attributes["gps_time"] = records["gps_time"].copy()
     attributes["point_source_id"] = records["point_source_id"].copy()
 
-    with np.errstate(over="ignore", invalid="ignore"):  # from damaged scales; such points are dropped later
-        points = np.empty((len(records), 3))
-        for column, axis, scale, offset in zip(points.T, _AXES, header.scales, header.offsets, strict=True):
-            np.multiply(records[axis], scale, out=column)
-            column += offset
-        for extra, values in zip(extras, (records[f"extra {k}"] for k in range(len(extras))), strict=True):
-            for name, column in _extra_columns(extra, values):
-                if name in attributes or not name.isprintable():
-                    warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
-                else:
-                    attributes[name] = column
+    for name, column in extra_columns(records, extras):
+        if name in attributes or not name.isprintable():
+            warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
+        else:
+            attributes[name] = column
     normals = None
-    for triple in _NORMALS:
+    for triple in NORMALS:
         if normals is None and attributes.keys() >= set(triple):
             normals = np.stack([attributes.pop(name) for name in triple], axis=1)
     crs, unit = read_crs(header.records, warn)
     return Fields(
-        points=points,
+        points=coordinates(records, header),
         normals=normals,
-        colors=_colors(records) if "red" in names else None,
+        colors=to_8_bits(np.stack([records[name] for name in _COLORS], axis=1)) if "red" in names else None,
         attributes=attributes,
         crs=crs,
         unit=unit,
     )
 
 
-def _extra_columns(extra: ExtraDimension, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
-    """Split the values (N, size) of an extra dimension into named columns: "name", or "name[0]", "name[1]"."""
-    columns = []
-    for k in range(extra.size if extra.name else 0):
-        raw = values[:, k]
-        column = raw.astype(raw.dtype.newbyteorder("="))
-        if (extra.scales[k], extra.offsets[k]) != (1.0, 0.0):
-            column = column * extra.scales[k] + extra.offsets[k]
-        if extra.no_data is not None:
-            wide = {"f": "<f8", "i": "<i8", "u": "<u8"}[raw.dtype.kind]
-            missing = raw == np.frombuffer(extra.no_data, dtype=wide)[k].astype(raw.dtype)
-            if missing.any():
-                column = np.where(missing, np.nan, column)
-        columns.append((extra.name if extra.size == 1 else f"{extra.name}[{k}]", column))
-    return columns
-
-
-def _colors(records: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return 8-bit colours: the upper byte of each, unless the file stores 8-bit values."""
-    colors = np.stack([records[name] for name in _COLORS], axis=1)
-    if colors.max() > 255:
-        colors >>= 8
-    return colors.astype(np.uint8)
+def to_8_bits(colors: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Return 8-bit colours (N, 3): the upper byte of each, unless all are 8-bit values."""
+    return (colors >> 8 if colors.max(initial=0) > 255 else colors).astype(np.uint8)
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
@@ -275,7 +202,7 @@ def _write(path: Path, cloud: Cloud) -> None:
         POINT_FORMATS[point_format] + [(f"extra {k}", a.dtype.str) for k, a in enumerate(extras.values())]
     )
     records = np.zeros(len(cloud), dtype=layout)
-    for axis, column in zip(_AXES, integers.T, strict=True):
+    for axis, column in zip(AXES, integers.T, strict=True):
         records[axis] = column
     for name in ("intensity", "classification", "gps_time", "point_source_id"):
         if name in standard:
@@ -340,7 +267,7 @@ def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str,
     standard: dict[str, NDArray[Any]] = {}
     extras: dict[str, NDArray[Any]] = {}
     if cloud.normals is not None:
-        extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(_NORMALS[0])}
+        extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(NORMALS[0])}
     for name, values in cloud.attributes.items():
         if values.dtype.kind not in "biuf":
             raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")

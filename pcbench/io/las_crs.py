@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import Any
 
 from pcbench.errors import InputError, MissingExtra
@@ -32,18 +33,30 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
     if crs is None:
         return None, unit
     try:
-        pyproj = require("pyproj")
+        require("pyproj")
     except MissingExtra:
         return crs, unit
+    identified, crs_unit, lines = _identify(crs)
+    for line in lines:
+        warn(line)
+    return identified, crs_unit or unit
+
+
+@lru_cache(maxsize=64)  # pyproj takes milliseconds, and the tiles of a cloud have the same system
+def _identify(text: str) -> tuple[str | None, str | None, tuple[str, ...]]:
+    """Return the system of a text as in `read_crs`, its unit, and warnings."""
+    import pyproj
+
+    lines: list[str] = []
     try:
-        parsed = pyproj.CRS.from_user_input(crs)
+        parsed = pyproj.CRS.from_user_input(text)
         authority = parsed.to_authority(min_confidence=100)
-        return ":".join(authority) if authority else crs, _unit(parsed, warn) or unit
+        return ":".join(authority) if authority else text, _unit(parsed, lines.append), tuple(lines)
     except (pyproj.exceptions.ProjError, ValueError) as error:
         reason = " ".join(str(error).split())
         reason = "".join(char if char.isprintable() else "?" for char in reason)
-        warn(f"could not interpret the coordinate reference system: {reason[:120]}")
-        return None, unit
+        lines.append(f"could not interpret the coordinate reference system: {reason[:120]}")
+        return None, None, tuple(lines)
 
 
 def _unit(crs: Any, warn: Warn) -> str | None:

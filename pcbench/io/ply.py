@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,13 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
-from pcbench.io.ply_body import Columns, read_elements
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, PlyHeader, check_faces, check_vertices, read_header
+from pcbench.io.ply_body import Columns, check_end, read_elements
+from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, check_faces, check_vertices, read_header
 from pcbench.io.polygons import triangulate_fans
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
+_MAX_END_BYTES = 1 << 16  # after the vertices; more cannot be the line break that some programs write
+_NORMAL_BLOCK = 1 << 16  # vertices
 _NORMALS = ("nx", "ny", "nz")
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 
@@ -44,16 +47,102 @@ def read_ply(path: Path, warn: Warn) -> Fields:
         header = read_header(file)
         check_vertices(header)
         columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
-        points = _points(columns, header)
-        normals = _pop_stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
-        colors = None
-        for names in _COLORS:
-            if columns.keys() >= set(names) and all(columns[name].dtype == np.uint8 for name in names):
-                colors = _pop_stacked(columns, names, np.uint8)
+        return _fields(columns, header)
+
+
+@dataclass(frozen=True)
+class PlyRows:
+    """Vertices of a binary file that are rows of one size.
+
+    Attributes:
+        header: header of the file.
+        start: first byte of the vertices.
+        dtype: type of a row, named as the properties.
+    """
+
+    header: PlyHeader
+    start: int
+    dtype: np.dtype[Any]
+
+    @property
+    def count(self) -> int:
+        """Number of vertices."""
+        return (self.header.element("vertex") or Element("vertex", 0)).count
+
+
+def find_rows(path: Path) -> PlyRows | None:
+    """Return the vertices of a file from its header, or None if they are text or are not rows of one size.
+
+    Raises:
+        InputError: the header is damaged, or the file is truncated.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        header = read_header(file)
+        check_vertices(header)
+        start = file.tell()
+        if header.byte_order is None:
+            return None
+        for element in header.elements:
+            if element.lists:
+                return None
+            dtype = np.dtype([(prop.name, prop.dtype) for prop in element.properties])
+            if element.name == "vertex":
                 break
+            start += element.count * dtype.itemsize
+        left = file.seek(0, 2) - start
+        if left < element.count * dtype.itemsize:
+            raise element.truncation_error(max(left, 0) // dtype.itemsize)
+        if element is not header.elements[-1]:
+            return None  # other elements are checked by reading all of them
+        file.seek(start + element.count * dtype.itemsize)
+        check_end(file.read(_MAX_END_BYTES), left - element.count * dtype.itemsize)
+    return PlyRows(header, start, dtype)
+
+
+def read_rows(path: Path, rows: PlyRows, first: int, count: int) -> Fields:
+    """Read some of the vertices of a file as `read_ply` does, but keep normals that are all zero.
+
+    Raises:
+        InputError: the file has become shorter.
+        OSError: the file cannot be read.
+    """
+    table = np.fromfile(path, rows.dtype, count, offset=rows.start + first * rows.dtype.itemsize)
+    if len(table) < count:
+        raise InputError(f"truncated: got {first + len(table)} of {rows.count} vertices: copy or export the file again")
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _fields({name: table[name] for name in rows.dtype.names or ()}, rows.header, keep_zero_normals=True)
+
+
+def has_normals(path: Path, rows: PlyRows) -> bool:
+    """Return whether the vertices have normals that are not all zero; usually the first rows show it.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    if not set(_NORMALS) <= set(rows.dtype.names or ()):
+        return False
+    blocks = range(0, rows.count, _NORMAL_BLOCK)
+    return any(
+        np.fromfile(
+            path, rows.dtype, min(_NORMAL_BLOCK, rows.count - first), offset=rows.start + first * rows.dtype.itemsize
+        )[name].any()
+        for first in blocks
+        for name in _NORMALS
+    )
+
+
+def _fields(columns: Columns, header: PlyHeader, keep_zero_normals: bool = False) -> Fields:
+    points = _points(columns, header)
+    normals = _pop_stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
+    colors = None
+    for names in _COLORS:
+        if columns.keys() >= set(names) and all(columns[name].dtype == np.uint8 for name in names):
+            colors = _pop_stacked(columns, names, np.uint8)
+            break
     return Fields(
         points=points,
-        normals=normals if normals is not None and normals.any() else None,
+        normals=normals if normals is not None and (keep_zero_normals or normals.any()) else None,
         colors=colors,
         attributes={name: c.astype(c.dtype.newbyteorder("="), copy=False) for name, c in columns.items()},
         crs=header.tag_value("crs"),

@@ -85,13 +85,22 @@ def _tables(body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Se
     start = 0
     for element in header.elements:
         tables[element.name], start = _table(body, start, element, selection[element.name])
-    if bytes(body[start:]).strip():  # some programs end binary files with a line break
-        left = len(body) - start
+    check_end(bytes(body[start:]), len(body) - start)
+    return tables
+
+
+def check_end(rest: bytes, size: int) -> None:
+    """Raise InputError if there is more after the last element than the line break that some programs write.
+
+    Args:
+        rest: the bytes after the last element, or the first of them.
+        size: number of bytes after the last element.
+    """
+    if rest.strip() or size > len(rest):
         raise InputError(
-            f"expected the end of the file after the last element, got {left} more byte{'s' * (left > 1)}: export it"
+            f"expected the end of the file after the last element, got {size} more byte{'s' * (size > 1)}: export it"
             " again"
         )
-    return tables
 
 
 def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Selection) -> tuple[Table, int]:

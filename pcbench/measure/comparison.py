@@ -5,33 +5,31 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcbench.deformation import Deformation, Side, residual_deformation
-from pcbench.errors import InputError, Notice, RegistrationError
+from pcbench.errors import InputError, Notice
 from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.geometry.crop import points_inside
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.neighbors import Index, Matches
-from pcbench.geometry.normals import Surface
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
-from pcbench.measure.directions import Direction, from_candidate, from_reference
+from pcbench.measure.directions import Direction
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.measure.pair import AlignedCandidate, align, assess_deformation, match_pair, measure_directions
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, CandidateComparisons, Difference
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
+from pcbench.measure.summaries import summarize
 from pcbench.progress import ProgressPlan
-from pcbench.registration import Registration, register
 from pcbench.systems import peak_memory
 
 
@@ -75,7 +73,7 @@ def compare(
 
     step("indexing the reference")
     shared: dict[str, float] = {}
-    with _record_time(shared, "reference"):
+    with record_time(shared, "reference"):
         prepared = Reference.prepare(given, settings)
     for name in _poisson_maps(settings):
         step("reconstructing the reference's surface")
@@ -86,7 +84,7 @@ def compare(
         results.append(replace(result, timings_s={**result.timings_s, **shared}))
         measured.append(measurement)
     return CandidateComparisons(
-        settings, prepared.summary(), tuple(results), tuple(_differences(prepared, results, measured))
+        settings, prepared.summary(), tuple(results), tuple(differences(prepared.cells, results, measured))
     )
 
 
@@ -105,59 +103,34 @@ def _poisson_maps(settings: Settings) -> list[str]:
     return [name for name in settings.maps if name.startswith("poisson")]
 
 
-@dataclass(frozen=True, eq=False)
-class _Aligned:
-    """A candidate aligned with the reference.
-
-    Attributes:
-        cloud: the candidate as it was read.
-        registration: its registration to the reference.
-        index: search index over the aligned points, minus the reference's origin.
-        inside: (N,) whether each point lies in the region.
-    """
-
-    cloud: Cloud
-    registration: Registration
-    index: Index
-    inside: NDArray[np.bool_]
-
-
-class _Matched(NamedTuple):
-    """Closest points of the queries in the region, in both directions, and those of both cropped clouds."""
-
-    forth: Matches
-    back: Matches
-    pair: presets.CroppedPair
-
-
 def _compare_one(
     reference: Reference, name: str, cloud: Cloud, settings: Settings, step: Callable[[str], None]
 ) -> tuple[Candidate, Measurement]:
     timings: dict[str, float] = {}
     step(f"{name}: registering")
-    with _record_time(timings, "registration"):
-        aligned = _align(reference, name, cloud, settings)
+    with record_time(timings, "registration"):
+        aligned = align(reference, name, cloud, settings)
     step(f"{name}: matching both ways")
-    with _record_time(timings, "matching"):
-        matched = _match(reference, aligned)
+    with record_time(timings, "matching"):
+        matched = match_pair(reference, aligned)
     step(f"{name}: measuring")
-    with _record_time(timings, "floors"):
-        forth, back = _directions(reference, aligned, matched, settings.seed)
-    with _record_time(timings, "metrics"):
-        thresholds = settings.thresholds or _default_thresholds(reference.spacing)
+    with record_time(timings, "floors"):
+        forth, back = measure_directions(reference, aligned, matched, settings.seed)
+    with record_time(timings, "metrics"):
+        thresholds = settings.thresholds or default_thresholds(reference.spacing)
         measurement = _measurement(reference, forth, back, thresholds)
-    with _record_time(timings, "maps"):
+    with record_time(timings, "maps"):
         deviation = _deviation_map(reference, aligned, forth, settings)
         completeness = DeviationMap(*reference.measured, {"distance": back.distances.to_points})
-    with _record_time(timings, "presets"):
+    with record_time(timings, "presets"):
         to_poisson = deviation.scalars.get("poisson_distance")
         pair = matched.pair
         if not measurement.metrics.d2_samples:
             pair = _with_normals(pair, reference)
         quoted = {key: presets.measure_preset(key, pair, thresholds, to_poisson) for key in settings.presets}
     step(f"{name}: testing for deformation")
-    with _record_time(timings, "deformation"):
-        deformation = _deformation(reference, aligned, settings.seed)
+    with record_time(timings, "deformation"):
+        deformation = assess_deformation(reference, aligned, settings.seed)
     return Candidate(
         name=name,
         points=len(cloud),
@@ -173,70 +146,35 @@ def _compare_one(
     ), measurement
 
 
-def _align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> _Aligned:
-    try:
-        registration = register(
-            reference.cloud, cloud, settings.register, initial=settings.initial, target=reference.target
-        )
-    except RegistrationError as error:
-        raise RegistrationError(f"{name}: {error}") from error
-    points = registration.T_local.apply(cloud.points - reference.origin)
-    inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
-    return _Aligned(cloud, registration, Index(points), inside)
-
-
-def _match(reference: Reference, aligned: _Aligned) -> _Matched:
-    """Match in both directions; the region selects the queries, but the complete clouds are searched."""
-    pair = _cropped_pair(reference, aligned.index, aligned.inside)
-    if reference.region is None:
-        return _Matched(pair.to_reference, pair.to_candidate, pair)
-    forth = reference.index.query(aligned.index.points[aligned.inside])
-    return _Matched(forth, aligned.index.query(reference.measured_points), pair)
-
-
-def _directions(reference: Reference, aligned: _Aligned, matched: _Matched, seed: int) -> tuple[Direction, Direction]:
-    """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
-    points = aligned.index.points
-    queries = points if reference.region is None else points[aligned.inside]
-    forth = from_candidate(reference, queries, matched.forth, seed=seed)
-    closest = np.full(len(aligned.cloud), -1)
-    closest[aligned.inside] = matched.forth.indices
-    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
-
-
-def _default_thresholds(spacing: float) -> tuple[float, ...]:
+def default_thresholds(spacing: float) -> tuple[float, ...]:
+    """Return the thresholds of the F-score for a reference of this spacing."""
     return tuple(factor * spacing for factor in (1.0, 2.0, 5.0) if spacing > 0)
 
 
 def _measurement(reference: Reference, forth: Direction, back: Direction, thresholds: tuple[float, ...]) -> Measurement:
-    return measure(
-        forth,
-        back,
-        thresholds,
+    summary = partial(
+        summarize,
+        thresholds=thresholds,
         cells=reference.cells,
         voxel=reference.voxel,
         corner=bounds(reference.measured_points)[0],
         origin=reference.origin,
     )
-
-
-def _deformation(reference: Reference, aligned: _Aligned, seed: int) -> Deformation:
-    """Assess deformation, with closest points found anew in the complete clouds."""
-    ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
-    return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)
+    return measure(summary(forth), summary(back), thresholds, cells=reference.cells)
 
 
 def _warnings(
     reference: Reference, cloud: Cloud, measurement: Measurement, deviation: DeviationMap
 ) -> Iterator[Notice]:
-    yield from _crs_warnings(reference.cloud, cloud)
+    yield from crs_warnings(reference.cloud.crs, cloud.crs)
     yield from measurement.warnings
     if deviation.m3c2 is not None:
         yield from m3c2_warnings(deviation.m3c2)
 
 
-def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, settings: Settings) -> DeviationMap:
+def _deviation_map(
+    reference: Reference, aligned: AlignedCandidate, forth: Direction, settings: Settings
+) -> DeviationMap:
     """Compute the deviation maps of one candidate at its points inside the region.
 
     The distances to points and planes were already measured and are reused. Sampled ones make no map.
@@ -257,15 +195,6 @@ def _deviation_map(reference: Reference, aligned: _Aligned, forth: Direction, se
     )
 
 
-def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
-    """Crop both clouds to the region and match them, without normals; without a region they are matched as they are."""
-    if reference.region is None:
-        return presets.match(reference.index, candidate, reference.nearest_other, None, None)
-    cut = Index(reference.measured_points)
-    nearest_other = cut.nearest_other() if len(cut) > 1 else None
-    return presets.match(cut, Index(candidate.points[inside]), nearest_other, None, None)
-
-
 def _with_normals(pair: presets.CroppedPair, reference: Reference) -> presets.CroppedPair:
     """Return a cropped pair with the reference's normals, computed and as given, if there are any."""
     rows, given = reference.rows, reference.cloud.normals
@@ -275,8 +204,8 @@ def _with_normals(pair: presets.CroppedPair, reference: Reference) -> presets.Cr
     return pair._replace(normals=normals, raw_normals=given)
 
 
-def _differences(
-    reference: Reference, results: Sequence[Candidate], measured: Sequence[Measurement]
+def differences(
+    cells: intervals.CorrelationCells, results: Sequence[Candidate], measured: Sequence[Measurement]
 ) -> Iterator[Difference]:
     """Yield the paired difference a - b of each score, cell by cell: errors common to both candidates cancel."""
     for (a, of_a), (b, of_b) in combinations(zip(results, measured, strict=True), 2):
@@ -285,23 +214,25 @@ def _differences(
             for name, one in of_a.sampled.items()
             if (other := of_b.sampled.get(name)) is not None
         }
-        spreads = intervals.spreads(apart, reference.cells, 0.5 * (of_a.shares + of_b.shares))
+        spreads = intervals.spreads(apart, cells, 0.5 * (of_a.shares + of_b.shares))
         for name, score in apart.items():
             found = intervals.difference(score.value, spreads[name])
             yield Difference(a.name, b.name, name, score.value, found)
 
 
-def _crs_warnings(reference: Cloud, candidate: Cloud) -> Iterator[Notice]:
-    if reference.crs and candidate.crs and not same_crs(reference.crs, candidate.crs):
+def crs_warnings(reference: str | None, candidate: str | None) -> Iterator[Notice]:
+    """Yield a warning if the coordinate systems of two clouds differ."""
+    if reference and candidate and not same_crs(reference, candidate):
         yield Notice(
             "other-crs",
-            f"the candidate's coordinate system ({crs_name(candidate.crs)}) is not the reference's"
-            f" ({crs_name(reference.crs)}): nothing was converted",
+            f"the candidate's coordinate system ({crs_name(candidate)}) is not the reference's"
+            f" ({crs_name(reference)}): nothing was converted",
         )
 
 
 @contextmanager
-def _record_time(timings: dict[str, float], name: str) -> Iterator[None]:
+def record_time(timings: dict[str, float], name: str) -> Iterator[None]:
+    """Store the seconds that a `with` block takes."""
     start = time.perf_counter()
     yield
     timings[name] = time.perf_counter() - start

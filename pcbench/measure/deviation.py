@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
@@ -78,6 +79,8 @@ class DeviationMap:
         unsigned: names of the scalars that are never negative.
         sampled_from: number of points that were measured, if these are a sample of them; None: these are all.
         known_spreads: summary statistics of all measured values, if these are a sample of them.
+        sample_step: points whose rows are multiples of it are an even sample, and the others were added because they
+            deviate most. None: no points were added.
     """
 
     points: FloatArray
@@ -87,6 +90,16 @@ class DeviationMap:
     unsigned: frozenset[str] = frozenset({"distance"})
     sampled_from: int | None = None
     known_spreads: Mapping[str, Spread] | None = None
+    sample_step: int | None = None
+
+    @cached_property
+    def is_even(self) -> NDArray[np.bool_]:
+        """(M,) whether a point belongs to the even sample, which represents all points in statistics."""
+        return np.ones(len(self.rows), np.bool_) if self.sample_step is None else self.rows % self.sample_step == 0
+
+    def even_values(self, name: str) -> FloatArray:
+        """Return the values of a scalar at the points of the even sample."""
+        return self.scalars[name] if self.sample_step is None else self.scalars[name][self.is_even]
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:

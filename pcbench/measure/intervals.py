@@ -71,18 +71,41 @@ class ScoreUncertainty(NamedTuple):
     reach: float
 
 
+class CorrelationGrid(NamedTuple):
+    """The grid of the correlation cells: its lowest corner (3,), its shape, and the edge of a cell."""
+
+    lower: FloatArray
+    shape: tuple[int, ...]
+    side: float
+
+    @classmethod
+    def covering(cls, lower: FloatArray, upper: FloatArray) -> CorrelationGrid:
+        """Return the grid over a box with these corners (3,)."""
+        side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG_DIAGONAL
+        if not side > 0:  # all points coincide
+            return cls(lower, (1, 1, 1), 0.0)
+        shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
+        return cls(lower, tuple(int(size) for size in shape), side)
+
+    @property
+    def number(self) -> int:
+        """Number of cells."""
+        return math.prod(self.shape)
+
+    def cells_of(self, points: FloatArray) -> IntArray:
+        """Return the number of the cell of each point (N, 3); points outside belong to the outermost cells."""
+        number = np.zeros(len(points), np.int64)
+        if self.side > 0:
+            for axis in range(3):
+                along = np.clip((points[:, axis] - self.lower[axis]) / self.side, 0, self.shape[axis] - 1)
+                number = number * self.shape[axis] + along.astype(np.int64)
+        return number
+
+
 def partition(points: FloatArray) -> CorrelationCells:
     """Cut the robust bounds of points (N, 3) into cubes."""
-    lower, upper = robust_bounds(points)
-    side = float(np.linalg.norm(upper - lower)) / _CELLS_ALONG_DIAGONAL
-    if not side > 0:  # all points coincide
-        return CorrelationCells(np.zeros(len(points), np.int64), (1, 1, 1), 0.0)
-    shape = np.maximum(np.ceil((upper - lower) / side), 1).astype(np.int64)
-    number = np.zeros(len(points), np.int64)
-    for axis in range(3):
-        along = np.clip((points[:, axis] - lower[axis]) / side, 0, shape[axis] - 1).astype(np.int64)
-        number = number * shape[axis] + along
-    return CorrelationCells(number, tuple(int(size) for size in shape), side)
+    grid = CorrelationGrid.covering(*robust_bounds(points))
+    return CorrelationCells(grid.cells_of(points), grid.shape, grid.side)
 
 
 def spreads(

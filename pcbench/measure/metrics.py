@@ -28,7 +28,7 @@ from pcbench.native import _core
 NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
-_PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 
 class Distances(NamedTuple):
@@ -126,7 +126,7 @@ def harmonic_mean(precision: float, recall: float) -> float:
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
-def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = _PERCENTILE_RANKS) -> dict[str, float]:
+def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = PERCENTILE_RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
     found = order_statistics.percentiles(values, ranks)
@@ -181,7 +181,7 @@ def one_way_hausdorff_between(candidate: Points, reference: Points) -> float:
 
 
 def percentiles_between(
-    candidate: Points, reference: Points, ranks: tuple[float, ...] = _PERCENTILE_RANKS
+    candidate: Points, reference: Points, ranks: tuple[float, ...] = PERCENTILE_RANKS
 ) -> dict[str, float]:
     """`percentiles` of the distances candidate -> reference; clouds as for `distances_between`."""
     return percentiles(_one_way(candidate, reference), ranks)

@@ -26,7 +26,7 @@ from pcbench.registration import Target, local_origin
 
 ARBITRARY_SIGN = "arbitrary-sign"
 """Code of the warning that signed distances to most of the reference have an arbitrary sign."""
-_VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
+VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
 _MESH_SAMPLES = 1_000_000  # points sampled from a reference mesh
 _MIN_SAMPLED_POINTS = 2_000_000  # a sample of the distances to planes of fewer points saves no time
 _MAX_VERTICAL_NZ = math.sin(math.radians(10))  # |z| of the normal of a nearly vertical surface: within 10 degrees
@@ -81,7 +81,7 @@ class Reference:
             nearest_other=nearest_other,
             spacing=median_spacing(surface.index, nearest_other),
             cells=intervals.partition(points),
-            voxel=robust_extent(points if rows is None else points[rows]) / _VOXELS_ALONG or 1.0,
+            voxel=robust_extent(points if rows is None else points[rows]) / VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
             tolerance=tolerance,
         )

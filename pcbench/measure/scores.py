@@ -6,15 +6,11 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from pcbench.errors import Notice
-from pcbench.geometry import voxels
-from pcbench.geometry.arrays import FloatArray, rounding_bound
-from pcbench.measure import deviation, intervals, metrics
-from pcbench.measure.directions import MEAN_METRICS, Direction
+from pcbench.geometry.arrays import FloatArray
+from pcbench.measure import intervals, metrics
+from pcbench.measure.directions import MEAN_METRICS
 from pcbench.measure.intervals import LinearizedScore, ScoreUncertainty
-from pcbench.measure.plane_sample import PlaneSample
 from pcbench.measure.results import (
     ARROWS,
     CANDIDATE_TO_REFERENCE,
@@ -23,12 +19,11 @@ from pcbench.measure.results import (
     DirectedMetric,
     DirectedSpread,
     Estimate,
-    Extremes,
     Hausdorff,
     Metrics,
-    SampledMean,
     ThresholdScores,
 )
+from pcbench.measure.summaries import CellSums, DirectionSummary, within_key
 from pcbench.measure.wording import pluralize
 
 MIN_INDEPENDENT_REGIONS = 10  # with fewer, the correlation length is poorly known
@@ -52,56 +47,44 @@ class Measurement(NamedTuple):
 
 
 def measure(
-    forth: Direction,
-    back: Direction,
+    forth: DirectionSummary,
+    back: DirectionSummary,
     thresholds: tuple[float, ...],
     *,
     cells: intervals.CorrelationCells,
-    voxel: float,
-    corner: FloatArray,
-    origin: FloatArray,
 ) -> Measurement:
     """Compute all metrics of an aligned pair.
 
     Args:
-        forth: distances candidate → reference.
-        back: distances reference → candidate.
-        thresholds: distance thresholds of the F-score.
-        cells: correlation cells of the intervals.
-        voxel: side of the voxels for area weighting.
-        corner: (3,) origin of those voxels.
-        origin: (3,) offset added to the coordinates of the worst points.
+        forth: summary of the distances candidate → reference.
+        back: summary of the distances reference → candidate.
+        thresholds: distance thresholds of the F-score, those of both summaries.
+        cells: correlation cells of the intervals, those of both summaries.
     """
     ways = {CANDIDATE_TO_REFERENCE: forth, REFERENCE_TO_CANDIDATE: back}
-    shares = {way: np.bincount(d.cells, minlength=cells.number) / len(d.cells) for way, d in ways.items()}
+    shares = {way: direction.cell_counts / direction.count for way, direction in ways.items()}
     uneven = shares[CANDIDATE_TO_REFERENCE] - shares[REFERENCE_TO_CANDIDATE]
-    means = {way: _means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
+    means = {way: _linearized_means(direction, thresholds, shares[way], uneven) for way, direction in ways.items()}
     compared = _linearized_scores(means, thresholds)
-    within = {f"{way}/{_within_key(t)}": means[way][_within_key(t)] for way in ways for t in thresholds}
+    within = {f"{way}/{within_key(t)}": means[way][within_key(t)] for way in ways for t in thresholds}
     both = 0.5 * (shares[CANDIDATE_TO_REFERENCE] + shares[REFERENCE_TO_CANDIDATE])
     known = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
-    spreads = _distributions(forth, back)
-    ranks = {way: spreads["distance"][way].percentiles or {} for way in ways}
     found = Metrics(
-        directed=_directed_metrics(
-            ways, known, {way: voxels.cells(d.points, voxel, corner) for way, d in ways.items()}
-        ),
-        hausdorff=Hausdorff(*(_extremes(direction, ranks[way], origin) for way, direction in ways.items())),
+        directed=_directed_metrics(ways, known),
+        hausdorff=Hausdorff(forth.extremes, back.extremes),
         chamfer=Chamfer(**{name: _chamfer(name, ways, known) for name in _CHAMFER}),
         fscores=tuple(_threshold_scores(threshold, known) for threshold in thresholds),
-        percentiles_accuracy=ranks[CANDIDATE_TO_REFERENCE],
-        percentiles_completeness=ranks[REFERENCE_TO_CANDIDATE],
-        spreads=spreads,
-        d2_samples={
-            way: SampledMean(len(planes.rows), planes.half_width)
-            for way, direction in ways.items()
-            if isinstance(planes := direction.distances.to_planes, PlaneSample)
+        percentiles_accuracy=forth.spreads["distance"].percentiles or {},
+        percentiles_completeness=back.spreads["distance"].percentiles or {},
+        spreads={
+            kind: DirectedSpread(spread, back.spreads[kind])
+            for kind, spread in forth.spreads.items()
+            if kind in back.spreads
         },
+        d2_samples={way: d.d2_sample for way, d in ways.items() if d.d2_sample is not None},
     )
-    doubts = _interval_warnings(
-        {name: known.spreads[name] for name in compared}, compared, rounding_bound(forth.points, origin)
-    )
+    doubts = _interval_warnings({name: known.spreads[name] for name in compared}, compared, forth.rounding)
     return Measurement(found, compared, both, tuple(doubts))
 
 
@@ -117,32 +100,26 @@ class _ScoreTable(NamedTuple):
         return Estimate(score.value, interval=intervals.interval(score, self.spreads[name]))
 
 
-def _directed_metrics(
-    ways: Mapping[str, Direction], known: _ScoreTable, grids: Mapping[str, voxels.Cells]
-) -> dict[str, DirectedMetric]:
-    """Return the mean metrics by name, with floors and area-weighted means over the cells of `grids`."""
+def _directed_metrics(ways: Mapping[str, DirectionSummary], known: _ScoreTable) -> dict[str, DirectedMetric]:
+    """Return the mean metrics by name, with floors and area-weighted means."""
     found = {}
     for metric in MEAN_METRICS:
         key = metric.name
         if f"{key}/{CANDIDATE_TO_REFERENCE}" not in known.sampled:  # no normals, no distances to planes
             found[key] = DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
             continue
-        estimates = {}
-        for way, direction in ways.items():
-            values = metric.values_of(direction.distances)
-            assert values is not None
-            # A sample represents a whole direction, but not each voxel.
-            is_sampled = key == "d2_mse" and isinstance(direction.distances.to_planes, PlaneSample)
-            area_weighted = None if is_sampled else metrics.area_weighted_mean(values, grids[way])
-            estimates[way] = known.estimate(f"{key}/{way}")._replace(
-                floor=direction.floors[key], area_weighted=area_weighted
+        forth, back = (
+            known.estimate(f"{key}/{way}")._replace(
+                floor=direction.floors[key], area_weighted=direction.area_weighted[key]
             )
+            for way, direction in ways.items()
+        )
         larger = known.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
-        found[key] = DirectedMetric(estimates[CANDIDATE_TO_REFERENCE], estimates[REFERENCE_TO_CANDIDATE], larger)
+        found[key] = DirectedMetric(forth, back, larger)
     return found
 
 
-def _chamfer(name: str, ways: Mapping[str, Direction], known: _ScoreTable) -> Estimate:
+def _chamfer(name: str, ways: Mapping[str, DirectionSummary], known: _ScoreTable) -> Estimate:
     floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
     return known.estimate(f"chamfer/{name}")._replace(floor=floor)
 
@@ -150,23 +127,10 @@ def _chamfer(name: str, ways: Mapping[str, Direction], known: _ScoreTable) -> Es
 def _threshold_scores(threshold: float, known: _ScoreTable) -> ThresholdScores:
     return ThresholdScores(
         threshold,
-        precision=known.estimate(f"{CANDIDATE_TO_REFERENCE}/{_within_key(threshold)}"),
-        recall=known.estimate(f"{REFERENCE_TO_CANDIDATE}/{_within_key(threshold)}"),
+        precision=known.estimate(f"{CANDIDATE_TO_REFERENCE}/{within_key(threshold)}"),
+        recall=known.estimate(f"{REFERENCE_TO_CANDIDATE}/{within_key(threshold)}"),
         fscore=known.estimate(f"fscore/{threshold!r}"),
     )
-
-
-def _distributions(forth: Direction, back: Direction) -> dict[str, DirectedSpread]:
-    """Summarise the distances to points and, if there are normals, to tangent planes."""
-    pairs = {
-        "distance": (forth.distances.to_points, back.distances.to_points),
-        "plane_distance": (forth.distances.to_planes, back.distances.to_planes),
-    }
-    return {
-        kind: DirectedSpread(deviation.Spread.of(a), deviation.Spread.of(b))
-        for kind, (a, b) in pairs.items()
-        if a is not None and b is not None
-    }
 
 
 def _linearized_scores(
@@ -185,7 +149,7 @@ def _linearized_scores(
         a, b = forth[key], back[key]
         found[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)
     for threshold in thresholds:
-        p, r = forth[_within_key(threshold)], back[_within_key(threshold)]
+        p, r = forth[within_key(threshold)], back[within_key(threshold)]
         total = p.value + r.value
         slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
         influence = slopes[0] * p.influence + slopes[1] * r.influence
@@ -217,41 +181,24 @@ def _interval_warnings(
         )
 
 
-def _extremes(direction: Direction, ranks: Mapping[str, float], origin: FloatArray) -> Extremes:
-    distances = direction.distances.to_points
-    worst = direction.points[int(np.argmax(distances))] + origin
-    return Extremes(metrics.one_way_hausdorff(distances), ranks["p95"], ranks["p99"], worst)
-
-
-def _means(
-    direction: Direction, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
+def _linearized_means(
+    direction: DirectionSummary, thresholds: tuple[float, ...], shares: FloatArray, uneven: FloatArray
 ) -> dict[str, LinearizedScore]:
-    """Linearise each mean of one direction, one quantity at a time to limit memory.
+    """Linearise each mean of one direction.
 
     The number of points per cell is random, but the total is fixed. Cells with more points of one cloud than of the
     other (`uneven`, which sums to 0) are balanced by other cells, so that component of the influence is removed.
     """
     square = float(uneven @ uneven)
+    shares_within = {within_key(threshold) for threshold in thresholds}
 
-    def mean(values: FloatArray, largest: float = math.inf) -> LinearizedScore:
-        value = float(np.mean(values))
-        influence = np.bincount(direction.cells, values, len(shares)) / len(values) - value * shares
+    def linearize(name: str, cells: CellSums) -> LinearizedScore:
+        influence = cells.sums / direction.count - cells.mean * shares
         if square > 0:
             influence = influence - float(uneven @ influence) / square * uneven
-        return LinearizedScore(value, influence, largest)
+        return LinearizedScore(cells.mean, influence, 1.0 if name in shares_within else math.inf)
 
-    means: dict[str, LinearizedScore] = {}
-    for metric in MEAN_METRICS:
-        values = metric.values_of(direction.distances)
-        if values is not None:
-            means[metric.name] = mean(values)
-    for threshold in thresholds:
-        means[_within_key(threshold)] = mean((direction.distances.to_points <= threshold).astype(np.float64), 1.0)
-    return means
-
-
-def _within_key(threshold: float) -> str:
-    return f"within/{threshold!r}"
+    return {name: linearize(name, cells) for name, cells in direction.means.items()}
 
 
 def _total(values: Iterable[float | None]) -> float | None:

@@ -30,9 +30,9 @@ class PointIndex:
 
     def knearest(self, queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], distances: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu')]) -> None: ...
 
-    def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    def planes(self, k: int, rows: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu')], variation: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], distances: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], indices: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu')], reach: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
         """
-        Planes through the k nearest points of each point, or of those in rows, the point itself included, with normals oriented upwards, and the nearest other point.
+        Planes through the k nearest points of each point, or of those in rows, the point itself included, with normals oriented upwards, the nearest other point, and a distance that contains only these k points.
         """
 
     def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> tuple[NDArray[numpy.int64], NDArray[numpy.int64]]:
@@ -68,6 +68,18 @@ def order_statistics(values: Annotated[NDArray[numpy.float64], dict(shape=(None,
     """
     Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;
     written in place. Returned is False, and nothing is written, if a value is NaN.
+    """
+
+def add_exactly(values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], groups: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], limbs: Annotated[NDArray[numpy.int64], dict(shape=(None, 8), order='C', device='cpu')]) -> bool:
+    """
+    Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts
+    2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.
+    """
+
+def round_exactly(limbs: Annotated[NDArray[numpy.uint32], dict(shape=(None, 8), order='C', device='cpu', writable=False)], sums: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+    """
+    Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's
+    complement.
     """
 
 def weigh(moved: NDArray[numpy.float64], distances: NDArray[numpy.float64], closest: NDArray[numpy.float64], rows: NDArray[numpy.int64], normals: NDArray[numpy.float64], max_distance: float, robust: bool, kept_share: float, residuals: NDArray[numpy.float64], weights: NDArray[numpy.float64]) -> tuple[int, float]:

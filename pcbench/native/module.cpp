@@ -127,10 +127,10 @@ public:
 
     void planes(size_t k, std::optional<Indices> rows, Out<double, nb::shape<-1, 3>> normals,
                 Out<double, nb::shape<-1>> variation, Out<double, nb::shape<-1>> distances,
-                Out<int64_t, nb::shape<-1>> indices) const {
+                Out<int64_t, nb::shape<-1>> indices, Out<double, nb::shape<-1>> reach) const {
         const size_t count = rows ? rows->shape(0) : tree().count;
         check(normals.shape(0) == count && variation.shape(0) == count && distances.shape(0) == count &&
-                  indices.shape(0) == count,
+                  indices.shape(0) == count && reach.shape(0) == count,
               "planes: expected one row per requested point");
         check(k > 1 && k <= tree().count, "planes: expected k from 2 to the number of points");
         pcbench::Block<double> selected_points;
@@ -149,7 +149,8 @@ public:
         pcbench::interruptible([&](pcbench::Interrupt& interrupt) {
             const auto fit = [&](const pcbench::Leaf* queries, size_t leaf_count) {
                 kernels.planes(tree(), queries, leaf_count, rows ? rows->data() : nullptr, k, normals.data(),
-                               variation.data(), distances.data(), indices.data(), scratch.data(), interrupt);
+                               variation.data(), distances.data(), indices.data(), reach.data(), scratch.data(),
+                               interrupt);
             };
             if (!rows) return fit(tree().leaves, tree().leaf_count);
             if (count == 0) return;
@@ -254,9 +255,9 @@ NB_MODULE(_core, m) {
              nb::arg("indices").noconvert())
         .def("planes", &PointIndex::planes, nb::arg("k"), nb::arg("rows").noconvert().none(),
              nb::arg("normals").noconvert(), nb::arg("variation").noconvert(), nb::arg("distances").noconvert(),
-             nb::arg("indices").noconvert(),
+             nb::arg("indices").noconvert(), nb::arg("reach").noconvert(),
              "Planes through the k nearest points of each point, or of those in rows, the point itself included, with"
-             " normals oriented upwards, and the nearest other point.")
+             " normals oriented upwards, the nearest other point, and a distance that contains only these k points.")
         .def("in_balls", &PointIndex::in_balls, nb::arg("centres").noconvert(), nb::arg("radius"),
              "Offsets (N + 1,) and the indices of points, ascending for each ball.",
              nb::sig("def in_balls(self, centres: NDArray[numpy.float64], radius: float) -> "

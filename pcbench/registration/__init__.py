@@ -7,7 +7,7 @@ from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.methods import METHODS, Method, as_method, parse_method, register
 from pcbench.registration.residuals import PointResidual, PointRmse, SurveyResiduals
 from pcbench.registration.result import Registration
-from pcbench.registration.target import Target, local_origin
+from pcbench.registration.target import Target, local_origin, local_origin_of_box
 
 __all__ = [
     "METHODS",
@@ -24,6 +24,7 @@ __all__ = [
     "as_method",
     "as_similarity",
     "local_origin",
+    "local_origin_of_box",
     "parse_method",
     "register",
 ]

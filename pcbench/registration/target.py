@@ -118,7 +118,11 @@ def local_origin(cloud: Cloud) -> FloatArray:
     UTM coordinates and the same cloud at the origin get identical coordinates. For a cloud smaller than 1, it has
     multiples of a power of two.
     """
-    lower, upper = cloud.bounds
+    return local_origin_of_box(*cloud.bounds)
+
+
+def local_origin_of_box(lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the `local_origin` of a cloud from the corners (3,) of its box."""
     extent = float((upper - lower).max())
     step = 2.0 ** min(0, np.frexp(extent)[1] - 1) if extent > 0 else 2.0**-1000
     center: FloatArray = 0.5 * lower + 0.5 * upper

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 from pcbench.errors import InputError
-from pcbench.io import FILTERABLE_EXTENSIONS
 from pcbench.io.files import estimate_reading_seconds, file_in_setting
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.progress import ProgressPlan
-from pcbench.report.comparison import Comparison, compare_inputs
+from pcbench.report.comparison import Comparison, compare_inputs, compare_tiled
 from pcbench.report.figures import Figures, recorded_figures
 from pcbench.report.folder import read_settings, report_folder, write_report
 from pcbench.report.inputs import InputFile, SceneFolder
+from pcbench.report.manifest import MAPS
 from pcbench.report.names import names_of
+from pcbench.report.on_disk import CloudsOnDisk, TilingChoice, choose_tiles, filters_for, link_maps
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 from pcbench.report.reading import paths_in
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
+from pcbench.report.workspace import default_workspace, locked_workspace
 
+_WRITING_SAMPLES_S = 5.0  # writing the report of a tiled comparison, whose maps are samples
 _Setting = TypeVar("_Setting")
 
 
@@ -37,6 +41,7 @@ class ComparisonJob:
         figures: appearance of the pictures.
         scene: the scene whose cameras select the views, if any; or its cameras, if its folder no longer exists.
         recorded_cameras: the cameras in the report that is repeated, if any.
+        tiles: when and how the comparison is computed in tiles; None: in memory.
     """
 
     reference: Path
@@ -46,6 +51,7 @@ class ComparisonJob:
     figures: Figures = field(default_factory=Figures)
     scene: SceneFolder | ViewingCameras | None = None
     recorded_cameras: ViewingCameras | None = None
+    tiles: TilingChoice | None = None
 
     @property
     def inputs(self) -> list[Path]:
@@ -61,10 +67,11 @@ class ComparisonJob:
         settings: Settings,
         figures: Figures | None = None,
         scene: SceneFolder | None = None,
+        tiles: TilingChoice | None = None,
     ) -> ComparisonJob:
         """Return the job for files; candidates are named after their files."""
         named = dict(zip(names_of(candidates), candidates, strict=True))
-        return cls(reference, named, settings, {}, figures or Figures(), scene)
+        return cls(reference, named, settings, {}, figures or Figures(), scene, None, tiles)
 
     @classmethod
     def from_settings_file(cls, settings_file: Path) -> ComparisonJob:
@@ -78,7 +85,22 @@ class ComparisonJob:
         if inputs.scene is not None and file.is_file():
             recorded = ViewingCameras.read(file)
             scene = inputs.scene if inputs.scene.path.exists() else recorded
-        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, scene, recorded)
+        tiles = None if inputs.tiling is None else TilingChoice(inputs.tiling)
+        return cls(Path(inputs.reference.path), candidates, settings, expected, figures, scene, recorded, tiles)
+
+    def with_tiles(self, choice: TilingChoice) -> ComparisonJob:
+        """Return a job of a settings.json with another choice of tiles, except for settings that change the numbers."""
+        if self.tiles is None:
+            return replace(self, tiles=choice)
+        recorded, given = self.tiles.settings, choice.settings
+        settings = replace(
+            recorded,
+            tile_points=given.tile_points or recorded.tile_points,
+            memory=given.memory,
+            workers=given.workers,
+            cluster=given.cluster,
+        )
+        return replace(self, tiles=TilingChoice(settings, "always", choice.workspace))
 
 
 @dataclass(frozen=True)
@@ -98,8 +120,20 @@ class ComparisonOutcome:
     without_figures: str | None = None
 
 
-def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], None]) -> ComparisonOutcome:
+def compare_files(
+    job: ComparisonJob,
+    outputs: Outputs,
+    step: Callable[[str], None],
+    on_notice: Callable[[str], None] = lambda _: None,
+) -> ComparisonOutcome:
     """Compare files and write the report.
+
+    Args:
+        job: the files and settings.
+        outputs: what is written.
+        step: called with a short text before each step that takes time.
+        on_notice: called with one line if the size of the clouds decides that they are compared in tiles, and if files
+            of a run are kept or removed.
 
     Raises:
         PcbenchError, OSError: an input, a setting or an output is invalid; nothing was written.
@@ -107,26 +141,78 @@ def compare_files(job: ComparisonJob, outputs: Outputs, step: Callable[[str], No
     settings = replace(job.settings, register=_absolute(job.settings.register), crop=_absolute(job.settings.crop))
     if isinstance(settings.m3c2, M3C2Settings):
         settings = replace(settings, m3c2=settings.m3c2.absolute())
-    if (settings.classes or settings.returns) and not any(
-        p.suffix.lower() in FILTERABLE_EXTENSIONS for p in job.inputs
-    ):
+    paths = [job.reference, *job.candidates.values()]
+    if (settings.classes or settings.returns) and not any(filters_for(path, settings) for path in paths):
         raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
-    plan = ProgressPlan(step, _expected_seconds(job, outputs))
-    if outputs.folder is None:
-        outcome = ComparisonOutcome(_run(job, settings, plan))
-    else:
+    clouds = None
+    if job.tiles is not None:
+        step("reading the headers")
+        clouds = choose_tiles(job.reference, job.candidates, settings, job.tiles, on_notice)
+    plan = ProgressPlan(step, _expected_seconds(job, outputs, clouds))
+    with _workspace(job, settings, clouds, outputs.folder, on_notice) as workspace:  # kept until the report is complete
+        if outputs.folder is None:
+            return ComparisonOutcome(_run(job, settings, plan, clouds, workspace))
         with report_folder(outputs.folder, keep=job.inputs) as folder:
-            outcome = ComparisonOutcome(_run(job, settings, plan))
+            comparison = _run(job, settings, plan, clouds, workspace, folder / MAPS)
             plan("writing the report")
-            outcome = replace(outcome, without_page=write_report(folder, outcome.comparison, job.figures))
+            outcome = ComparisonOutcome(comparison, without_page=write_report(folder, comparison, job.figures))
             if outputs.figures:
                 plan("drawing the pictures")
                 outcome = replace(outcome, without_figures=draw_if_possible(folder, figures=job.figures).problem)
     return outcome
 
 
-def _run(job: ComparisonJob, settings: Settings, step: ProgressPlan) -> Comparison:
-    measured = compare_inputs(job.reference, job.candidates, settings, step, job.scene)
+@contextmanager
+def _workspace(
+    job: ComparisonJob,
+    settings: Settings,
+    clouds: CloudsOnDisk | None,
+    out: Path | None,
+    on_notice: Callable[[str], None],
+) -> Iterator[Path | None]:
+    """Yield the locked workspace of a tiled comparison; None if it is computed in memory."""
+    if clouds is None or job.tiles is None:
+        yield None
+        return
+    key = clouds.key(settings, job.tiles.settings)
+    folder = job.tiles.workspace or default_workspace(out, key)
+    for path in job.inputs:
+        if path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{folder}: the workspace would replace the input {path}: choose another folder")
+    with locked_workspace(folder, key, on_notice) as workspace:
+        yield workspace
+
+
+def _run(
+    job: ComparisonJob,
+    settings: Settings,
+    step: ProgressPlan,
+    clouds: CloudsOnDisk | None,
+    workspace: Path | None,
+    map_files: Path | None = None,
+) -> Comparison:
+    """Compare in memory, or in tiles in a workspace.
+
+    Args:
+        job: the files.
+        settings: settings with absolute paths.
+        step: called before each step.
+        clouds: the clouds to compare in tiles; None: in memory.
+        workspace: folder for the intermediate files of tiles.
+        map_files: folder for the map files of a tiled comparison; None: there is no report.
+    """
+    if clouds is None or workspace is None or job.tiles is None:
+        return _with_changes(job, compare_inputs(job.reference, job.candidates, settings, step, job.scene))
+    maps = None if map_files is None else workspace / MAPS
+    tiling = job.tiles.settings
+    measured = compare_tiled(clouds, settings, tiling, step, workspace=workspace, maps=maps, scene=job.scene)
+    if maps is not None and map_files is not None:
+        measured = replace(measured, has_map_files=link_maps(maps, map_files))
+    return _with_changes(job, measured)
+
+
+def _with_changes(job: ComparisonJob, measured: Comparison) -> Comparison:
+    """Return the comparison with a warning for each input that has changed since its settings were written."""
     assert measured.inputs is not None  # all clouds come from files
     inputs = measured.inputs
     reference, *files = (_with_change(job, file) for file in (inputs.reference, *inputs.files))
@@ -149,8 +235,10 @@ def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
     )
 
 
-def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
+def _expected_seconds(job: ComparisonJob, outputs: Outputs, clouds: CloudsOnDisk | None) -> list[float]:
     """Return a rough duration of each announced step, in seconds, for the progress bar."""
+    if clouds is not None:  # tiles estimate their own time
+        return [0.0, _WRITING_SAMPLES_S if outputs.folder is not None else 0.0, drawing_seconds(len(job.candidates))]
     reading = [estimate_reading_seconds(path) for path in (job.reference, *job.candidates.values())]
     pairs = [reading[0] + seconds for seconds in reading[1:]]
     writing = sum(pairs) if outputs.folder is not None else 0.0

@@ -18,15 +18,18 @@ from pcbench.geometry.splats import filter_splats, splat_model
 from pcbench.io import CloudLike, is_path
 from pcbench.measure import comparison, results
 from pcbench.measure.settings import Settings, with_changes
+from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.progress import ProgressPlan
 from pcbench.report import exports, plot
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
 from pcbench.report.names import names_of
+from pcbench.report.on_disk import CloudsOnDisk, TilingChoice, choose_tiles
 from pcbench.report.reading import SceneLike, as_scene, named_files, read_candidate, read_reference, viewing_cameras
 from pcbench.report.table import html
 from pcbench.report.viewing import ViewingCameras
+from pcbench.report.workspace import default_workspace, locked_workspace
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
@@ -39,6 +42,7 @@ class Comparison(SourcedComparison):
     Attributes:
         inputs: the input files; None if a cloud came from memory.
         cameras: the cameras of the scene, which select the views; None if unknown.
+        has_map_files: whether the folder `maps` of the report has the deviation maps of all points.
     """
 
     @classmethod
@@ -155,6 +159,8 @@ def compare(
     settings: Settings | None = None,
     *,
     scene: SceneLike | None = None,
+    tiling: TilingSettings | None = None,
+    workspace: str | Path | None = None,
     on_step: Callable[[str], None] | None = None,
     **changed: Any,
 ) -> Comparison:
@@ -167,6 +173,9 @@ def compare(
         settings: the settings; default: `pcbench.Settings()`.
         scene: a scene with cameras in the coordinates of the reference, or its folder. They show which way is up and
             select the views of pictures; no metric depends on them. A report records a folder, not a `Scene`.
+        tiling: compute in tiles, for clouds that do not fit into memory; all clouds must be paths. None: in memory.
+        workspace: folder for sorted copies and finished tiles, from which the same call continues after a failure;
+            None: one in the system's temporary folder.
         on_step: called with a short text before each step that takes time.
         changed: settings by name that replace those of `settings`: `compare(a, b, register="similarity", seed=1)`.
 
@@ -179,7 +188,21 @@ def compare(
         RegistrationError: a candidate does not overlap the reference.
     """
     given, step = None if scene is None else as_scene(scene), on_step or (lambda _: None)
-    compared = compare_inputs(reference, candidates, with_changes(settings, changed), step, given)
+    settings = with_changes(settings, changed)
+    if tiling is None:
+        compared = compare_inputs(reference, candidates, settings, step, given)
+    else:
+        named = _by_name(candidates)
+        if not is_path(reference) or not all(map(is_path, named.values())):
+            raise InputError("expected the paths of all clouds to compare in tiles, got a cloud in memory")
+        paths = {name: Path(path) for name, path in named.items()}
+        choice = TilingChoice(tiling)
+        clouds = choose_tiles(Path(reference), paths, settings, choice, step)
+        assert clouds is not None  # it is always computed in tiles
+        key = clouds.key(settings, tiling)
+        folder = default_workspace(None, key) if workspace is None else Path(workspace)
+        with locked_workspace(folder, key, step) as locked:
+            compared = compare_tiled(clouds, settings, tiling, step, workspace=locked, maps=None, scene=given)
     for file in () if compared.inputs is None else compared.inputs.all_files():
         for text in file.warnings:
             warnings.warn(text, stacklevel=2)
@@ -228,6 +251,52 @@ def compare_inputs(
         for text in scene_warnings:
             warnings.warn(text, stacklevel=3)
     return Comparison.of(measured, inputs, cameras)
+
+
+def compare_tiled(
+    clouds: CloudsOnDisk,
+    settings: Settings,
+    tiling: TilingSettings,
+    step: Callable[[str], None],
+    *,
+    workspace: Path,
+    maps: Path | None,
+    scene: Scene | SceneFolder | ViewingCameras | None = None,
+) -> Comparison:
+    """Compare clouds on disk in tiles, like `compare_inputs` in memory.
+
+    Args:
+        clouds: the clouds.
+        settings: the settings.
+        tiling: settings of the tiles.
+        step: called with a short text before each step that takes time.
+        workspace: folder for intermediate files.
+        maps: folder for the deviation maps of all points; None: they are not written.
+        scene: the scene or its folder, as in `compare`, or its cameras.
+    """
+    from pcbench.measure.tiled.compare import compare_on_disk
+
+    setting_files = named_files(settings)
+    reference, candidates = clouds.input_files()
+    measured = compare_on_disk(
+        clouds.reference.path,
+        {name: cloud.path for name, cloud in clouds.candidates.items()},
+        settings,
+        tiling,
+        workspace=workspace,
+        maps=maps,
+        on_step=step.within() if isinstance(step, ProgressPlan) else step,
+    )
+    cameras = None
+    if scene is not None:
+        sample, texts = measured.candidates[0].completeness.points, list[str]()
+        try:
+            cameras = viewing_cameras(scene, Cloud(sample, crs=measured.reference.crs), texts.append)
+        except InputError as error:  # hours of computing do not depend on the views
+            texts.append(str(error))
+        reference = replace(reference, warnings=(*reference.warnings, *texts))
+    folder = scene if isinstance(scene, SceneFolder) else None
+    return Comparison.of(measured, Inputs(reference, candidates, setting_files, folder, tiling), cameras)
 
 
 def _without_transparent_splats(

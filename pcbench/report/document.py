@@ -43,6 +43,7 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
         "reference": _reference(comparison),
         "settings": comparison.settings.plain(),
         "provenance": provenance(comparison.settings.seed),
+        "tiling": _tiling(comparison),
         "candidates": [
             _candidate(candidate, None if inputs is None else inputs.candidates[candidate.name])
             for candidate in comparison.candidates
@@ -101,6 +102,30 @@ def _reference(comparison: SourcedComparison) -> dict[str, Any]:
     }
 
 
+def _tiling(comparison: SourcedComparison) -> dict[str, Any] | None:
+    """Return how a comparison was computed in tiles, and whether its maps have files of all points."""
+    tiling = comparison.tiling
+    if tiling is None:
+        return None
+    values = {item.name: getattr(tiling, item.name) for item in fields(tiling)}
+    left_out = [file._asdict() for file in tiling.left_out]
+    return {**values, "left_out": left_out, "map_files": comparison.has_map_files}
+
+
+def _map_samples(candidate: Candidate) -> dict[str, Any]:
+    """Return the size of each map that is a sample of the measured points, by direction."""
+    maps = {CANDIDATE_TO_REFERENCE: candidate.deviation, REFERENCE_TO_CANDIDATE: candidate.completeness}
+    return {
+        direction: {
+            "points": len(map_.points),
+            "even": int(np.count_nonzero(map_.is_even)),
+            "sampled_from": map_.sampled_from,
+        }
+        for direction, map_ in maps.items()
+        if map_.sampled_from is not None
+    }
+
+
 def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
     file_values = _file(file)
     return {
@@ -109,6 +134,8 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "warnings": [*file_values["warnings"], *candidate.warnings],
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
+        "censored": candidate.censored,
+        "map_samples": _map_samples(candidate),
         "registration": _registration(candidate.registration),
         **_metrics_and_deviation(candidate),
         "deformation": candidate.deformation,

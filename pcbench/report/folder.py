@@ -28,10 +28,10 @@ from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedCompari
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
-from pcbench.report.recorded import record, restore
+from pcbench.report.recorded import record, record_tiling, restore, restore_tiling
 from pcbench.report.table import Row, markdown, rows
 from pcbench.report.viewing import CAMERAS_FILE
-from pcbench.scratch import lock_output, scratch_folder
+from pcbench.scratch import lock_output, make_parents, remove_empty, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"
 _COMPARISON = "comparison.json"
@@ -60,15 +60,13 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
     if out.is_dir() and any(out.iterdir()) and not is_report(out):
         raise InputError(f"{out}: the folder is not empty and has no report: choose another folder, or empty it")
     check_figures_folder(out)
-    created = _make_parents(out.absolute().parent)
+    created = make_parents(out.absolute().parent)
     try:
         with lock_output(out), scratch_folder(out) as scratch:
             yield scratch
             replace_report(scratch, out)
     except BaseException:
-        for folder in reversed(created):
-            if not any(folder.iterdir()):
-                folder.rmdir()
+        remove_empty(created)
         raise
 
 
@@ -147,7 +145,8 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         if values.get("scene") is not None:
             folder, cameras = _texts("the scene", values["scene"], "path", "cameras")
             scene = SceneFolder(Path(folder), cameras)
-        return settings, Inputs(_input_file("the reference", values["reference"]), candidates, files, scene)
+        tiling = None if values.get("tiling") is None else restore_tiling(values["tiling"])
+        return settings, Inputs(_input_file("the reference", values["reference"]), candidates, files, scene, tiling)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else error
         raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
@@ -185,6 +184,7 @@ def _settings(settings: Settings, inputs: Inputs, figures: Figures) -> dict[str,
         "files": [file(read) for read in inputs.files],
         **({} if scene is None else {"scene": {"path": str(scene.path), "cameras": scene.cameras}}),
         "settings": record(settings),
+        **({} if inputs.tiling is None else {"tiling": record_tiling(inputs.tiling)}),
         "figures": figures.plain(),
     }
 
@@ -196,7 +196,9 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
     """
     reference = comparison.reference
     maps = [{c.name: c.deviation for c in comparison}, {c.name: c.completeness for c in comparison}]
-    highest = [{name: robust_maximum(map_.scalars["distance"]) for name, map_ in by_name.items()} for by_name in maps]
+    highest = [
+        {name: robust_maximum(map_.even_values("distance")) for name, map_ in by_name.items()} for by_name in maps
+    ]
     to_reference, to_candidate = (
         ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest
     )
@@ -217,10 +219,12 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
 
 
 def _colour_cloud(deviation: DeviationMap, scale: Range, comparison: SourcedComparison) -> Cloud:
+    """Return the points with their scalars, those of an even sample first: comparison.json has their number."""
+    rows = slice(None) if deviation.sample_step is None else np.argsort(~deviation.is_even, kind="stable")
     return Cloud(
-        deviation.points,
-        colors=scale.colors(deviation.scalars["distance"]),
-        attributes={name: values.astype(np.float32) for name, values in deviation.scalars.items()},
+        deviation.points[rows],
+        colors=scale.colors(deviation.scalars["distance"][rows]),
+        attributes={name: values[rows].astype(np.float32) for name, values in deviation.scalars.items()},
         crs=comparison.reference.crs,
         unit=comparison.reference.unit,
     )
@@ -272,10 +276,3 @@ def _m3c2_cloud(found: M3C2, comparison: SourcedComparison) -> Cloud:
     }
     crs, unit = comparison.reference.crs, comparison.reference.unit
     return Cloud(found.cores, normals=found.normals, attributes=attributes, crs=crs, unit=unit)
-
-
-def _make_parents(folder: Path) -> list[Path]:
-    """Create a folder and its parents, and return the created ones, outermost first."""
-    missing = [p for p in (folder, *folder.parents) if not p.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    return missing[::-1]

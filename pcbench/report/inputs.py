@@ -7,12 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pcbench.measure import results
+from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.report.viewing import ViewingCameras
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file: its path as given, the SHA-256 of its bytes, and the warnings of its reader."""
+    """An input file: its path as given, the SHA-256 of its bytes, and the warnings of its reader.
+
+    Clouds that were compared in tiles have a digest of parts instead, see `pcbench.report.on_disk.parts_digest`.
+    """
 
     path: str
     sha256: str
@@ -45,12 +49,14 @@ class Inputs:
         candidates: the candidates by name.
         files: files named in settings, such as a matrix.
         scene: the scene whose cameras select the views, if its folder was given.
+        tiling: settings of a tiled comparison; None: it was computed in memory.
     """
 
     reference: InputFile
     candidates: Mapping[str, InputFile] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
     scene: SceneFolder | None = None
+    tiling: TilingSettings | None = None
 
     def all_files(self) -> tuple[InputFile, ...]:
         """Return all input files."""
@@ -68,7 +74,9 @@ class SourcedComparison(results.CandidateComparisons):
     Attributes:
         inputs: the files; None if a cloud came from memory.
         cameras: the cameras of the scene, which select the views; None if unknown.
+        has_map_files: whether the folder `maps` of the report has the deviation maps of all points.
     """
 
     inputs: Inputs | None = None
     cameras: ViewingCameras | None = None
+    has_map_files: bool = False

@@ -21,6 +21,7 @@ from pcbench.report.figures import FORMATS
 MANIFEST = "manifest.json"
 SCHEMA = "pcbench.manifest/1"
 FIGURES = "figures"
+MAPS = "maps"  # folder of the map files of a tiled comparison
 _PENDING = ".pcbench-replacement"  # a complete new report whose files are still to be moved
 _OLD_MANIFEST = ".old-manifest.json"
 
@@ -62,16 +63,21 @@ def is_report(folder: Path) -> bool:
 
 
 def check_figures_folder(folder: Path) -> None:
-    """Check that pictures can be written into the folder `figures` of a report.
+    """Check that pictures and map files can be written into the folders `figures` and `maps` of a report.
 
     Raises:
-        InputError: `figures` is a link or a file.
+        InputError: one of them is a link or a file, or `maps` has a link.
     """
-    figures = folder / FIGURES
-    if figures.is_symlink():
-        raise InputError(f"{figures}: expected a folder, got a link: remove it, or choose another report folder")
-    if figures.exists() and not figures.is_dir():
-        raise InputError(f"{figures}: expected a folder for pictures, got a file: rename it, or choose another folder")
+    for inner, content in ((folder / FIGURES, "pictures"), (folder / MAPS, "maps")):
+        if inner.is_symlink():
+            raise InputError(f"{inner}: expected a folder, got a link: remove it, or choose another report folder")
+        if inner.exists() and not inner.is_dir():
+            raise InputError(
+                f"{inner}: expected a folder for {content}, got a file: rename it, or choose another folder"
+            )
+    for path in (folder / MAPS).glob("*"):
+        if path.is_symlink():
+            raise InputError(f"{path}: expected no link among the maps: remove it, or choose another report folder")
 
 
 def replace_report(scratch: Path, out: Path) -> None:
@@ -107,9 +113,8 @@ def complete_replacement(folder: Path) -> None:
     pending = folder / _PENDING
     if not pending.is_dir():
         return
-    new = _listed_files(pending / MANIFEST)
+    new, own = _listed_files(pending / MANIFEST), _old_files(folder)
     if new is not None:
-        own = _old_files(folder)
         remaining = {name for name in new if (pending / name).is_file()}
         try:
             _check_free(folder, remaining, own)
@@ -121,10 +126,12 @@ def complete_replacement(folder: Path) -> None:
             if not (folder / name).is_dir():
                 (folder / name).unlink(missing_ok=True)
         for name in [*sorted(remaining), MANIFEST]:  # the manifest last: until then the old one lists the old files
-            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):  # another process has completed it
                 (pending / name).replace(folder / name)
-    for empty in (pending / FIGURES, pending, folder / FIGURES):
+    inner = {parent for name in own | (new or set()) for parent in PurePosixPath(name).parents if parent.name}
+    deepest_first = sorted({PurePosixPath(FIGURES), *inner}, key=lambda path: -len(path.parts))
+    for empty in (*(pending / path for path in deepest_first), pending, *(folder / path for path in deepest_first)):
         with suppress(OSError):
             empty.rmdir()
 
@@ -181,16 +188,14 @@ def _listed_files(manifest: Path) -> set[str] | None:
 
 
 def _is_inside(name: Any) -> bool:
-    """Return whether a name is that of a file in a report folder or its `figures`; a manifest may be forged."""
+    """Return whether a name is that of a file in a report folder, its `figures` or `maps`; a manifest may be forged."""
     if not isinstance(name, str) or "\0" in name:
         return False
     parts = PurePosixPath(name).parts
-    return (
-        name == "/".join(parts)
-        and ".." not in parts
-        and (len(parts) == 1 or (len(parts) == 2 and parts[0] == FIGURES))
-        and parts[0] != "/"
-    )
+    if not parts or name != "/".join(parts) or ".." in parts or parts[0] == "/":
+        return False
+    depth = {FIGURES: 2, MAPS: 3}.get(parts[0], 1)
+    return len(parts) <= depth
 
 
 def _write(manifest: Path, names: Iterable[str]) -> None:

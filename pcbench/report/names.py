@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from glob import has_magic
 from pathlib import Path
 from typing import Any
 
 from pcbench.errors import InputError
+from pcbench.io.paths import EPT, is_pattern
 
 _MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suffix is `_poisson_meshlab_distance.png`
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # characters that would break table lines
@@ -68,7 +70,13 @@ def _with_folder(path: Path, paths: Sequence[Path]) -> str:
 
 
 def _stem(path: Path) -> str:
-    return _UNPRINTABLE.sub("_", path.stem)
+    """Return the stem of a file, or the name of a folder; that of the folder of a pattern or of an `ept.json`."""
+    if path.name == EPT or is_pattern(path):
+        folders = Path(os.path.abspath(path)).parent.parts  # noqa: PTH100 - `resolve` would follow links
+        name = next((folder for folder in folders[::-1] if not has_magic(folder)), "")
+    else:
+        name = path.name if path.is_dir() else path.stem
+    return _UNPRINTABLE.sub("_", name)
 
 
 def _folders(path: Path) -> list[str]:

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pcbench.geometry.arrays import bounds
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Difference
+from pcbench.measure.results import (
+    ARROWS,
+    CANDIDATE_TO_REFERENCE,
+    REFERENCE_TO_CANDIDATE,
+    Candidate,
+    Difference,
+    LeftOut,
+    Tiling,
+)
+from pcbench.measure.wording import pluralize
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import join_words, length
+from pcbench.report.words import join_words, length, one_line, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
 _MIN_OUTSIDE_SHARE = 0.5  # of the points beyond the reference, for which its bounding box is recommended
+_MAX_LISTED_FILES = 3
 _REPORTED_DIFFERENCES = (  # all are squared lengths
     f"d1_mse/{CANDIDATE_TO_REFERENCE}",
     f"d1_mse/{REFERENCE_TO_CANDIDATE}",
@@ -31,6 +41,8 @@ def warnings(comparison: SourcedComparison) -> list[str]:
     if inputs is not None:
         found.update({text: [] for text in inputs.reference.warnings})
     found.update({str(notice): [] for notice in comparison.reference.warnings})
+    if comparison.tiling is not None and comparison.tiling.left_out:
+        found[_left_out_words(comparison.tiling.left_out)] = []
     for candidate in comparison:
         if inputs is not None:
             found.update({text: [] for text in inputs.candidates[candidate.name].warnings})
@@ -40,7 +52,12 @@ def warnings(comparison: SourcedComparison) -> list[str]:
 
 
 def remarks(comparison: SourcedComparison) -> Iterator[str]:
-    """Yield the RMSE of control and check points of each candidate that has some, and the samples behind D2."""
+    """Yield how tiles were used, the RMSE of control and check points of each candidate that has some, and samples."""
+    if comparison.tiling is not None:
+        yield tiling_sentence(comparison, comparison.tiling)
+    if samples := list(_map_samples(comparison)):
+        where = "; all points are in maps/" if comparison.has_map_files else ""
+        yield f"Maps, charts and local statistics show a sample: {join_words(samples)}{where}."
     unit = comparison.reference.unit
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
@@ -49,6 +66,26 @@ def remarks(comparison: SourcedComparison) -> Iterator[str]:
         return
     for candidate in comparison:
         yield f"{candidate.name}: {_sample_words(comparison, candidate)}."
+
+
+def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
+    """Return how a comparison was computed in tiles, in one or two sentences."""
+    text = (
+        f"Computed in {pluralize(tiling.tiles, 'tile')} of at most {pluralize(tiling.tile_points, 'point')}: distances"
+        " and their statistics are those of all points."
+    )
+    if tiling.max_distance is not None:
+        limit = length(tiling.max_distance, comparison.reference.unit)
+        text += f" Closest points were searched within {limit} (--max-distance)."
+    if tiling.sampled_points is not None:
+        text += (
+            " Registration, sampling floors and the test for deformation are based on a sample of"
+            f" {tiling.sampled_points:,} of the reference's {pluralize(comparison.reference.points, 'point')}."
+        )
+    known = comparison.candidates[0].metrics.presets
+    if missing := [name for name in comparison.settings.presets if name not in known]:
+        text += f" Not computed in tiles: {'the preset' if len(missing) == 1 else 'the presets'} {join_words(missing)}."
+    return text
 
 
 def details(comparison: SourcedComparison) -> Iterator[str]:
@@ -84,6 +121,8 @@ def overlaps_little(comparison: SourcedComparison, candidate: Candidate) -> bool
 
 def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterator[str]:
     yield from map(str, candidate.warnings)
+    if text := _censored_words(comparison, candidate):
+        yield text
     registration, everywhere = candidate.registration, comparison.settings.crop == "none"
     for notice in registration.warnings:
         if not (everywhere and notice.code == LOW_OVERLAP):  # the sentence below replaces it
@@ -97,9 +136,56 @@ def _of_candidate(comparison: SourcedComparison, candidate: Candidate) -> Iterat
     yield from map(str, candidate.deformation.further_warnings)
 
 
+def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
+    """Return which shares of the distances reach the maximum distance; empty if none does."""
+    shares = [(ARROWS[way], share) for way, share in candidate.censored.items() if share > 0]
+    if not shares or comparison.tiling is None:
+        return ""
+    limit = length(comparison.tiling.max_distance, comparison.reference.unit)
+    parts = join_words([f"{_percentage(share)} of the distances {arrow}" for arrow, share in shares])
+    return (
+        f"{parts} reach --max-distance and count as {limit}: means, high percentiles and Hausdorff distances are too"
+        " small; raise --max-distance"
+    )
+
+
+def _left_out_words(left_out: Sequence[LeftOut]) -> str:
+    """Return the damaged files that are missing in all numbers; the first ones with their reasons."""
+    counts = [file.points for file in left_out]
+    known = sum(count for count in counts if count is not None)
+    points = (
+        f" with {pluralize(known, 'point')}" if None not in counts else f" with at least {pluralize(known, 'point')}"
+    )
+    listed = "; ".join(f"{file.path} ({one_line(file.reason)})" for file in left_out[:_MAX_LISTED_FILES])
+    rest = len(left_out) - _MAX_LISTED_FILES
+    more = f"; and {pluralize(rest, 'other')} (comparison.json lists all)" if rest > 0 else ""
+    files = pluralize(len(left_out), "damaged file")
+    return (
+        f"left out {files}{points if known else ''}, which {'is' if len(left_out) == 1 else 'are'} missing in all"
+        + (f" numbers: {listed}{more}")
+    )
+
+
+def _map_samples(comparison: SourcedComparison) -> Iterator[str]:
+    """Yield how many points are in each map that is a sample; those of the reference are named once."""
+    for candidate in comparison:
+        if candidate.deviation.sampled_from is not None:
+            yield f"{sample_count(candidate.deviation)} of {candidate.name}"
+    first = comparison.candidates[0].completeness
+    if first.sampled_from is not None:
+        yield f"{sample_count(first)} of the reference"
+
+
+def _percentage(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
+
+
 def _crop_advice(candidate: Candidate) -> str:
     """Return the options that exclude points beyond the reference; its bounding box only if many are outside."""
-    points, (lower, upper) = candidate.deviation.points, bounds(candidate.completeness.points)
+    points, (lower, upper) = (
+        candidate.deviation.points[candidate.deviation.is_even],
+        bounds(candidate.completeness.points),
+    )
     outside = float(((points < lower) | (points > upper)).any(axis=1).mean())
     if outside < _MIN_OUTSIDE_SHARE * (1 - candidate.registration.overlap):
         return "--crop polygon:FILE measures only points inside a region"

@@ -6,24 +6,32 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.results import REFERENCE_TO_CANDIDATE
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 
 UNKNOWN_UNIT = "units of the file"
 MESH_SAMPLES = 1_500_000  # points on a mesh that are drawn, without gaps
+
+
+class MapSample(NamedTuple):
+    """Sample of points in a map: its first `even` points are an even sample of `sampled_from` measured points."""
+
+    even: int
+    sampled_from: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +46,9 @@ class ReportedCandidate:
         deformation: the verdict; None in reports of early versions.
         percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
-        path: file of the candidate, if it came from one.
+        path: file of the candidate, if it came from one and fits into memory.
         transform: maps candidate to reference coordinates, or to the upright frame of the report.
+        samples: the sample that a map has, for each direction whose map does not have all points.
         rotation: rotation to that frame; None: the coordinates are those of the reference.
     """
 
@@ -52,7 +61,14 @@ class ReportedCandidate:
     completeness_path: Path
     path: Path | None
     transform: Similarity
+    samples: Mapping[str, MapSample]
     rotation: Similarity | None = None
+
+    def even_values(self, scalar: str) -> FloatArray:
+        """Return a scalar of the deviation map at the points that represent all of them in statistics."""
+        sample = self.samples.get(CANDIDATE_TO_REFERENCE)
+        values: FloatArray = np.asarray(self.deviation.attributes[scalar], dtype=np.float64)
+        return values if sample is None else values[: sample.even]
 
     def own_colors(self) -> Cloud | None:
         """Read the aligned candidate in its own colours, if it has some and its file still exists."""
@@ -81,7 +97,7 @@ class Report:
     Attributes:
         unit: the unit of lengths, or words for an unknown one.
         spacing_median: median spacing of the reference.
-        reference_path: file of the reference, if it came from one.
+        reference_path: file of the reference, if it came from one and fits into memory.
         candidates: the candidates.
         cameras: the cameras of the scene, if recorded.
         rotation: rotation from the coordinates of the reference to those of the clouds and cameras; None: there is
@@ -125,15 +141,16 @@ def read_report(folder: Path, *, upright: bool = False) -> Report:
         document = read_json(folder / "comparison.json")
         reference = document["reference"]
         cameras = ViewingCameras.read(folder / CAMERAS_FILE) if (folder / CAMERAS_FILE).is_file() else None
+        is_tiled = document.get("tiling") is not None  # its clouds may be too large to read
         rotation = None
         if upright and cameras is not None:
             rotation, cameras = cameras.upright()
         return Report(
             unit=reference.get("unit") or UNKNOWN_UNIT,
             spacing_median=float(reference["spacing_median"] or 0.0),
-            reference_path=_input_path(folder),
+            reference_path=None if is_tiled else _input_path(folder),
             candidates=tuple(
-                _candidate(folder, values, _input_path(folder, values["name"]), rotation)
+                _candidate(folder, values, None if is_tiled else _input_path(folder, values["name"]), rotation)
                 for values in document["candidates"]
             ),
             cameras=cameras,
@@ -203,6 +220,10 @@ def _candidate(
         path=path,
         transform=transform if rotation is None else rotation @ transform,
         rotation=rotation,
+        samples={
+            direction: MapSample(int(sample["even"]), int(sample["sampled_from"]))
+            for direction, sample in values.get("map_samples", {}).items()
+        },
     )
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.io import FILTERABLE_EXTENSIONS, read_cloud
+from pcbench.io import read_cloud
 from pcbench.io.files import digest, file_in_setting
 from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.pieces import is_in_pieces, open_cloud
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.inputs import InputFile, SceneFolder
+from pcbench.report.on_disk import filters_for, parts_digest
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
@@ -42,11 +44,9 @@ def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputF
 def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
     """Read a cloud and record its file; raises the same errors as `read_reference`."""
     warnings: list[str] = []
-    filters: dict[str, Any] = {}
-    if path.suffix.lower() in FILTERABLE_EXTENSIONS:  # candidates may have other formats than a filtered LAS reference
-        filters = {"classes": settings.classes, "returns": settings.returns}
-    cloud = read_cloud(path, on_warning=warnings.append, **filters)
-    return cloud, InputFile(str(path), digest(path), tuple(warnings))
+    cloud = read_cloud(path, on_warning=warnings.append, **filters_for(path, settings))
+    found = parts_digest(open_cloud(path)) if is_in_pieces(path) else digest(path)
+    return cloud, InputFile(str(path), found, tuple(warnings))
 
 
 def paths_in(settings: Settings) -> list[Path]:

@@ -18,11 +18,18 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.files import file_in_setting
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
+from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.registration import METHODS, ControlPoints, FeatureSettings, GivenPose, IcpSettings, parse_method
 
 _TYPES: dict[str, type[Any]] = {
     cls.__name__: cls
     for cls in (IcpSettings, FeatureSettings, ControlPoints, GivenPose, Similarity, Box, Sphere, Polygon, Union, Cloud)
+}
+# Settings of tiles that are recorded, with their JSON types.
+_TILING_KINDS: dict[str, Any] = {
+    "tile_points": int | None,
+    "max_distance": float | int | None,
+    "skip_bad": bool,
 }
 
 
@@ -47,6 +54,25 @@ def restore(values: Mapping[str, Any]) -> Settings:
     if isinstance(values.get("m3c2"), Mapping):
         restored["m3c2"] = M3C2Settings(**{name: _from_record(value) for name, value in values["m3c2"].items()})
     return Settings(**restored)
+
+
+def record_tiling(tiling: TilingSettings) -> dict[str, Any]:
+    """Return the settings of a tiled comparison as JSON values, without those of the machine, such as its memory."""
+    return {name: getattr(tiling, name) for name in _TILING_KINDS}
+
+
+def restore_tiling(values: Any) -> TilingSettings:
+    """Return the settings from values of `record_tiling`.
+
+    Raises:
+        InputError, ValueError: the values are damaged.
+    """
+    if not isinstance(values, Mapping) or not values.keys() <= _TILING_KINDS.keys():
+        raise ValueError(f"expected 'tiling' with {', '.join(_TILING_KINDS)}, got {values!r}")
+    for name, value in values.items():
+        if not isinstance(value, _TILING_KINDS[name]) or (isinstance(value, bool) and name != "skip_bad"):
+            raise ValueError(f"expected another value of {name!r} in 'tiling' than {value!r}")
+    return TilingSettings(**values)
 
 
 def _to_record(value: Any) -> Any:

@@ -73,7 +73,9 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
         for sentence in details(comparison):
             say(sentence)
         console.print()
-    for text in _other_outputs(folder, full=full):
+    for text in _other_outputs(
+        folder, full=full, is_sample=any(c.deviation.sampled_from is not None for c in comparison)
+    ):
         say(text, "dim")
 
 
@@ -151,8 +153,8 @@ def _print_row(console: Console, cells: Sequence[str], style: str = "") -> None:
     console.print(_GAP.join(cells).rstrip(), style=style, soft_wrap=True)
 
 
-def _other_outputs(folder: Path | None, *, full: bool) -> Iterator[str]:
-    """Yield a sentence on the files that have all metrics."""
+def _other_outputs(folder: Path | None, *, full: bool, is_sample: bool) -> Iterator[str]:
+    """Yield a sentence on the files that have all metrics; clouds with distances may be samples of the points."""
     more = "" if full else "; --full prints all metrics"
     if folder is None:
         yield f"--out FOLDER writes all metrics with their intervals, maps and pictures{more}"
@@ -162,11 +164,12 @@ def _other_outputs(folder: Path | None, *, full: bool) -> Iterator[str]:
         "table.md": "all metrics with their intervals",
         "comparison.json": "everything",
         "metrics.csv": "",
-        "*_deviation.ply": "distances at each point",
+        "*_deviation.ply": "distances at a sample of the points" if is_sample else "distances at each point",
         "*_m3c2.ply": "",
         "*_deformation.ply": "displacements",
         "*_T.txt": "matrices",
         "figures/*": "pictures",
+        "maps/*": "distances of all points as LAZ tiles and GeoTIFF",
     }
     present = [(name, what) for name, what in contents.items() if any(folder.glob(name))]
     parts = [f"{name.removesuffix('*')} ({what})" if what else name for name, what in present]

@@ -6,6 +6,7 @@ import unicodedata
 from collections.abc import Sequence
 from itertools import accumulate
 
+from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.intervals import Interval
 from pcbench.measure.wording import pluralize
 from pcbench.report.inputs import SourcedComparison
@@ -28,6 +29,22 @@ def length(value: float | None, unit: str | None) -> str:
         return UNKNOWN
     text = f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
     return f"{text} {unit}" if unit else text
+
+
+def sample_count(map_: DeviationMap) -> str:
+    """Return the number of points of a map, such as "1,500 points", or "1,000,000 of 1,200,000,000 points"."""
+    return point_count(len(map_.points), map_.sampled_from)
+
+
+def point_count(shown: int, sampled_from: int | None = None, noun: str = "point") -> str:
+    """Return a number of points in words, with the number of all points if they are a sample of them."""
+    return pluralize(shown, noun) if sampled_from is None else f"{shown:,} of {pluralize(sampled_from, noun)}"
+
+
+def memory_text(size: int) -> str:
+    """Return an amount of memory in bytes as text, such as "12.3 GiB"."""
+    value, unit = (size / 2**30, "GiB") if size >= 2**30 else (size / 2**20, "MiB")
+    return f"{value:.3g} {unit}" if value < 1000 else f"{value:,.0f} {unit}"
 
 
 def join_words(names: Sequence[str], most: int = 8) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import refusals
 from data_folder import data_folder
-from las_bytes import OFFSETS, SCALES, UTM, extra, extras, geo_keys, las, vlr, wkt
+from las_bytes import OFFSETS, SCALES, UTM, copc, extra, extras, geo_keys, las, vlr, wkt
 from optional import break_library, import_or_skip
 from wording import check_error, check_text
 
@@ -93,10 +93,7 @@ def test_8_bit_colors_are_unchanged(tmp_path):
 
 def test_chunks_of_variable_size(tmp_path):
     skip_without_lazrs()
-    info = vlr(b"copc", 1, bytes(160))
-    hierarchy = vlr(b"copc", 1000, bytes(32), extended=True)
-    data = las(7, 300, vlrs=[info], evlrs=[hierarchy], compress="variable")
-    (tmp_path / "a.copc.laz").write_bytes(data)
+    (tmp_path / "a.copc.laz").write_bytes(copc(300))
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.copc.laz").points, read(tmp_path, las(7, 300)).points)
 
 

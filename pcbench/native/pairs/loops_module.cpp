@@ -11,6 +11,7 @@
 
 #include "common/arrays.h"
 #include "common/order_statistics.h"
+#include "pairs/exact_sums.h"
 #include "pairs/pairs.h"
 #include "pairs/polynomials.h"
 #include "points/cells.h"
@@ -94,6 +95,23 @@ bool order_statistics(Column values, std::optional<double> center, Indices ranks
     const double c = *center;
     return pcbench::order_statistics(
         count, [=](size_t i) { return std::fabs(data[i] - c); }, selected.data(), rank_count, found.data());
+}
+
+bool add_exactly(Column values, Indices groups, Out<int64_t, nb::shape<-1, pcbench::kLimbs>> limbs) {
+    const size_t count = values.shape(0);
+    check(groups.shape(0) == count && count <= pcbench::kMaxAdditions,
+          "add_exactly: expected one group for each of at most 2^30 values");
+    bool in_range = true;
+    for (size_t i = 0; i < count; ++i) in_range &= static_cast<uint64_t>(groups.data()[i]) < limbs.shape(0);
+    if (!in_range) throw nb::index_error("add_exactly: expected groups that have limbs");
+    nb::gil_scoped_release release;
+    return pcbench::add_exactly(count, values.data(), groups.data(), limbs.data());
+}
+
+void round_exactly(In<uint32_t, nb::shape<-1, pcbench::kLimbs>> limbs, Out<double, nb::shape<-1>> sums) {
+    check(sums.shape(0) == limbs.shape(0), "round_exactly: expected one result per sum");
+    for (size_t i = 0; i < sums.shape(0); ++i)
+        sums.data()[i] = pcbench::round_exactly(limbs.data() + pcbench::kLimbs * i);
 }
 
 nb::tuple weigh(Points moved, Column distances, Points closest, Indices rows, Points normals, double max_distance,
@@ -183,6 +201,13 @@ void bind_loops(nb::module_& m) {
         nb::arg("ranks").noconvert(), nb::arg("found").noconvert(),
         "Values of the ascending ranks (M,), 0 the smallest, among values (N,), or among their distances from center;\n"
         "written in place. Returned is False, and nothing is written, if a value is NaN.");
+    m.def("add_exactly", &add_exactly, nb::arg("values").noconvert(), nb::arg("groups").noconvert(),
+          nb::arg("limbs").noconvert(),
+          "Add values (N,) to the fixed-point sums of their groups (N,), in place: limb k of a row (G, 8) counts\n"
+          "2^(32 k - 128). Returned is False if a value is not finite or not below 2^96 in magnitude.");
+    m.def("round_exactly", &round_exactly, nb::arg("limbs").noconvert(), nb::arg("sums").noconvert(),
+          "Nearest doubles (G,), written in place, of fixed-point sums (G, 8) whose limbs are digits in two's\n"
+          "complement.");
     m.def(
         "weigh", &weigh, nb::arg("moved").noconvert(), nb::arg("distances").noconvert(), nb::arg("closest").noconvert(),
         nb::arg("rows").noconvert(), nb::arg("normals").noconvert(), nb::arg("max_distance"), nb::arg("robust"),

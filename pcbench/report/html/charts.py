@@ -57,8 +57,8 @@ class LogChart:
 def charts(comparison: SourcedComparison) -> list[LogChart]:
     """Return the charts of a comparison; none if all distances are zero."""
     shown = comparison.candidates[:_MAX_SERIES]
-    forth = [c.deviation.scalars["distance"] for c in shown]
-    back = [c.completeness.scalars["distance"] for c in shown]
+    forth = [c.deviation.even_values("distance") for c in shown]
+    back = [c.completeness.even_values("distance") for c in shown]
     positive = [part for values in (*forth, *back) if len(part := values[values > 0])]
     if not positive:
         return []

@@ -36,11 +36,15 @@ class _Scalar(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """A cloud of the view before thinning; the reference has no name."""
+    """A cloud of the view before thinning; the reference has no name.
+
+    `sampled_from` is the number of measured points, if these are a sample of them.
+    """
 
     name: str
     points: FloatArray
     scalars: list[_Scalar]
+    sampled_from: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +80,26 @@ def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_So
     maps = {c.name: c.deviation for c in comparison}
     scales = {}
     for key in dict.fromkeys(key for map_ in maps.values() for key in map_.scalars):
-        having = {name: map_.scalars[key] for name, map_ in maps.items() if key in map_.scalars}
+        having = {name: map_.even_values(key) for name, map_ in maps.items() if key in map_.scalars}
         scales[key] = ranges_of(having, spacing=spacing, given=given)
     for name, map_ in maps.items():
         scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
-        yield _Source(name, map_.points, scalars)
+        yield _Source(name, map_.points, scalars, map_.sampled_from)
     cores = {name: map_.m3c2 for name, map_ in maps.items() if map_.m3c2 is not None}
     along = ranges_of({name: found.distances for name, found in cores.items()}, spacing=spacing, given=given)
     for name, found in cores.items():
         yield _Source(f"{name}, M3C2", found.cores, [_Scalar("m3c2_distance", found.distances, along[name])])
-    missing = {c.name: c.completeness.scalars["distance"] for c in comparison}
-    to_candidates = ranges_of(missing, spacing=spacing, given=given)
+    backward = {c.name: c.completeness for c in comparison}
+    to_candidates = ranges_of(
+        {name: map_.even_values("distance") for name, map_ in backward.items()}, spacing=spacing, given=given
+    )
+    shared, *others = backward.values()
+    points, missing = shared.points, {name: map_.scalars["distance"] for name, map_ in backward.items()}
+    if not all(np.array_equal(map_.rows, shared.rows) for map_ in others):  # samples have their own largest deviations
+        points = shared.points[shared.is_even]
+        missing = {name: map_.even_values("distance") for name, map_ in backward.items()}
     scalars = [_Scalar("distance", values, to_candidates[name], name) for name, values in missing.items()]
-    yield _Source("", comparison.candidates[0].completeness.points, scalars)  # the same points for each candidate
+    yield _Source("", points, scalars, shared.sampled_from)
 
 
 def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:
@@ -121,7 +132,8 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
     core = np.percentile(sample @ axes.T, [1, 99], axis=0)
     head = {
         "name": source.name,
-        "total": len(points),
+        "total": source.sampled_from or len(points),
+        "is_sample": source.sampled_from is not None,
         "shown": len(rows),
         "outside": len(points) - len(near),
         "beyond": int(far.sum()),

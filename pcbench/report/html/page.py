@@ -105,6 +105,8 @@ def _share_shown(layer: Layer) -> str:
     head = layer.head
     name = printable(head["name"]) or "reference"
     text = f"{name}: {head['shown']:,} of {pluralize(head['total'], 'point')}"
+    if head["is_sample"]:  # how many of the other points lie beyond is unknown
+        return f"{text}, a sample with the largest deviations"
     if head["beyond"]:
         kept = "all" if head["beyond_shown"] == head["beyond"] else f"{head['beyond_shown']:,} of"
         text += f", with {kept} {head['beyond']:,} beyond the legend's limit"

@@ -86,6 +86,7 @@ class TileMaps:
         sparse: number of points in tiles with too few points, or outside the grid.
         scale: colour range of the medians.
         unit: unit of lengths, if known.
+        is_sample: whether the points are a sample of those of a candidate.
     """
 
     scene: SceneAxes
@@ -99,6 +100,7 @@ class TileMaps:
     sparse: int
     scale: Range
     unit: str | None
+    is_sample: bool = False
 
     tile = TILE
     min_points = MIN_TILE_POINTS
@@ -166,23 +168,23 @@ def tile_maps(
         axes: the axes of the scene; a wall is mapped along its own.
     """
     shown = [c for c in comparison if len(c.deviation.points)]
-    places = {c.name: c.deviation.points @ axes.rows.T for c in shown}
+    places = {c.name: c.deviation.points[c.deviation.is_even] @ axes.rows.T for c in shown}
     grid, origin = _grid(places, axes)
     if grid is None:
         return None
     key = next(key for key in _QUANTITIES if key == "distance" or all(_knows(c, key) for c in shown))
-    by_name = {c.name: deviations_by_tile(grid, places[c.name] - origin, c.deviation.scalars[key]) for c in shown}
+    by_name = {c.name: deviations_by_tile(grid, places[c.name] - origin, c.deviation.even_values(key)) for c in shown}
     largest_first = sorted(filter(by_name.get, by_name), key=lambda name: -by_name[name][0].p95)
     if not largest_first:
         return None
     found = {name: tiles for name, tiles in by_name.items() if name in largest_first[:_MAX_CANDIDATES]}
-    signed = any(bool((c.deviation.scalars[key] < 0).any()) for c in shown if c.name in found)
+    signed = any(bool((c.deviation.even_values(key) < 0).any()) for c in shown if c.name in found)
     largest = max(abs(tile.median) for tiles in found.values() for tile in tiles)
     spacing = comparison.reference.spacing_median
     scale = ranges({"": largest}, spacing=spacing, signed=signed, given=given)[""]
     unit = comparison.reference.unit
     tiles = [_tile(name, tile, grid, scale, unit) for name, tiles in found.items() for tile in tiles]
-    known = sum(int(np.isfinite(c.deviation.scalars[key]).sum()) for c in shown if c.name in found)
+    known = sum(int(np.isfinite(c.deviation.even_values(key)).sum()) for c in shown if c.name in found)
     least = rounding_limit(comparison)
     return TileMaps(
         axes,
@@ -196,6 +198,7 @@ def tile_maps(
         known - sum(tile.found.count for tile in tiles),
         scale,
         unit,
+        any(c.deviation.sampled_from is not None for c in shown),
     )
 
 

@@ -35,7 +35,7 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
     from matplotlib.lines import Line2D
     from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-    values = [np.sort(np.asarray(c.deviation.attributes["distance"], dtype=np.float64)) for c in report.candidates]
+    values = [np.sort(c.even_values("distance")) for c in report.candidates]
     positive = [v[v > 0] for v in values if (v > 0).any()]
     if not positive:
         return False

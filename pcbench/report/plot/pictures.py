@@ -12,13 +12,17 @@ from pcbench.deformation import Deformation
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud
-from pcbench.measure.wording import pluralize
+from pcbench.io.map_tiles import read_overview
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.colors import Range, ranges, ranges_of
 from pcbench.report.figures import Figures
+from pcbench.report.manifest import MAPS
 from pcbench.report.plot import Picture, bends, charts, maps
+from pcbench.report.plot.overviews import draw_overview
 from pcbench.report.plot.sections import draw_section
 from pcbench.report.plot.views import Frame
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
+from pcbench.report.words import point_count
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
@@ -67,7 +71,7 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
         "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
         "reference": Picture(
             lambda path: maps.draw_own_colors("reference", report.reference(), report.unit, frame, path, look),
-            "the file of the reference no longer exists",
+            "the file of the reference no longer exists, or it was compared in tiles because of its size",
         ),
         **{
             f"{candidate.name}_colors": _own_colors(candidate, report.unit, frame, look)
@@ -78,6 +82,7 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
         named |= _maps(deviations, scalar, report, scenery, look)
         if scalar == "distance":
             named |= _completeness(report, scenery, look)
+    named |= _overviews(folder, report, look)
     named |= _sections(report, scenery.points, look)
     named |= _maps(cores, "m3c2_distance", report, scenery, look)
     for candidate in report.candidates:
@@ -98,12 +103,18 @@ def _maps(
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
+    is_m3c2 = scalar.startswith("m3c2")
+    samples = {} if is_m3c2 else {c.name: c.samples.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
+    even = {
+        name: known if (sample := samples.get(name)) is None else known[: sample.even] for name, known in values.items()
+    }
+    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
     label = f"{maps.label_of(scalar)} [{report.unit}]"
-    noun = "core point" if scalar.startswith("m3c2") else "point"
 
     def picture(name: str, scale: Range) -> Picture:
-        title = f"{name} ({pluralize(len(clouds[name]), noun)})"
+        sample = samples.get(name)
+        count = point_count(len(clouds[name]), sample and sample.sampled_from, "core point" if is_m3c2 else "point")
+        title = f"{name} ({count})"
         return Picture(
             lambda path: maps.draw_coloured_cloud(
                 clouds[name], values[name], title, scale, label, report.unit, scenery, path, look
@@ -113,11 +124,30 @@ def _maps(
     return {f"{name}_{scalar}": picture(name, scale) for name, scale in scales.items()}
 
 
+def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture]:
+    """Return a picture of each overview raster in the folder of the map files, as seen from above."""
+
+    def picture(path: Path, title: str, label: str) -> Picture:
+        def draw(picture_file: Path) -> bool:
+            overview = read_overview(path)
+            return draw_overview(overview, title, label, report.unit, report.spacing_median, picture_file, look)
+
+        return Picture(draw)
+
+    kinds = {"distance": "{} from above", "completeness": "completeness of {} from above"}
+    return {
+        f"{candidate.name}_{kind}_overview": picture(path, title.format(candidate.name), maps.LABELS[kind])
+        for candidate in report.candidates
+        for kind, title in kinds.items()
+        if (path := folder / MAPS / f"{candidate.name}_{kind}.tif").is_file()
+    }
+
+
 def _own_colors(candidate: ReportedCandidate, unit: str, frame: Frame, look: Figures) -> Picture:
     """Return the picture of an aligned candidate in its own colours."""
     return Picture(
         lambda path: maps.draw_own_colors(candidate.name, candidate.own_colors(), unit, frame, path, look),
-        "the cloud has no colours, or its file no longer exists",
+        "the cloud has no colours, its file no longer exists, or it was compared in tiles because of its size",
     )
 
 
@@ -126,7 +156,8 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     clouds = {candidate.name: candidate.deviation for candidate in report.candidates}
     scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
-    scales = ranges_of(values, spacing=report.spacing_median, given=look.range)
+    even = {candidate.name: candidate.even_values(scalar) for candidate in report.candidates}
+    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
     label = f"{maps.LABELS[scalar]} [{report.unit}]"
 
     def picture(name: str) -> Picture:
@@ -152,7 +183,9 @@ def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[
         def draw(path: Path) -> bool:
             cloud = candidate.completeness()
             assert cloud is not None
-            title = f"completeness of {candidate.name} (the reference's {pluralize(len(cloud), 'point')})"
+            sample = candidate.samples.get(REFERENCE_TO_CANDIDATE)
+            count = point_count(len(cloud), sample and sample.sampled_from)
+            title = f"completeness of {candidate.name} (the reference's {count})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
             return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, scenery, path, look)
 

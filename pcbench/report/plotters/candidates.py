@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.measure.results import Candidate
-from pcbench.measure.wording import pluralize
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.maps import frame, frame_of, label_of
 from pcbench.report.plot.panels import join_title
 from pcbench.report.plot.views import Frame
 from pcbench.report.plotters.stage import Stage, Window
-from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate
+from pcbench.report.read import UNKNOWN_UNIT, MapSample, Report, ReportedCandidate
 from pcbench.report.viewing import ViewingCameras
+from pcbench.report.words import point_count
 
 COMPLETENESS = "completeness"
 
@@ -33,10 +33,24 @@ class ScalarMap(NamedTuple):
     Attributes:
         points: (N, 3) points.
         values: (N,) finite values.
+        sampled_from: number of measured points, if these are a sample of them.
+        is_even: (N,) whether a point belongs to the even sample, see `DeviationMap.is_even`; None: all do.
     """
 
     points: FloatArray
     values: FloatArray
+    sampled_from: int | None = None
+    is_even: NDArray[np.bool_] | None = None
+
+    @property
+    def even_values(self) -> FloatArray:
+        """Values at the points of the even sample."""
+        return self.values if self.is_even is None else self.values[self.is_even]
+
+    def at(self, rows: NDArray[np.bool_]) -> ScalarMap:
+        """Return the map at some of its points."""
+        is_even = None if self.is_even is None else self.is_even[rows]
+        return ScalarMap(self.points[rows], self.values[rows], self.sampled_from, is_even)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +98,7 @@ class CandidateMaps:
 
     def ranges(self, scalar: str) -> dict[str, Range]:
         """Return the colour range of a scalar for each candidate that has it."""
-        values = {name: maps[scalar].values for name, maps in self.maps.items() if scalar in maps}
+        values = {name: maps[scalar].even_values for name, maps in self.maps.items() if scalar in maps}
         return ranges_of(values, spacing=self.spacing, given=self.range)
 
     @cached_property
@@ -106,8 +120,9 @@ class CandidateMaps:
         behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
         if behind in self.maps[name]:
             stage.add_ghost(self.maps[name][behind].points)
-        stage.add_bar(stage.add_values(*shown, scale), label_of(scalar))
-        count = pluralize(len(shown.points), "core point" if scalar.startswith("m3c2") else "point")
+        stage.add_bar(stage.add_values(shown.points, shown.values, scale), label_of(scalar))
+        noun = "core point" if scalar.startswith("m3c2") else "point"
+        count = point_count(len(shown.points), shown.sampled_from, noun)
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
         stage.write_title(join_title(title, frame_of(shown.points, self.frame)[1]))
         return scale
@@ -115,32 +130,40 @@ class CandidateMaps:
 
 def _measured(candidate: Candidate) -> dict[str, ScalarMap]:
     deviation = candidate.deviation
-    maps = {name: (deviation.points, values) for name, values in deviation.scalars.items()}
+    completeness = candidate.completeness
+    maps = {
+        name: ScalarMap(deviation.points, values, deviation.sampled_from, deviation.is_even)
+        for name, values in deviation.scalars.items()
+    }
     if deviation.m3c2 is not None:
-        maps["m3c2_distance"] = deviation.m3c2.cores, deviation.m3c2.distances
-    maps[COMPLETENESS] = candidate.completeness.points, candidate.completeness.scalars["distance"]
+        maps["m3c2_distance"] = ScalarMap(deviation.m3c2.cores, deviation.m3c2.distances)
+    distances = completeness.scalars["distance"]
+    maps[COMPLETENESS] = ScalarMap(completeness.points, distances, completeness.sampled_from, completeness.is_even)
     return _known(maps)
 
 
 def _reported(candidate: ReportedCandidate) -> dict[str, ScalarMap]:
     deviation, m3c2, completeness = candidate.deviation, candidate.m3c2, candidate.completeness()
-    maps = {name: (deviation.points, _float(values)) for name, values in deviation.attributes.items()}
+    sample = candidate.samples.get(CANDIDATE_TO_REFERENCE)
+    maps = {name: _scalar_map(deviation.points, values, sample) for name, values in deviation.attributes.items()}
     if m3c2 is not None:
-        maps["m3c2_distance"] = m3c2.points, _float(m3c2.attributes["m3c2_distance"])
+        maps["m3c2_distance"] = _scalar_map(m3c2.points, m3c2.attributes["m3c2_distance"])
     if completeness is not None:
-        maps[COMPLETENESS] = completeness.points, _float(completeness.attributes["distance"])
+        sample = candidate.samples.get(REFERENCE_TO_CANDIDATE)
+        maps[COMPLETENESS] = _scalar_map(completeness.points, completeness.attributes["distance"], sample)
     return _known(maps)
 
 
-def _known(maps: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, ScalarMap]:
+def _scalar_map(points: FloatArray, values: NDArray[np.generic], sample: MapSample | None = None) -> ScalarMap:
+    numbers = np.asarray(values, dtype=np.float64)
+    if sample is None:
+        return ScalarMap(points, numbers)
+    return ScalarMap(points, numbers, sample.sampled_from, np.arange(len(numbers)) < sample.even)
+
+
+def _known(maps: Mapping[str, ScalarMap]) -> dict[str, ScalarMap]:
     """Return the points of each map whose value is known, without maps that have none."""
-    known = {name: np.isfinite(values) for name, (_, values) in maps.items()}
+    known = {name: np.isfinite(shown.values) for name, shown in maps.items()}
     return {
-        name: ScalarMap(points, values) if known[name].all() else ScalarMap(points[known[name]], values[known[name]])
-        for name, (points, values) in maps.items()
-        if known[name].any()
+        name: shown if known[name].all() else shown.at(known[name]) for name, shown in maps.items() if known[name].any()
     }
-
-
-def _float(values: NDArray[np.generic]) -> FloatArray:
-    return np.asarray(values, dtype=np.float64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from pcbench.deformation import Side, residual_deformation
@@ -17,6 +19,7 @@ from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate
 from pcbench.measure.scores import measure
 from pcbench.measure.settings import Settings
+from pcbench.measure.summaries import summarize
 from pcbench.registration import register
 from pcbench.systems import peak_memory
 
@@ -42,15 +45,16 @@ def compare_by_approximate_search(
     to_candidate = _approximate_matches(index.points, reference.points, excess)
     forth = from_candidate(reference, index.points, to_reference, seed=settings.seed)
     back = from_reference(reference, index, to_reference.indices, to_candidate, forth=forth, seed=settings.seed)
-    measurement = measure(
-        forth,
-        back,
-        settings.thresholds or (),
+    thresholds = settings.thresholds or ()
+    summary = partial(
+        summarize,
+        thresholds=thresholds,
         cells=reference.cells,
         voxel=reference.voxel,
         corner=bounds(reference.points)[0],
         origin=reference.origin,
     )
+    measurement = measure(summary(forth), summary(back), thresholds, cells=reference.cells)
     inside = np.ones(len(index), bool)
     ours = Side(reference.surface, reference.inside, reference.cloud)
     theirs = Side(Surface(index), inside, candidate)

@@ -1,0 +1,182 @@
+"""Files of deviation maps that are too large for memory: tiles of points as LAZ, and overviews as GeoTIFF."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import MissingExtra
+from pcbench.extras import require
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import is_known_crs, to_wgs84, wkt2
+from pcbench.io import write_cloud
+from pcbench.io.files import atomic_write
+from pcbench.io.geotiff import Raster, read_geotiff, write_geotiff
+from pcbench.io.las_header import read_header
+
+_VPC_VERSION = "1.1.0"  # of STAC
+
+
+@dataclass(frozen=True, eq=False)
+class MapOverview:
+    """Distances of a map per pixel, with rows from north to south and columns from west to east.
+
+    Attributes:
+        mean: (H, W) mean distance of the points in each pixel; NaN without points.
+        largest: (H, W) largest distance; NaN without points.
+        count: (H, W) number of points.
+        west: x of the left edge of the first column.
+        north: y of the upper edge of the first row.
+        pixel: edge of a pixel, in the clouds' unit.
+    """
+
+    mean: FloatArray
+    largest: FloatArray
+    count: NDArray[Any]
+    west: float
+    north: float
+    pixel: float
+
+    def halved(self) -> MapOverview:
+        """Return the overview with pixels of twice the edge."""
+        height, width = self.count.shape
+        padding = [(0, height % 2), (0, width % 2)]
+
+        def blocks(values: NDArray[Any]) -> NDArray[Any]:
+            """Return the four pixels of each new one: (H, W, 4)."""
+            padded = np.pad(values, padding)
+            rows, columns = padded.shape
+            return padded.reshape(rows // 2, 2, columns // 2, 2).swapaxes(1, 2).reshape(rows // 2, columns // 2, 4)
+
+        known = blocks(self.count) > 0
+        count = blocks(self.count).sum(axis=2)
+        total = np.where(known, blocks(self.count) * blocks(self.mean), 0).sum(axis=2)
+        largest = np.where(known, blocks(self.largest), -np.inf).max(axis=2)
+        mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+        return MapOverview(mean, np.where(count > 0, largest, np.nan), count, self.west, self.north, 2 * self.pixel)
+
+
+def map_tile_extension() -> str:
+    """Return the extension of map tiles: `.laz`, or `.las` if lazrs is not installed."""
+    try:
+        require("lazrs")
+    except MissingExtra:
+        return ".las"
+    return ".laz"
+
+
+def write_map_tile(
+    path: Path,
+    points: FloatArray,
+    distance: FloatArray,
+    plane_distance: FloatArray | None = None,
+    *,
+    crs: str | None = None,
+) -> None:
+    """Write a tile of a deviation map as LAS 1.4 with the distances as extra bytes of 32-bit floats.
+
+    Coordinates are rounded to 0.0001 units, or finer for tiles below 100 units, see `pcbench.io.las.write_las`.
+
+    Args:
+        path: output file, with the extension of `map_tile_extension`.
+        points: (N, 3) points in the reference's coordinates, at least one.
+        distance: (N,) distances to the nearest point.
+        plane_distance: (N,) signed distances to the tangent plane; None: unknown.
+        crs: coordinate system of the reference. It is written if pyproj knows it.
+
+    Raises:
+        InputError: the tile is too large for LAS (over 858,000 units).
+        OSError: the file cannot be written; an existing file is then unchanged.
+    """
+    attributes = {"distance": distance.astype(np.float32)}
+    if plane_distance is not None:
+        attributes["plane_distance"] = plane_distance.astype(np.float32)
+    write_cloud(path, Cloud(points, attributes=attributes, crs=crs if is_known_crs(crs) else None))
+
+
+def write_tile_index(folder: Path, crs: str | None) -> Path | None:
+    """Write FOLDER.vpc, a virtual point cloud that QGIS and PDAL open like one file, beside a folder of map tiles.
+
+    Args:
+        folder: folder with map tiles.
+        crs: coordinate system of the reference.
+
+    Returns:
+        The file; None if there are no tiles or the coordinate system is unknown, which a .vpc file must have.
+
+    Raises:
+        OSError: a tile cannot be read or the file cannot be written.
+    """
+    tiles = sorted(path for path in folder.iterdir() if path.suffix in (".laz", ".las"))
+    if crs is None or not tiles or not is_known_crs(crs):
+        return None
+    path = folder.with_name(f"{folder.name}.vpc")
+    items = [_index_entry(tile, f"./{folder.name}/{tile.name}", crs) for tile in tiles]
+    with atomic_write(path) as file:
+        file.write(json.dumps({"type": "FeatureCollection", "features": items}).encode())
+    return path
+
+
+def write_overview(
+    folder: Path, name: str, overview: MapOverview, *, kind: str = "distance", crs: str | None = None
+) -> Path:
+    """Write FOLDER/NAME_KIND.tif, a GeoTIFF with the bands mean, largest and count, and return its path.
+
+    Args:
+        folder: folder of the maps.
+        name: name of the candidate.
+        overview: the raster.
+        kind: `distance` for the candidate's points, `completeness` for the reference's.
+        crs: coordinate system of the reference.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path = folder / f"{name}_{kind}.tif"
+    bands = {"mean": overview.mean, "largest": overview.largest, "count": overview.count}
+    write_geotiff(path, Raster(bands, overview.west, overview.north, overview.pixel, crs))
+    return path
+
+
+def read_overview(path: Path) -> MapOverview:
+    """Read a file of `write_overview`; raises the same errors as `read_geotiff`."""
+    raster = read_geotiff(path)
+    mean, largest, count = (np.asarray(raster.bands[name], np.float64) for name in ("mean", "largest", "count"))
+    return MapOverview(mean, largest, count, raster.west, raster.north, raster.pixel)
+
+
+def _index_entry(tile: Path, href: str, crs: str) -> dict[str, Any]:
+    """Return the STAC item of a tile: its corners as longitude and latitude, its bounds, count and system."""
+    with tile.open("rb") as file:
+        header = read_header(file, lambda _: None)
+    (west, south, low), (east, north, high) = header.bounds or ((0.0,) * 3, (0.0,) * 3)
+    ring = np.array([[west, south], [east, south], [east, north], [west, north], [west, south]])
+    corners = to_wgs84(crs, ring).tolist()
+    longitudes, latitudes = zip(*corners, strict=True)
+    return {
+        "type": "Feature",
+        "stac_version": _VPC_VERSION,
+        "stac_extensions": [
+            "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
+            "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
+        ],
+        "id": tile.stem,
+        "geometry": {"type": "Polygon", "coordinates": [corners]},
+        "bbox": [min(longitudes), min(latitudes), low, max(longitudes), max(latitudes), high],
+        "properties": {
+            "datetime": None,
+            "pc:count": header.count,
+            "pc:encoding": "LASzip" if header.compressed else "LAS",
+            "pc:type": "other",
+            "proj:bbox": [west, south, low, east, north, high],
+            "proj:wkt2": wkt2(crs),
+        },
+        "links": [],
+        "assets": {"data": {"href": href, "roles": ["data"]}},
+    }

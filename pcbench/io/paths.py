@@ -1,0 +1,110 @@
+"""Which files make up a cloud: one file, a folder of tiles, a pattern, a `.vpc` index, or the folder of a format."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection
+from glob import glob, has_magic
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+from pcbench.errors import InputError
+from pcbench.regular_files import read_bytes
+
+VPC = ".vpc"
+EPT = "ept.json"
+_MAX_INDEX_BYTES = 1 << 30
+_TABLES = (".csv", ".txt")  # beside tiles of other formats, these are usually reports, not clouds
+
+
+class TileFiles(NamedTuple):
+    """Files of a cloud in the natural order of their names, and warnings without a path."""
+
+    paths: tuple[Path, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def is_pattern(path: Path) -> bool:
+    """Return whether a path is a pattern of file names, such as tiles/*.laz, and not the name of a file."""
+    return has_magic(str(path)) and not path.exists()
+
+
+def is_tiled(path: Path) -> bool:
+    """Return whether a path names several files: a folder, a pattern, or a `.vpc` index."""
+    return path.suffix.lower() == VPC or is_pattern(path) or path.is_dir()
+
+
+def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
+    """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
+
+    Hidden files, and files of a folder with other extensions, are left out. So are .csv and .txt files of a folder with
+    clouds of other formats, with a warning.
+
+    Args:
+        path: a folder, a pattern or a `.vpc` file.
+        extensions: extensions of files with clouds, in lower case.
+
+    Raises:
+        InputError: there are no such files, or the index is damaged. The message does not name the path.
+        OSError: the folder or the index cannot be read.
+    """
+    if path.suffix.lower() == VPC and not is_pattern(path):
+        return TileFiles(_sorted(_index_files(path)))
+    if is_pattern(path):
+        matches = _sorted([Path(match) for match in glob(str(path), recursive=True)])  # noqa: PTH207 (Path.glob takes no root)
+        if not matches:
+            raise InputError("no file matches this pattern: check the name and the folder")
+        return TileFiles(matches)
+    files = [file for file in path.iterdir() if file.suffix.lower() in extensions and not file.name.startswith(".")]
+    tables = [file for file in files if file.suffix.lower() in _TABLES]
+    clouds = [file for file in files if file not in tables] or files
+    if not clouds:
+        raise InputError(
+            "expected a folder with point clouds, got none directly inside it: name a file, or a pattern such as"
+            " '**/*.laz'"
+        )
+    if len(clouds) == len(files):
+        return TileFiles(_sorted(clouds))
+    left_out = f"left out {len(tables)} .csv and .txt files beside other clouds, such as {tables[0].name}"
+    return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds",))
+
+
+def _sorted(paths: Collection[Path]) -> tuple[Path, ...]:
+    return tuple(sorted(paths, key=_natural_key))
+
+
+def _natural_key(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Return a key that sorts numbers in names by value, so that tile_2 comes before tile_10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], str(path)
+
+
+def _index_files(path: Path) -> list[Path]:
+    """Return the files that a virtual point cloud (`.vpc`) names: a GeoJSON collection of STAC items with assets."""
+    try:
+        index = json.loads(read_bytes(path, _MAX_INDEX_BYTES).decode("utf-8-sig"))
+        hrefs = [asset["href"] for item in index["features"] for asset in item["assets"].values() if _is_data(asset)]
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise InputError("expected a .vpc file with features and assets, got something else: create it again") from None
+    if not hrefs or not all(isinstance(href, str) and href for href in hrefs):
+        raise InputError("expected a .vpc file that names point clouds, got none: create it again")
+    return [_local(path.parent, href) for href in hrefs]
+
+
+def _is_data(asset: Any) -> bool:
+    roles = asset.get("roles") or ["data"]  # QGIS adds overviews, with the role "overview"
+    return "data" in roles
+
+
+def _local(folder: Path, href: str) -> Path:
+    """Return the path of an asset, which is relative to the folder of its index."""
+    parts = urlsplit(href)
+    if parts.scheme == "file":
+        return Path(unquote(parts.path))
+    if len(parts.scheme) > 1:  # one letter is a drive
+        raise InputError(f"expected files on this computer, got {href[:80]}: download them and create the index again")
+    return folder / href

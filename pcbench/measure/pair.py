@@ -1,0 +1,101 @@
+"""A candidate aligned with the reference: the steps of a comparison before and beside its metrics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.deformation import Deformation, Side, residual_deformation
+from pcbench.errors import RegistrationError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crop import points_inside
+from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface
+from pcbench.measure import presets
+from pcbench.measure.directions import Direction, from_candidate, from_reference
+from pcbench.measure.reference import Reference
+from pcbench.measure.settings import Settings
+from pcbench.registration import Registration, register
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedCandidate:
+    """A candidate aligned with the reference.
+
+    Attributes:
+        cloud: the candidate as it was read.
+        registration: its registration to the reference.
+        index: search index over the aligned points, minus the reference's origin.
+        inside: (N,) whether each point lies in the region.
+    """
+
+    cloud: Cloud
+    registration: Registration
+    index: Index
+    inside: NDArray[np.bool_]
+
+
+class Matched(NamedTuple):
+    """Closest points of the queries in the region, in both directions, and those of both cropped clouds."""
+
+    forth: Matches
+    back: Matches
+    pair: presets.CroppedPair
+
+
+def align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> AlignedCandidate:
+    """Register a candidate and return it in the reference's coordinates.
+
+    Raises:
+        InputError: no aligned point lies in the region.
+        RegistrationError: the clouds do not overlap.
+    """
+    try:
+        registration = register(
+            reference.cloud, cloud, settings.register, initial=settings.initial, target=reference.target
+        )
+    except RegistrationError as error:
+        raise RegistrationError(f"{name}: {error}") from error
+    points = registration.T_local.apply(cloud.points - reference.origin)
+    inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
+    return AlignedCandidate(cloud, registration, Index(points), inside)
+
+
+def match_pair(reference: Reference, aligned: AlignedCandidate) -> Matched:
+    """Match in both directions; the region selects the queries, but the complete clouds are searched."""
+    pair = _cropped_pair(reference, aligned.index, aligned.inside)
+    if reference.region is None:
+        return Matched(pair.to_reference, pair.to_candidate, pair)
+    forth = reference.index.query(aligned.index.points[aligned.inside])
+    return Matched(forth, aligned.index.query(reference.measured_points), pair)
+
+
+def _cropped_pair(reference: Reference, candidate: Index, inside: NDArray[np.bool_]) -> presets.CroppedPair:
+    """Crop both clouds to the region and match them, without normals; without a region they are matched as they are."""
+    if reference.region is None:
+        return presets.match(reference.index, candidate, reference.nearest_other, None, None)
+    cut = Index(reference.measured_points)
+    nearest_other = cut.nearest_other() if len(cut) > 1 else None
+    return presets.match(cut, Index(candidate.points[inside]), nearest_other, None, None)
+
+
+def measure_directions(
+    reference: Reference, aligned: AlignedCandidate, matched: Matched, seed: int
+) -> tuple[Direction, Direction]:
+    """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
+    points = aligned.index.points
+    queries = points if reference.region is None else points[aligned.inside]
+    forth = from_candidate(reference, queries, matched.forth, seed=seed)
+    closest = np.full(len(aligned.cloud), -1)
+    closest[aligned.inside] = matched.forth.indices
+    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
+
+
+def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:
+    """Assess deformation, with closest points found anew in the complete clouds."""
+    ours = Side(reference.surface, reference.inside, reference.cloud)
+    theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
+    return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)

@@ -1,0 +1,150 @@
+"""Registration, sampling floors and deformation of clouds on disk, from samples at full density."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pcbench.deformation import Deformation
+from pcbench.errors import Notice, RegistrationError
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
+from pcbench.measure.metrics import Distances
+from pcbench.measure.pair import align, assess_deformation, match_pair, measure_directions
+from pcbench.measure.reference import Reference
+from pcbench.measure.results import ReferenceSummary
+from pcbench.measure.settings import Settings
+from pcbench.measure.tiled.sums import GroupSums
+from pcbench.registration import (
+    ControlPoints,
+    FeatureSettings,
+    GivenPose,
+    IcpSettings,
+    Registration,
+    as_method,
+    as_similarity,
+    register,
+)
+from pcbench.registration.control_points import fit_pairs
+
+_MAX_SHARE_DIFFERENCE = 0.1  # of the points on the reference, between the sample and all points
+_MAX_RMS_RATIO = 1.5  # of the distances to planes of these points
+UNREPRESENTATIVE_SAMPLE = "sample-differs"
+"""Code of the warning that the pose fits all points worse than the sample from which it was found."""
+
+
+@dataclass(frozen=True)
+class NearFit:
+    """How well points fit the reference: share within the overlap distance, and RMS distance of these to planes."""
+
+    share: float
+    plane_rms: float | None
+
+    @classmethod
+    def of(cls, distances: Distances, overlap_distance: float) -> NearFit:
+        """Measure the fit of the queries of a direction."""
+        near = distances.to_points <= overlap_distance
+        planes = distances.to_planes
+        rms = None
+        if isinstance(planes, np.ndarray) and near.any():
+            rms = float(np.sqrt(np.mean(np.square(planes[near]))))
+        return cls(float(np.mean(near)), rms)
+
+    @classmethod
+    def of_sums(cls, near: GroupSums, count: int, *, has_normals: bool) -> NearFit:
+        """Return the fit of `count` queries from the sums over those within the overlap distance."""
+        rms = math.sqrt(near.mean("square")) if has_normals and near.count else None
+        return cls(near.count / count, rms)
+
+    def warning(self, of_all: NearFit) -> Notice | None:
+        """Return a warning if all points fit clearly worse than this sample."""
+        worse = self.plane_rms and of_all.plane_rms and of_all.plane_rms > _MAX_RMS_RATIO * self.plane_rms
+        if self.share - of_all.share <= _MAX_SHARE_DIFFERENCE and not worse:
+            return None
+        spread = "" if not worse else f", {of_all.plane_rms:.3g} off its planes instead of {self.plane_rms:.3g}"
+        return Notice(
+            UNREPRESENTATIVE_SAMPLE,
+            f"the pose was found on a sample of which {self.share:.0%} lies on the reference; of all points"
+            f" {of_all.share:.0%} do{spread}: check the registration where the map shows large distances",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SampleResults:
+    """What the samples of a reference and a candidate show.
+
+    Attributes:
+        registration: the registration, with `T_local` between coordinates minus the local origin of the reference.
+        floors: sampling floors of both directions, c→r and r→c, of each mean metric by name.
+        deformation: the deformation that remains.
+        near: fit of the sample, to compare with that of all points; None if the sample is all points.
+        reference: the reference's sample in short: its normals and warnings.
+    """
+
+    registration: Registration
+    floors: tuple[Mapping[str, float | None], Mapping[str, float | None]]
+    deformation: Deformation
+    near: NearFit | None
+    reference: ReferenceSummary
+
+
+def known_pose(settings: Settings) -> Similarity | None:
+    """Return the pose candidate -> reference that the settings give or start from; None: the identity."""
+    method = as_method(settings.register)
+    if isinstance(method, GivenPose):
+        return method.T_reference_candidate
+    if isinstance(method, ControlPoints):
+        return fit_pairs(method)[0]
+    return None if settings.initial is None else as_similarity(settings.initial)
+
+
+def find_pose(reference: Cloud, candidate: Cloud, name: str, settings: Settings) -> Similarity:
+    """Return the pose of a candidate from evenly thinned clouds, to be refined at full density.
+
+    Raises:
+        RegistrationError: the clouds do not overlap.
+    """
+    given = known_pose(settings)
+    if given is not None and settings.initial is None:
+        return given
+    try:
+        return register(reference, candidate, settings.register, initial=settings.initial).T_reference_candidate
+    except RegistrationError as error:
+        raise RegistrationError(f"{name}: {error}") from error
+
+
+def refine_settings(settings: Settings, pose: Similarity) -> Settings:
+    """Return settings that refine a pose by ICP, or that assess a given one, with the method's residuals and scale."""
+    method = as_method(settings.register)
+    if isinstance(method, FeatureSettings):
+        return replace(settings, register=IcpSettings(with_scale=method.with_scale), initial=pose)
+    if isinstance(method, IcpSettings):
+        return replace(settings, initial=pose)
+    return settings
+
+
+def assess_samples(
+    reference: Reference, candidate: Cloud, name: str, settings: Settings, origin: FloatArray, *, is_complete: bool
+) -> SampleResults:
+    """Register the samples of two clouds, and measure what follows from them.
+
+    Args:
+        reference: the prepared sample of the reference.
+        candidate: sample of the candidate.
+        name: name of the candidate.
+        settings: the settings, for samples as from `refine_settings`.
+        origin: (3,) local origin of the complete reference.
+        is_complete: whether the samples are all points.
+    """
+    aligned = align(reference, name, candidate, settings)
+    forth, back = measure_directions(reference, aligned, match_pair(reference, aligned), settings.seed)
+    registration, near = aligned.registration, None
+    if not is_complete:
+        registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
+        near = NearFit.of(forth.distances, registration.overlap_distance)
+    deformation = assess_deformation(reference, aligned, settings.seed)
+    return SampleResults(registration, (forth.floors, back.floors), deformation, near, reference.summary())

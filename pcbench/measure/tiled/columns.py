@@ -1,0 +1,31 @@
+"""Columns of points on disk: one array per numbered part of a cloud and column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.scratch import attribute_errors_to
+
+
+def column_file(folder: Path, number: int, column: str) -> Path:
+    """Return the file of a column of a part of a cloud."""
+    return folder / f"{number:06d}.{column}.npy"
+
+
+def load_column(folder: Path, number: int, column: str) -> NDArray[Any]:
+    """Return a column of a part of a cloud."""
+    values: NDArray[Any] = np.load(column_file(folder, number, column))
+    return values
+
+
+def save_column(folder: Path, number: int, column: str, values: NDArray[Any]) -> None:
+    """Store a column of a part of a cloud; a killed task leaves no partial file under this name."""
+    file = column_file(folder, number, column)
+    temporary = file.with_suffix(".partial")
+    with attribute_errors_to(file, temporary), temporary.open("wb") as stream:
+        np.save(stream, values)
+    temporary.replace(file)

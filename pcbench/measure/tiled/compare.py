@@ -1,0 +1,556 @@
+"""Comparison of clouds on disk, tile by tile.
+
+1. Every piece of every cloud is read once and stored as a run along a Morton curve; the reference is cut into tiles.
+2. The normals of the reference and its spacing are computed tile by tile.
+3. Registration, sampling floors and the test for deformation use samples at full density.
+4. The aligned candidate is cut into tiles, and the distances in both directions are measured tile by tile.
+5. Exact counts and sums are merged into the same metrics as in memory.
+
+No number depends on the tiles, the workers or the order in which they finish. Each step keeps its results in the
+workspace.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from pcbench.errors import InputError, Notice
+from pcbench.extras import installed_versions
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.region_text import as_region
+from pcbench.geometry.regions import Box, Region
+from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.io import has_filters
+from pcbench.io.files import file_in_setting
+from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
+from pcbench.io.pieces import CloudOnDisk, open_cloud
+from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
+from pcbench.measure.deviation import DeviationMap, Spread
+from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
+from pcbench.measure.presets import Preset
+from pcbench.measure.reference import VOXELS_ALONG, Reference
+from pcbench.measure.results import (
+    CANDIDATE_TO_REFERENCE,
+    REFERENCE_TO_CANDIDATE,
+    Candidate,
+    CandidateComparisons,
+    ReferenceSummary,
+    Tiling,
+)
+from pcbench.measure.scores import Measurement, measure
+from pcbench.measure.settings import Settings
+from pcbench.measure.tiled import windows
+from pcbench.measure.tiled.alignment import (
+    NearFit,
+    SampleResults,
+    assess_samples,
+    find_pose,
+    known_pose,
+    refine_settings,
+)
+from pcbench.measure.tiled.directions import (
+    DISTANCE,
+    PLANE_DISTANCE,
+    MeasuredDirection,
+    TileDistances,
+    TiledPair,
+    measure_candidate_tile,
+    measure_reference_tile,
+)
+from pcbench.measure.tiled.lattice import Lattice
+from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
+from pcbench.measure.tiled.normals import add_normals
+from pcbench.measure.tiled.overview import PixelGrid
+from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
+from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
+from pcbench.measure.tiled.runs import tile_ranges
+from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.measure.tiled.shared import share
+from pcbench.measure.tiled.spreads import spread_of
+from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
+from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
+from pcbench.measure.tiled.totals import DirectionTotals
+from pcbench.registration import Registration, local_origin_of_box
+from pcbench.systems import peak_memory
+from pcbench.tasks import Task, TaskRunner, Workers
+
+T = TypeVar("T")
+
+_REFERENCE = "reference"
+_PIECE_POINTS = 500_000
+
+
+def compare_on_disk(
+    reference: Path,
+    candidates: Mapping[str, Path],
+    settings: Settings,
+    tiling: TilingSettings,
+    *,
+    workspace: Path,
+    maps: Path | None = None,
+    on_step: Callable[[str], None] | None = None,
+) -> CandidateComparisons:
+    """Compare candidates with a reference tile by tile; metrics equal those of `pcbench.compare` in memory.
+
+    Args:
+        reference: file, folder of tiles, pattern, .vpc index or EPT folder of the reference.
+        candidates: the same for each candidate, by name.
+        settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
+        tiling: how it is computed.
+        workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
+        maps: folder for the maps of all points, which is created; None: no maps are written.
+        on_step: progress callback, called with a short description of each step.
+
+    Raises:
+        InputError: a file or a setting is not usable, or a file is damaged and such files are not left out.
+        RegistrationError: a candidate does not overlap the reference.
+        WorkerError: a tile needs too much memory, or the cluster is lost.
+    """
+    report = on_step or (lambda _: None)
+    paths = {_REFERENCE: reference}
+    paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
+    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    tile_points = tiling.chosen_tile_points
+    key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
+    workers = Workers(tiling.chosen_workers, tiling.cluster)
+    folder = workspace.absolute() / key[:16]
+    with TaskRunner(workers, folder / "results", report) as runner:
+        run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
+        return run.compare(clouds, list(candidates))
+
+
+def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+    """Describe a cloud; classes and returns select points where files have them, as in memory."""
+    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
+
+
+def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
+    """Return a text that identifies the inputs and everything that stored results depend on."""
+    files = {
+        name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
+        for name, cloud in clouds.items()
+    }
+    how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
+    pose, crop = known_pose(settings), file_in_setting(settings.crop)
+    region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
+    read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
+    found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
+    return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class _TiledReference:
+    """The reference in tiles, with all that its candidates share."""
+
+    stored: StoredCloud
+    tiles: Tiles
+    origin: FloatArray
+    region: Region | None
+    inside: int
+    spacing: float
+    grid: CorrelationGrid
+    voxel: float
+    corner: FloatArray
+    complete: Reference | None  # in memory, if all clouds are small
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """The steps of one comparison."""
+
+    runner: TaskRunner
+    folder: Path
+    key: str
+    settings: Settings
+    tiling: TilingSettings
+    tile_points: int
+    maps: Path | None
+    report: Callable[[str], None]
+
+    def compare(self, clouds: Mapping[str, CloudOnDisk], names: Sequence[str]) -> CandidateComparisons:
+        """Compare the candidates, which have these names, with the reference; it is the first of the clouds."""
+        pose = known_pose(self.settings)
+        boxes = rough_boxes(clouds, self.runner, self.key)
+        poses = dict.fromkeys(boxes, pose) | {_REFERENCE: None}
+        lattice = lattice_around(boxes, poses)
+        stored = {name: self._store(name, cloud, replace(lattice, pose=poses[name])) for name, cloud in clouds.items()}
+        are_small = all(cloud.count <= windows.MAX_SAMPLE for cloud in stored.values())
+        timings: dict[str, float] = {}
+        with record_time(timings, "reference"):
+            reference = self._prepare(stored[_REFERENCE], are_small=are_small)
+        samples, results, measured, tiles = list[ReferenceSummary](), [], [], len(reference.tiles)
+        for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True):
+            sample, result, measurement, count = self._compare_one(reference, stage, name, cloud)
+            samples.append(sample)
+            results.append(replace(result, timings_s={**result.timings_s, **timings}))
+            measured.append(measurement)
+            tiles += count
+        left_out = [file for cloud in stored.values() for file in cloud.left_out]
+        sampled = None if reference.complete is not None else max(sample.points for sample in samples)
+        tiling = Tiling(self.tile_points, tiles, sampled, self.tiling.max_distance, tuple(left_out))
+        apart = differences(_cells(reference.grid), results, measured)
+        return CandidateComparisons(
+            self.settings, self._summary(reference, samples[0]), tuple(results), tuple(apart), tiling
+        )
+
+    def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
+        skip_bad = self.tiling.skip_bad
+        return store_cloud(name, cloud, lattice, self.folder / name / "runs", self.runner, self.key, skip_bad=skip_bad)
+
+    def _prepare(self, cloud: StoredCloud, *, are_small: bool) -> _TiledReference:
+        """Cut the reference into tiles, compute its normals and its spacing, and prepare its sample."""
+        if cloud.count < 3:
+            raise InputError(
+                f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
+            )
+        origin = local_origin_of_box(cloud.low, cloud.high)
+        even = Cloud(cloud.even, crs=cloud.source.crs, unit=cloud.source.unit)
+        crop = self.settings.crop
+        if isinstance(crop, str) and crop.strip().lower() == "reference":
+            crop = Box(cloud.low, cloud.high)
+        given = as_region(crop, even)
+        region = None if given is None else given.shifted(origin)
+        summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
+        tiles = Tiles.of(self.folder / _REFERENCE / "tiles", summaries)
+        inside = sum(summary.inside for summary in summaries)
+        self._check_inside(inside, cloud, "the reference's")
+        local = cloud.even - origin
+        measured = local if region is None else local[region.contains(local)]
+        return _TiledReference(
+            stored=cloud,
+            tiles=tiles,
+            origin=origin,
+            region=region,
+            inside=inside,
+            spacing=self._add_normals(tiles),
+            grid=CorrelationGrid.covering(*robust_bounds(local)),
+            voxel=(robust_extent(measured) / VOXELS_ALONG if len(measured) else 0.0) or 1.0,
+            corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
+            complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
+        )
+
+    def _make_tiles(
+        self,
+        name: str,
+        cloud: StoredCloud,
+        origin: FloatArray,
+        registration: Registration | None,
+        region: Region | None,
+    ) -> list[TileSummary]:
+        folder = self.folder / name / "tiles"
+        folder.mkdir(parents=True, exist_ok=True)
+        pose = None if registration is None else registration.T_local
+        tasks = []
+        for number, codes in enumerate(tile_ranges(cloud.runs, self.tile_points)):
+            arguments = (cloud.runs.overlapping(codes), number, codes, origin, pose, region, folder)
+            tasks.append(Task(f"{number:06d}", arguments, self.tile_points))
+        return self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles")
+
+    def _add_normals(self, tiles: Tiles) -> float:
+        """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
+        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
+        share(tiles, file)
+        tasks = [
+            Task(f"{number:06d}", (file, self.key, number, k), int(tiles.counts[number])) for number in tiles.occupied
+        ]
+        found = self._results("normals", add_normals, tasks, "computing normals of the reference")
+        histogram = BitHistogram.merge(found)
+        files = [tiles.file(number, "spacings") for number in tiles.occupied]
+        return median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
+
+    def _compare_one(
+        self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud
+    ) -> tuple[ReferenceSummary, Candidate, Measurement, int]:
+        """Register and measure a candidate; return also the summary of the sample, and the number of tiles."""
+        timings: dict[str, float] = {}
+        with record_time(timings, "registration"):
+            sample = self._register(reference, stage, name, cloud)
+        with record_time(timings, "matching"):
+            summaries = self._make_tiles(stage, cloud, reference.origin, sample.registration, reference.region)
+            inside = sum(summary.inside for summary in summaries)
+            self._check_inside(inside, cloud, f"{name}'s")
+            pair = self._pair(reference, stage, Tiles.of(self.folder / stage / "tiles", summaries), sample.registration)
+            forth, back = self._measure_tiles(pair, stage, name)
+        with record_time(timings, "metrics"):
+            spreads = [
+                self._spreads(f"{stage}-{way}", found.totals, _distance_files(tiles, folder))
+                for way, found, tiles, folder in (
+                    ("forth", forth, pair.candidate, pair.forth),
+                    ("back", back, pair.reference, pair.back),
+                )
+            ]
+            to_reference, to_candidate = (
+                found.totals.summary(cells=pair.grid.number, floors=floors, spreads=spread, origin=reference.origin)
+                for found, floors, spread in zip((forth, back), sample.floors, spreads, strict=True)
+            )
+            measurement = measure(to_reference, to_candidate, pair.thresholds, cells=_cells(pair.grid))
+        with record_time(timings, "maps"):
+            deviation, completeness = (
+                self._map(f"{stage}-{way}", tiles, folder, found, spread, reference.origin, with_planes=with_planes)
+                for way, tiles, folder, found, spread, with_planes in (
+                    ("forth", pair.candidate, pair.forth, forth, spreads[0], True),
+                    ("back", pair.reference, pair.back, back, spreads[1], False),
+                )
+            )
+            if self.maps is not None:
+                self._write_maps(self.maps, reference, stage, name, pair, forth, back)
+        with record_time(timings, "presets"):
+            quoted = self._presets(reference, pair, stage, name, (forth.totals, back.totals))
+        near = NearFit.of_sums(forth.near, inside, has_normals=pair.has_normals)
+        warnings = [
+            *crs_warnings(reference.stored.source.crs, cloud.source.crs),
+            *measurement.warnings,
+            *filter(None, [None if sample.near is None else sample.near.warning(near)]),
+            *(Notice("reader", text) for text in cloud.warnings[len(cloud.source.warnings) :]),
+        ]
+        censored = {
+            CANDIDATE_TO_REFERENCE: forth.censored / inside,
+            REFERENCE_TO_CANDIDATE: back.censored / reference.inside,
+        }
+        candidate = Candidate(
+            name=name,
+            points=cloud.count,
+            points_in_region=inside,
+            registration=sample.registration,
+            metrics=replace(measurement.metrics, presets=quoted),
+            deviation=deviation,
+            completeness=completeness,
+            deformation=sample.deformation,
+            timings_s=timings,
+            peak_rss_bytes=peak_memory(),
+            warnings=tuple(warnings),
+            censored={} if self.tiling.max_distance is None else censored,
+        )
+        return sample.reference, candidate, measurement, len(summaries)
+
+    def _register(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> SampleResults:
+        """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
+        if reference.complete is not None:
+            self.report(f"{name}: registering")
+            sample = windows.complete_cloud(cloud)
+            return assess_samples(reference.complete, sample, name, self.settings, reference.origin, is_complete=True)
+        self.report(f"{name}: registering thinned clouds")
+        stored, source = reference.stored, cloud.source
+        even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
+        thinned = Cloud(stored.even, crs=stored.source.crs, unit=stored.source.unit)
+        pose = find_pose(thinned, even, name, self.settings)
+        places = pose.apply(cloud.even)
+        region = None if reference.region is None else reference.region.shifted(-reference.origin)
+        if region is not None and (inside := region.contains(places)).any():
+            places = places[inside]
+        chosen = windows.Windows.of(stored, places)
+        inner = windows.WindowRegion(chosen, region, np.zeros(3))
+        sampled = windows.reference_in_windows(stored, chosen)
+        if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
+            inner = replace(inner, region=None)
+        sample = windows.candidate_in_windows(cloud, chosen, pose, self.runner, f"{stage}-sample", self.key)
+        self.report(f"{name}: registering")
+        settings = replace(refine_settings(self.settings, pose), crop=inner)
+        prepared = Reference.prepare(sampled, settings)
+        return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+
+    def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
+        stored, origin, pixels = reference.stored, reference.origin, None
+        if self.maps is not None:
+            corners = stored.low - origin, stored.high - origin
+            pixels = PixelGrid.covering(stored.even - origin, *corners, reference.spacing)
+        return TiledPair(
+            reference=reference.tiles,
+            candidate=candidate,
+            forth=self.folder / stage / "forth",
+            back=self.folder / stage / "back",
+            region=reference.region,
+            grid=reference.grid,
+            voxel=reference.voxel,
+            corner=reference.corner,
+            thresholds=self.settings.thresholds or default_thresholds(reference.spacing),
+            has_normals=True,
+            max_distance=self.tiling.max_distance or np.inf,
+            overlap_distance=registration.overlap_distance,
+            pixels=pixels,
+        )
+
+    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
+        """Measure both directions, tile by tile."""
+        for folder in (pair.forth, pair.back):
+            folder.mkdir(parents=True, exist_ok=True)
+        file = self.folder / f"{stage}.pair"
+        share(pair, file)
+
+        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
+            tasks = [
+                Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
+                for number in tiles.occupied
+            ]
+            results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
+            return MeasuredDirection.of(found for _, found in results)
+
+        return (
+            measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
+            measured("back", measure_reference_tile, pair.reference, f"{name}: measuring r→c"),
+        )
+
+    def _presets(
+        self,
+        reference: _TiledReference,
+        pair: TiledPair,
+        stage: str,
+        name: str,
+        totals: tuple[DirectionTotals, DirectionTotals],
+    ) -> dict[str, Preset]:
+        """Return the presets, measured again between clouds cut at the region if there is one."""
+        names = [preset for preset in self.settings.presets if preset in TILED_PRESETS]
+        if reference.region is not None and names:
+            cropped = replace(
+                pair,
+                reference=self._crop(_REFERENCE, pair.reference, reference.region),
+                candidate=self._crop(stage, pair.candidate, reference.region),
+                forth=pair.forth / "cropped",
+                back=pair.back / "cropped",
+                region=None,
+                pixels=None,
+            )
+            forth, back = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+            totals = forth.totals, back.totals
+        return dict(presets_of(*totals, pair.thresholds, names))
+
+    def _crop(self, stage: str, tiles: Tiles, region: Region) -> Tiles:
+        """Cut tiles at the region."""
+        folder = self.folder / stage / "cropped"
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            Task(f"{number:06d}", (tiles.folder, number, region, folder), int(tiles.counts[number]))
+            for number in tiles.occupied
+        ]
+        found = {
+            tile.number: tile for tile in self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+        }
+        return Tiles.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
+
+    def _spreads(self, stage: str, totals: DirectionTotals, files: Mapping[str, list[Path]]) -> dict[str, Spread]:
+        distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}
+        return {
+            name: spread_of(files[name], found, map_files=self._file_map(f"{stage}-{name}"))
+            for name, found in distributions.items()
+            if found is not None
+        }
+
+    def _map(
+        self,
+        stage: str,
+        tiles: Tiles,
+        folder: Path,
+        found: MeasuredDirection,
+        spreads: Mapping[str, Spread],
+        origin: FloatArray,
+        *,
+        with_planes: bool,
+    ) -> DeviationMap:
+        """Return a map of sampled points, for pages and pictures."""
+        count = found.totals.distances.count
+        step = -(-count // MAP_SAMPLE)
+        share_shown = min(LARGEST_SHARE, MAP_SAMPLE / count)
+        least = found.totals.distances.histogram.approximate_percentile(100 * (1 - share_shown)) if step > 1 else 0.0
+        tasks = [
+            Task(f"{number:06d}", (tiles.folder, folder, number, step, least), int(tiles.counts[number]))
+            for number in tiles.occupied
+        ]
+        parts = self._results(f"{stage}-map", sample_map, tasks, "sampling the map")
+        return deviation_map(parts, count, step, spreads, origin, with_planes=with_planes)
+
+    def _write_maps(
+        self,
+        maps: Path,
+        reference: _TiledReference,
+        stage: str,
+        name: str,
+        pair: TiledPair,
+        forth: MeasuredDirection,
+        back: MeasuredDirection,
+    ) -> None:
+        """Write the maps of all points, their indexes and overviews."""
+        maps.mkdir(parents=True, exist_ok=True)
+        crs = reference.stored.source.crs
+        for way, kind, tiles, distances, found in (
+            ("forth", "distance", pair.candidate, pair.forth, forth),
+            ("back", "completeness", pair.reference, pair.back, back),
+        ):
+            folder = maps / f"{name}_{kind}"
+            folder.mkdir(exist_ok=True)
+            tasks = []
+            for number in tiles.occupied:
+                path = folder / f"tile_{number:04d}{map_tile_extension()}"
+                arguments = (tiles.folder, distances, number, reference.origin, crs, path)
+                tasks.append(Task(f"{number:06d}", arguments, int(tiles.counts[number])))
+            self._results(f"{stage}-{way}-files", write_tile_of_map, tasks, f"{name}: writing maps")
+            write_tile_index(folder, crs)
+            if pair.pixels is not None and found.pixels is not None:
+                write_overview(maps, name, found.pixels.overview(pair.pixels, reference.origin), kind=kind, crs=crs)
+
+    def _summary(self, reference: _TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
+        source = reference.stored.source
+        return ReferenceSummary(
+            points=reference.stored.count,
+            points_in_region=reference.inside,
+            spacing_median=reference.spacing,
+            extent=robust_extent(reference.stored.even - reference.origin),
+            crs=source.crs,
+            unit=source.unit,
+            normals=sample.normals,
+            faces=None,
+            block_side=reference.grid.side,
+            voxel_side=reference.voxel,
+            warnings=(
+                *sample.warnings,
+                *(Notice("reader", text) for text in reference.stored.warnings[len(source.warnings) :]),
+            ),
+        )
+
+    def _check_inside(self, inside: int, cloud: StoredCloud, owner: str) -> None:
+        if inside == 0:
+            crop = self.settings.crop
+            text = crop if isinstance(crop, str) else crop.text
+            corners = zip("xyz", cloud.low, cloud.high, strict=True)
+            extent = ", ".join(f"{axis} {low:,.6g} to {high:,.6g}" for axis, low, high in corners)
+            raise InputError(
+                f"the crop {text!r} leaves none of {owner} {cloud.count:,} points ({extent}): check its numbers, the"
+                " coordinate system and the unit"
+            )
+
+    def _results(self, stage: str, function: Callable[..., T], tasks: Sequence[Task], title: str) -> list[T]:
+        return [found for _, found in self.runner.run(stage, function, tasks, key=self.key, title=title)]
+
+    def _file_map(self, stage: str) -> FileMap:
+        """Return a function that distributes calls for many files as tasks, and repeats none of them."""
+        passes = itertools.count()
+
+        def map_files(function: Callable[[Path], T], files: Sequence[Path]) -> Iterable[T]:
+            if len(files) == 1:
+                return map(function, files)
+            tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
+            results = self.runner.run(
+                f"{stage}-{next(passes)}", function, tasks, key=f"{self.key}{function}", title="percentiles"
+            )
+            return (found for _, found in results)
+
+        return map_files
+
+
+def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
+    distances = replace(tiles, folder=folder)
+    return {name: [distances.file(number, name) for number in tiles.occupied] for name in (DISTANCE, PLANE_DISTANCE)}
+
+
+def _cells(grid: CorrelationGrid) -> CorrelationCells:
+    return CorrelationCells(np.zeros(0, np.int64), grid.shape, grid.side)

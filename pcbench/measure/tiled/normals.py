@@ -1,0 +1,106 @@
+"""Normals and spacings of the points of a tile, equal to the last bit to those of the complete cloud in memory."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index
+from pcbench.measure.tiled.columns import save_column
+from pcbench.measure.tiled.ranks import BitHistogram
+from pcbench.measure.tiled.search import nearest_in_tiles
+from pcbench.measure.tiled.shared import load_shared
+from pcbench.measure.tiled.tiles import Tiles
+
+_HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
+_MAX_HALO = 4  # points around a tile, in multiples of its own: strewn points have a wide halo, and dense neighbours
+_FEW_POINTS = 20_000  # which any halo may have
+_SEARCHED_AT_ONCE = 50_000  # points whose k neighbours are searched in tiles
+_SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
+
+
+def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
+    """Store the columns `normals` (N, 3) and `spacings` of a tile.
+
+    Normals are those given with the cloud; where there are none, they are estimated from the k nearest points, see
+    `pcbench.geometry.normals`. Spacings (M,) are the distances to the nearest point at another position, without those
+    of points that occur more than seven times.
+
+    Args:
+        file: the shared `Tiles` of the cloud, with at least k points.
+        key: identifies its content.
+        number: number of the tile.
+        k: number of neighbours, the point itself included, at least 3.
+
+    Returns:
+        The histogram of the spacings.
+    """
+    cloud: Tiles = load_shared(file, key)
+    points = cloud.load(number, "points")
+    distances, directions = _local_planes(cloud, number, points, k)
+    if cloud.file(number, "given_normals").exists():
+        given = cloud.load(number, "given_normals")
+        directions = np.where(np.isnan(given[:, :1]), directions, given)
+    save_column(cloud.folder, number, "normals", directions)
+    coincident = np.flatnonzero(distances == 0)
+    if len(coincident):
+        near = nearest_in_tiles(points[coincident], cloud, min(_SPACING_NEIGHBORS, int(cloud.counts.sum()))).distances
+        distances[coincident] = np.where(near > 0, near, np.inf).min(axis=1)
+    spacings = distances[np.isfinite(distances)]
+    save_column(cloud.folder, number, "spacings", spacings)
+    return BitHistogram.of(spacings)
+
+
+def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return the distance (N,) of each point to the nearest other one, and the normal (N, 3) of k nearest points."""
+    width = _halo_width(cloud, number, k)
+    low, high = cloud.low[number] - width, cloud.high[number] + width
+    around, rows = _points_in_box(cloud, low, high, most=max(_MAX_HALO * len(points), _FEW_POINTS))
+    distances, normals = np.empty(len(points)), np.empty((len(points), 3))
+    certain = np.zeros(len(points), bool)
+    if len(around) >= k:
+        planes = Index(around).local_planes(k)
+        own = np.searchsorted(rows, cloud.open(number, "rows"))
+        reach, distances, normals = planes.reach[own], planes.nearest_other.distances[own], planes.normals[own]
+        certain = reach < np.minimum(points - low, high - points).min(axis=1)
+    rest = np.flatnonzero(~certain)
+    for start in range(0, len(rest), _SEARCHED_AT_ONCE):
+        some = rest[start : start + _SEARCHED_AT_ONCE]
+        distances[some], normals[some] = _searched_planes(cloud, points[some], cloud.open(number, "rows")[some], k)
+    return distances, normals
+
+
+def _searched_planes(cloud: Tiles, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same for points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
+    found = nearest_in_tiles(points, cloud, k)
+    # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
+    every, first = np.unique(np.concatenate([rows, found.rows.ravel()]), return_index=True)
+    near = np.concatenate([points, found.column(cloud, "points").reshape(-1, 3)])[first]
+    return found.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
+
+
+def _halo_width(cloud: Tiles, number: int, k: int) -> float:
+    """Return the width around a tile beyond which few points have neighbours, if its points form a surface."""
+    sides = np.sort(cloud.high[number] - cloud.low[number])
+    area = float(sides[1] * sides[2])
+    return _HALO_SPACINGS * math.sqrt(k * area / (math.pi * int(cloud.counts[number])))
+
+
+def _points_in_box(cloud: Tiles, low: FloatArray, high: FloatArray, most: int) -> tuple[FloatArray, IntArray]:
+    """Return the points (N, 3) of a cloud in a box and their rows (N,), ascending; none if they exceed `most`."""
+    points, rows, count = [np.zeros((0, 3))], [np.zeros(0, np.int64)], 0
+    for tile in cloud.occupied:
+        if (cloud.low[tile] <= high).all() and (cloud.high[tile] >= low).all():
+            candidates = cloud.load(tile, "points")
+            inside = np.flatnonzero(((candidates >= low) & (candidates <= high)).all(axis=1))
+            count += len(inside)
+            if count > most:
+                return points[0], rows[0]
+            points.append(candidates[inside])
+            rows.append(cloud.open(tile, "rows")[inside])
+    every = np.concatenate(rows)
+    order = np.argsort(every, kind="stable")
+    return np.concatenate(points)[order], every[order]

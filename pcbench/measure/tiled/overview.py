@@ -1,0 +1,117 @@
+"""Overview of a deviation map: distances per pixel of a raster, seen from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.voxels import robust_bounds
+from pcbench.io.map_tiles import MapOverview
+from pcbench.measure.tiled.sums import GroupSums
+
+_PIXELS_ALONG = 1_000  # at most, along the longer side of the overview
+_SPACINGS_PER_PIXEL = 2.5  # at least: most pixels of a surface then hold points
+_BORDER_SHARE = 0.05  # of the robust bounds, beyond which points are outliers
+
+
+@dataclass(frozen=True)
+class PixelGrid:
+    """A raster over the two horizontal axes, in local coordinates.
+
+    Attributes:
+        west, south: lower left corner.
+        pixel: edge of a pixel.
+        width, height: number of pixels.
+    """
+
+    west: float
+    south: float
+    pixel: float
+    width: int
+    height: int
+
+    @classmethod
+    def covering(cls, even: FloatArray, low: FloatArray, high: FloatArray, spacing: float) -> PixelGrid:
+        """Return a raster over a cloud without far outliers, with pixels that hold several points.
+
+        Args:
+            even: (M, 3) evenly thinned cloud.
+            low: (3,) lowest corner of its box.
+            high: (3,) highest corner.
+            spacing: its median point spacing.
+        """
+        inner_low, inner_high = robust_bounds(even)
+        border = _BORDER_SHARE * (inner_high - inner_low)
+        low, high = np.maximum(low, inner_low - border)[:2], np.minimum(high, inner_high + border)[:2]
+        length = max(float((high - low).max()) / _PIXELS_ALONG, _SPACINGS_PER_PIXEL * spacing)
+        pixel = _round_length(length) if length > 0 else 1.0
+        west, south = (math.floor(float(corner) / pixel) * pixel for corner in low)
+        width, height = (
+            max(1, math.ceil((float(end) - start) / pixel)) for end, start in zip(high, (west, south), strict=True)
+        )
+        return cls(west, south, pixel, width, height)
+
+    def pixels_of(self, points: FloatArray) -> IntArray:
+        """Return the number of the pixel of each point (N, 3), row by row from the south; -1 outside."""
+        column = np.floor((points[:, 0] - self.west) / self.pixel)
+        row = np.floor((points[:, 1] - self.south) / self.pixel)
+        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        numbers: IntArray = np.where(inside, row * self.width + column, -1).astype(np.int64)
+        return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSums:
+    """Sums of distances per pixel, which can be merged in any order.
+
+    Attributes:
+        sums: sum of the distances in each pixel that has points, as `distance`.
+        largest: (K,) largest distance in each of these pixels.
+    """
+
+    sums: GroupSums
+    largest: FloatArray
+
+    @classmethod
+    def of(cls, grid: PixelGrid, points: FloatArray, distances: FloatArray) -> PixelSums:
+        """Add up the distances (N,) of points (N, 3)."""
+        pixels = grid.pixels_of(points)
+        inside = np.flatnonzero(pixels >= 0)
+        sums = GroupSums.of(pixels[inside], {"distance": distances[inside]})
+        return cls(sums, _largest(sums.keys, pixels[inside], distances[inside]))
+
+    @classmethod
+    def merge(cls, parts: Sequence[PixelSums]) -> PixelSums:
+        """Return the sums over all points of one or several parts."""
+        sums = GroupSums.merge([part.sums for part in parts])
+        pixels = np.concatenate([part.sums.keys for part in parts])
+        return cls(sums, _largest(sums.keys, pixels, np.concatenate([part.largest for part in parts])))
+
+    def overview(self, grid: PixelGrid, origin: FloatArray) -> MapOverview:
+        """Return the raster, in coordinates to which `origin` (3,) was added."""
+        shape = (grid.height, grid.width)
+        mean, largest, count = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, np.int64)
+        for raster, values in (
+            (mean, self.sums.means("distance")),
+            (largest, self.largest),
+            (count, self.sums.counts),
+        ):
+            raster.flat[self.sums.keys] = values
+        north = grid.south + grid.height * grid.pixel + float(origin[1])
+        return MapOverview(mean[::-1], largest[::-1], count[::-1], grid.west + float(origin[0]), north, grid.pixel)
+
+
+def _largest(keys: IntArray, of_value: IntArray, values: FloatArray) -> FloatArray:
+    found = np.full(len(keys), -np.inf)
+    np.maximum.at(found, np.searchsorted(keys, of_value), values)
+    return found
+
+
+def _round_length(length: float) -> float:
+    """Return the smallest of 1, 2 and 5 times a power of ten that is at least as long."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= length * (1 - 1e-9))

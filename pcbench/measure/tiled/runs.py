@@ -1,0 +1,216 @@
+"""Pieces of a cloud, sorted along a Morton curve and stored: any part of space is then a short range of each run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.io.pieces import CloudOnDisk, Piece, PieceNotes, read_piece
+from pcbench.measure.tiled.columns import column_file, save_column
+from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
+
+_INDEX_ENTRIES = 1_024  # of a run: fine enough to find windows of some thousand points
+_COLUMNS = ("points", "order", "normals", "classes")
+
+
+@dataclass(frozen=True, eq=False)
+class RunSummary:
+    """What a run contains.
+
+    Attributes:
+        number: number of the piece.
+        count: number of its points, after filters.
+        low, high: corners (3,) of its box; None if it is empty.
+        codes: Morton code of every `stride`-th point.
+        last_code: largest code.
+        stride: interval between them.
+        even: every n-th point (M, 3) of the cloud, see `scan_piece`.
+        notes: what was noticed while reading.
+    """
+
+    number: int
+    count: int
+    low: FloatArray | None
+    high: FloatArray | None
+    codes: Codes
+    last_code: int
+    stride: int
+    even: FloatArray
+    notes: PieceNotes
+
+
+def scan_piece(
+    cloud: CloudOnDisk, piece: Piece, first_row: int, step: int, lattice: Lattice, folder: Path
+) -> RunSummary:
+    """Read a piece and store it as a run.
+
+    Args:
+        cloud: the cloud.
+        piece: a piece of it.
+        first_row: row of its first point in the cloud, before filters.
+        step: every point whose row is a multiple of it is returned too.
+        lattice: lattice of the Morton curve.
+        folder: folder for the files of the run, which exists.
+    """
+    found = read_piece(cloud, piece)
+    points, count = found.points, len(found.points)
+    if not count:
+        return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 0, 1, points, found.notes)
+    codes = lattice.codes(points)
+    order = np.argsort(codes, kind="stable")
+    columns: dict[str, NDArray[Any] | None] = {
+        "points": points[order],
+        "order": order.astype(np.uint32),
+        "normals": None if found.normals is None else found.normals[order],
+        "classes": None if found.classification is None else found.classification[order],
+    }
+    for name, values in columns.items():
+        if values is not None:
+            save_column(folder, piece.number, name, values)
+    stride = max(1, count // _INDEX_ENTRIES)
+    even = points[-first_row % step :: step] if piece.count == count else points[::step]
+    last_code = int(codes[order[-1]])
+    return RunSummary(
+        piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, found.notes
+    )
+
+
+@dataclass(frozen=True)
+class Run:
+    """A stored run.
+
+    Attributes:
+        number: number of the piece.
+        count: number of points.
+        first_row: row of its first point in the cloud, after filters.
+        codes: Morton code of every `stride`-th point.
+        last_code: largest code.
+        stride: interval between them.
+    """
+
+    number: int
+    count: int
+    first_row: int
+    codes: Codes
+    last_code: int
+    stride: int
+
+    def overlaps(self, code_range: tuple[int, int]) -> bool:
+        """Return whether the run may have points in a half-open range of codes."""
+        return int(self.codes[0]) < code_range[1] and code_range[0] <= self.last_code
+
+
+class StoredPoints(NamedTuple):
+    """Points of a cloud with their rows, in the order of the rows."""
+
+    points: FloatArray  # (N, 3) as in the file
+    rows: IntArray  # (N,)
+    normals: FloatArray | None
+    classes: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True)
+class CloudRuns:
+    """A cloud as sorted runs in a folder."""
+
+    folder: Path
+    lattice: Lattice
+    runs: tuple[Run, ...]
+
+    @classmethod
+    def of(cls, folder: Path, lattice: Lattice, summaries: Sequence[RunSummary]) -> CloudRuns:
+        """Return the runs of all pieces, in their order."""
+        runs, first_row = [], 0
+        for found in summaries:
+            if found.count:
+                runs.append(Run(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
+            first_row += found.count
+        return cls(folder, lattice, tuple(runs))
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return sum(run.count for run in self.runs)
+
+    def overlapping(self, code_range: tuple[int, int]) -> CloudRuns:
+        """Return the runs that may have points in a half-open range of codes."""
+        return replace(self, runs=tuple(run for run in self.runs if run.overlaps(code_range)))
+
+    def read(self, ranges: Sequence[tuple[int, int]]) -> StoredPoints:
+        """Read the points whose codes lie in one of these half-open ranges, in the order of their rows."""
+        parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+        for run in self.runs:
+            for start, stop in self._slices(run, ranges):
+                for name in _COLUMNS:
+                    file = column_file(self.folder, run.number, name)
+                    if name in ("points", "order") or file.exists():
+                        values = np.array(np.load(file, mmap_mode="r")[start:stop])  # a map would keep the file open
+                        parts[name].append(values.astype(np.int64) + run.first_row if name == "order" else values)
+        if not parts["order"]:
+            return StoredPoints(np.zeros((0, 3)), np.zeros(0, np.int64), None, None)
+        rows = np.concatenate(parts["order"])
+        order = np.argsort(rows, kind="stable")
+
+        def column(name: str) -> NDArray[Any] | None:
+            # A column that only some files have is left out, as when clouds are read into memory.
+            complete = len(parts[name]) == len(parts["order"])
+            return np.concatenate(parts[name])[order] if complete else None
+
+        points = column("points")
+        assert points is not None
+        return StoredPoints(points, rows[order], column("normals"), column("classes"))
+
+    def _slices(self, run: Run, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        for low, high in ranges:
+            if not run.overlaps((low, high)):
+                continue
+            start, stop = self._position(run, low), self._position(run, high)
+            if start < stop:
+                yield start, stop
+
+    def _position(self, run: Run, code: int) -> int:
+        """Return the number of points of a run with smaller codes."""
+        if code >= 1 << CODE_BITS:
+            return run.count
+        at = int(np.searchsorted(run.codes, np.uint64(code)))
+        if at == 0 or run.stride == 1:
+            return at
+        start = (at - 1) * run.stride
+        points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : at * run.stride]
+        return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
+
+
+def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
+    """Return half-open ranges of the Morton curve with about at most `most` points each, in ascending order.
+
+    The curve is halved until each part has few enough points, so that each is a box of the lattice; empty parts are
+    left out. Points of equal codes stay together.
+    """
+    codes = np.concatenate([run.codes for run in runs.runs])
+    weights = np.concatenate([np.full(len(run.codes), run.count / len(run.codes)) for run in runs.runs])
+    order = np.argsort(codes, kind="stable")
+    codes, total = codes[order], np.concatenate([[0.0], np.cumsum(weights[order])])
+    found: list[tuple[int, int]] = []
+    todo = [(0, 1 << CODE_BITS)]
+    while todo:
+        low, high = todo.pop()
+        first = int(np.searchsorted(codes, np.uint64(low)))
+        last = int(np.searchsorted(codes, np.uint64(high - 1), side="right"))
+        if high - low > 1 and total[last] - total[first] > most:
+            middle = (low + high) // 2
+            todo += [(middle, high), (low, middle)]
+        elif last > first:
+            found.append((low, high))
+    return found
+
+
+def tile_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
+    """Cut the complete Morton curve into half-open ranges of about at most `most` points each."""
+    starts = [low for low, _ in leaf_ranges(runs, most)]
+    return list(zip([0, *starts[1:]], [*starts[1:], 1 << CODE_BITS], strict=True))

@@ -1,0 +1,133 @@
+"""Tiles of a cloud: its points in compact boxes, in the coordinates in which everything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.normals import unit
+from pcbench.geometry.regions import Region
+from pcbench.geometry.transform import Similarity
+from pcbench.measure.tiled.columns import column_file, load_column, save_column
+from pcbench.measure.tiled.runs import CloudRuns
+
+
+@dataclass(frozen=True, eq=False)
+class TileSummary:
+    """What a tile contains.
+
+    Attributes:
+        number: number of the tile.
+        count: number of its points.
+        low, high: corners (3,) of their box; zero if there are none.
+        inside: number of points inside the region.
+        lowest_inside: (3,) lowest coordinates of these points; infinite if there are none.
+    """
+
+    number: int
+    count: int
+    low: FloatArray
+    high: FloatArray
+    inside: int
+    lowest_inside: FloatArray
+
+    @classmethod
+    def of(cls, number: int, points: FloatArray, inside: FloatArray) -> TileSummary:
+        """Return the summary of a tile with points (N, 3), of which some (M, 3) are inside the region."""
+        lowest = bounds(inside)[0] if len(inside) else np.full(3, np.inf)
+        return cls(number, len(points), *bounds(points), len(inside), lowest)
+
+    @classmethod
+    def empty(cls, number: int) -> TileSummary:
+        """Return the summary of a tile without points."""
+        return cls(number, 0, np.zeros(3), np.zeros(3), 0, np.full(3, np.inf))
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The tiles of a cloud, stored in a folder, one array per tile and column.
+
+    Columns are `points` (N, 3), minus the local origin and aligned; `rows` (N,) in the cloud, ascending; and what later
+    steps add, such as `normals` (N, 3).
+
+    Attributes:
+        folder: folder of the files.
+        counts: (T,) number of points of each tile.
+        low, high: (T, 3) corners of the box of each tile; without meaning where a tile is empty.
+    """
+
+    folder: Path
+    counts: NDArray[np.int64]
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> Tiles:
+        """Return the tiles with these contents, in their order."""
+        found = list(summaries)
+        counts = np.array([tile.count for tile in found], np.int64)
+        return cls(folder, counts, np.array([tile.low for tile in found]), np.array([tile.high for tile in found]))
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    @property
+    def occupied(self) -> list[int]:
+        """Numbers of the tiles with points."""
+        return [int(number) for number in np.flatnonzero(self.counts)]
+
+    def file(self, number: int, column: str) -> Path:
+        """Return the file of a column of a tile."""
+        return column_file(self.folder, number, column)
+
+    def load(self, number: int, column: str) -> NDArray[Any]:
+        """Return a column of a tile as an array in memory."""
+        return load_column(self.folder, number, column)
+
+    def open(self, number: int, column: str) -> NDArray[Any]:
+        """Return a column of a tile as a memory map."""
+        values: NDArray[Any] = np.load(self.file(number, column), mmap_mode="r")
+        return values
+
+
+def make_tile(
+    runs: CloudRuns,
+    number: int,
+    code_range: tuple[int, int],
+    origin: FloatArray,
+    pose: Similarity | None,
+    region: Region | None,
+    folder: Path,
+) -> TileSummary:
+    """Store the points of a range of the Morton curve as a tile.
+
+    Args:
+        runs: the cloud.
+        number: number of the tile.
+        code_range: half-open range of codes.
+        origin: (3,) local origin of the reference, which is subtracted.
+        pose: motion between local coordinates that is applied then, as for clouds in memory; None: none.
+        region: measured region in local coordinates; None: everything.
+        folder: folder for the files, which exists.
+    """
+    found = runs.read([code_range])
+    if not len(found.points):
+        return TileSummary.empty(number)
+    points = found.points - origin
+    if pose is not None:
+        points = pose.apply(points)
+    columns = {"points": points, "rows": found.rows, "classes": found.classes}
+    if found.normals is not None and pose is None:
+        directions, is_valid = unit(found.normals)
+        directions[~is_valid] = np.nan
+        columns["given_normals"] = directions
+    for name, values in columns.items():
+        if values is not None:
+            save_column(folder, number, name, values)
+    return TileSummary.of(number, points, points if region is None else points[region.contains(points)])

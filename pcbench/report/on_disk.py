@@ -1,0 +1,236 @@
+"""Comparison of clouds on disk: whether a comparison fits into memory, and how it is computed in tiles if it does not.
+
+Only the headers of the files are read here. `pcbench.measure.tiled` computes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pcbench
+from pcbench.errors import InputError, MissingExtra
+from pcbench.io import has_filters
+from pcbench.io.files import file_in_setting
+from pcbench.io.meshes import holds_mesh
+from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
+from pcbench.measure.settings import Settings
+from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.report.inputs import InputFile
+from pcbench.report.recorded import record, record_tiling
+from pcbench.report.words import memory_text
+
+_SUPPORTED_PRESETS = ("gao2025", "mpeg", "open3d", "pdal")  # mpeg is always in settings; tiles leave it out
+# Measured peaks of `pcbench compare`: 1 and 3 million points per cloud, and three candidates instead of one.
+_BASE_BYTES = 100_000_000
+_BYTES_PER_POINT = 240  # of the reference and of the largest candidate
+_BYTES_PER_FURTHER_POINT = 95  # of the other candidates
+_POINT_BYTES = 24  # x, y and z, which the figures above contain
+_MIN_FILE_BYTES_PER_POINT = 1.0  # no format stores a point in less
+_DIGEST_BYTES = 1 << 16
+
+When = Literal["always", "auto", "if-possible"]
+
+
+@dataclass(frozen=True)
+class TilingChoice:
+    """How a comparison is computed in tiles, and when.
+
+    Attributes:
+        settings: settings of a tiled comparison.
+        when: `always`; `auto`: if the clouds do not fit into the memory; `if-possible`: likewise, but in memory if
+            tiles do not support a setting.
+        workspace: folder for intermediate files; None: a hidden one, see `pcbench.report.workspace`.
+    """
+
+    settings: TilingSettings = field(default_factory=TilingSettings)
+    when: When = "always"
+    workspace: Path | None = None
+
+
+@dataclass(frozen=True)
+class CloudsOnDisk:
+    """The clouds of a comparison, as the headers of their files describe them."""
+
+    reference: CloudOnDisk
+    candidates: Mapping[str, CloudOnDisk]
+
+    @classmethod
+    def open(
+        cls, reference: Path, candidates: Mapping[str, Path], settings: Settings, *, skip_bad: bool = False
+    ) -> CloudsOnDisk:
+        """Read the headers; raises the errors of `pcbench.io.pieces.open_cloud`."""
+        first, *others = (
+            open_cloud(path, **filters_for(path, settings), skip_bad=skip_bad)
+            for path in (reference, *candidates.values())
+        )
+        return cls(first, dict(zip(candidates, others, strict=True)))
+
+    @property
+    def memory(self) -> int:
+        """Estimated bytes of memory that a comparison in memory needs."""
+        largest, *others = sorted((cloud.count for cloud in self.candidates.values()), reverse=True)
+        attributes = sum(
+            max(cloud.nbytes_in_memory - _POINT_BYTES * cloud.count, 0)
+            for cloud in (self.reference, *self.candidates.values())
+        )
+        points = _BYTES_PER_POINT * (self.reference.count + largest) + _BYTES_PER_FURTHER_POINT * sum(others)
+        return _BASE_BYTES + points + attributes
+
+    def input_files(self) -> tuple[InputFile, dict[str, InputFile]]:
+        """Return the records of the reference and of the candidates."""
+        return _input_file(self.reference), {name: _input_file(cloud) for name, cloud in self.candidates.items()}
+
+    def key(self, settings: Settings, tiling: TilingSettings) -> str:
+        """Return a text that identifies the files, with their times, and all settings that change results or tiles."""
+        clouds = {
+            name: [(str(file.path.absolute()), file.count, *_status(file.path)) for file in cloud.files]
+            for name, cloud in {"": self.reference, **self.candidates}.items()
+        }
+        named = [_status(path) for path in map(file_in_setting, (settings.register, settings.crop)) if path is not None]
+        size = tiling.memory, tiling.workers  # they determine the size of tiles
+        parts = [pcbench.__version__, record(settings), record_tiling(tiling), size, clouds, named]
+        return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
+
+
+def filters_for(path: Path, settings: Settings) -> dict[str, Any]:
+    """Return the filters that apply to a path: candidates may have other formats than a filtered LAS reference."""
+    if has_filters(path):
+        return {"classes": settings.classes, "returns": settings.returns}
+    return {}
+
+
+def choose_tiles(
+    reference: Path,
+    candidates: Mapping[str, Path],
+    settings: Settings,
+    choice: TilingChoice,
+    on_notice: Callable[[str], None],
+) -> CloudsOnDisk | None:
+    """Return the clouds on disk if the comparison is computed in tiles; None if it is computed in memory.
+
+    Args:
+        reference: path of the reference.
+        candidates: paths of the candidates by name.
+        settings: settings of the comparison.
+        choice: when tiles are used.
+        on_notice: called with one line that says why the size of the clouds decides.
+
+    Raises:
+        InputError: tiles are used and do not support a setting or a file, or a file is damaged.
+        MissingExtra: a format needs an optional library.
+    """
+    unsupported = unsupported_setting(reference, settings)
+    paths = [reference, *candidates.values()]
+    if choice.when == "always":
+        if unsupported:
+            raise InputError(f"a comparison in tiles does not support {unsupported} in this version: compare in memory")
+        return CloudsOnDisk.open(reference, candidates, settings, skip_bad=choice.settings.skip_bad)
+    if _fits_surely(paths, choice.settings.memory) or holds_mesh(reference):
+        return None
+    try:
+        clouds = CloudsOnDisk.open(reference, candidates, settings)
+    except (InputError, MissingExtra, OSError):
+        return None  # the reader in memory gives the same error, or reads what has no pieces
+    if clouds.memory <= choice.settings.memory:
+        return None
+    needed = (
+        f"these clouds need about {memory_text(clouds.memory)} in memory, more than --memory"
+        f" {memory_text(choice.settings.memory)}"
+    )
+    if not unsupported:
+        on_notice(f"{needed}: computing in tiles")
+        return clouds
+    if choice.when == "auto":
+        raise InputError(
+            f"{needed}, and tiles do not support {unsupported} in this version: raise --memory, or omit it"
+        )
+    on_notice(f"{needed}, and tiles do not support {unsupported} in this version: computing in memory nevertheless")
+    return None
+
+
+def unsupported_setting(reference: Path, settings: Settings) -> str | None:
+    """Return a setting that a tiled comparison does not support, as words; None if it supports all."""
+    if settings.maps:
+        return f"the map {settings.maps[0]} (--map)"
+    if others := [name for name in settings.presets if name not in _SUPPORTED_PRESETS]:
+        return f"the preset {others[0]} (--preset)"
+    if settings.tolerance is not None:
+        return "--tolerance"
+    if settings.min_opacity is not None or settings.max_axis is not None:
+        return "filters of Gaussian splats (--min-opacity, --max-axis)"
+    return "a mesh as the reference" if reference.is_file() and holds_mesh(reference) else None
+
+
+def link_maps(maps: Path, folder: Path) -> bool:
+    """Put the map files of a workspace into a report folder, and return whether there are any.
+
+    They are linked where the file system allows it, and copied elsewhere, so that the workspace stays complete until
+    the report is.
+    """
+    if not maps.is_dir() or not any(maps.iterdir()):
+        return False
+    shutil.copytree(maps, folder, copy_function=_link)
+    return True
+
+
+def _link(source: str, target: str) -> str:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
+    return target
+
+
+def _fits_surely(paths: list[Path], memory: int) -> bool:
+    """Return whether the sizes of the files alone show that they fit, without a look at their headers."""
+    try:
+        sizes = [path.stat().st_size for path in paths if path.is_file() and not is_in_pieces(path)]
+    except OSError:
+        return True  # the reader in memory gives the error
+    points = sum(sizes) / _MIN_FILE_BYTES_PER_POINT
+    return len(sizes) == len(paths) and _BASE_BYTES + _BYTES_PER_POINT * points <= memory
+
+
+def _input_file(cloud: CloudOnDisk) -> InputFile:
+    return InputFile(str(cloud.path), parts_digest(cloud), cloud.warnings)
+
+
+def parts_digest(cloud: CloudOnDisk) -> str:
+    """Return a digest of the files of a cloud: the SHA-256 of their names, sizes, first and last 64 KiB.
+
+    Hashing all bytes would take as long as reading 1e9 points. The digest starts with `parts:`, because it is not the
+    SHA-256 of a file.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    found = hashlib.sha256()
+    for file in cloud.files:
+        size = file.path.stat().st_size
+        found.update(f"{file.path.name}\0{size}\0".encode(errors="surrogateescape"))
+        for block in _ends(file.path, size):
+            found.update(block)
+    return f"parts:{found.hexdigest()}"
+
+
+def _ends(path: Path, size: int) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        yield file.read(_DIGEST_BYTES)
+        if size > _DIGEST_BYTES:
+            file.seek(max(size - _DIGEST_BYTES, _DIGEST_BYTES))
+            yield file.read(_DIGEST_BYTES)
+
+
+def _status(path: Path) -> tuple[int, int]:
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_size, status.st_mtime_ns
+    return 0, 0

@@ -1,0 +1,97 @@
+"""Files with the results of tasks: damage is noticed, and nothing is half-written."""
+
+import errno
+import pickle
+import resource
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from wording import check_error
+
+from pcbench.errors import InputError
+from pcbench.tasks.results import StageResults, Task, is_intact, read_result, write_result
+
+
+class Sums(NamedTuple):
+    count: int
+    values: np.ndarray
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "a.result"
+    size = write_result(path, "key", Sums(3, np.arange(100.0)))
+    assert path.stat().st_size == size
+    return path
+
+
+def test_results_return(file):
+    sums = read_result(file, "key")
+    assert isinstance(sums, Sums) and sums.count == 3
+    np.testing.assert_array_equal(sums.values, np.arange(100.0))
+    assert [path.name for path in file.parent.iterdir()] == ["a.result"]
+
+
+def test_each_truncation_and_changed_byte_is_noticed(file):
+    data = file.read_bytes()
+    assert is_intact(file, "key")
+    for size in (0, 1, 15, 16, 47, 48, 79, 80, len(data) // 2, len(data) - 32, len(data) - 1):
+        file.write_bytes(data[:size])
+        assert not is_intact(file, "key")
+    for position in range(0, len(data), 7):
+        file.write_bytes(data[:position] + bytes([data[position] ^ 1]) + data[position + 1 :])
+        assert not is_intact(file, "key")
+    file.write_bytes(data + b"\0")
+    assert not is_intact(file, "key")
+
+
+def test_results_belong_to_one_key(file):
+    assert not is_intact(file, "another key")
+    with pytest.raises(InputError):
+        read_result(file, "another key")
+
+
+def test_missing_and_damaged_results_are_refused(file):
+    file.write_bytes(file.read_bytes()[:-1])
+    with check_error():
+        read_result(file, "key")
+    file.unlink()
+    assert not is_intact(file, "key")
+    with check_error():
+        read_result(file, "key")
+
+
+def test_a_result_that_cannot_be_pickled_leaves_no_file(tmp_path):
+    with pytest.raises((pickle.PicklingError, AttributeError, TypeError)):
+        write_result(tmp_path / "a.result", "key", [np.zeros(10_000), lambda: None])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_names_the_result_and_keeps_the_former(file):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OSError) as caught:
+            write_result(file, "key", np.zeros(100_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(file))
+    assert list(file.parent.iterdir()) == [file]
+    assert read_result(file, "key").count == 3
+
+
+def test_results_are_loaded_when_they_are_needed(tmp_path):
+    tasks = [Task("b", ()), Task("a", ())]
+    files = {task.name: tmp_path / f"{task.name}.result" for task in tasks}
+    for name, path in files.items():
+        write_result(path, "key", name * 2)
+    results = StageResults(tasks, files, "key")
+    assert len(results) == 2 and results.get("a") == "aa"
+    values = iter(results)
+    assert next(values) == (tasks[0], "bb")
+    files["a"].unlink()
+    with pytest.raises(InputError):
+        next(values)
+    with pytest.raises(KeyError):
+        results.get("c")
