@@ -365,16 +365,21 @@ class _Run:
         region = None if reference.region is None else reference.region.shifted(-reference.origin)
         if region is not None and (inside := region.contains(places)).any():
             places = places[inside]
-        chosen = windows.Windows.of(stored, places)
+        chosen = windows.Windows.of(stored, places, cloud.count)
         inner = windows.WindowRegion(chosen, region, np.zeros(3))
         sampled = windows.reference_in_windows(stored, chosen)
         if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
             inner = replace(inner, region=None)
-        sample = windows.candidate_in_windows(cloud, chosen, pose, self.runner, f"{stage}-sample", self.key)
+        step = windows.thinning_step(cloud, chosen, pose)
+        sample = windows.candidate_in_windows(cloud, chosen, pose, step, self.runner, f"{stage}-sample", self.key)
         self.report(f"{name}: registering")
         settings = replace(refine_settings(self.settings, pose), crop=inner)
         prepared = Reference.prepare(sampled, settings)
-        return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
+            # The floors r→c are those of the candidate's density, which the sample does not have.
+            found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
+        return found
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
         local = reference.stored.even - reference.origin
