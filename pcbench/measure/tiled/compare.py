@@ -557,9 +557,9 @@ class _Run:
             if len(files) == 1:
                 return map(function, files)
             tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
-            results = self.runner.run(
-                f"{stage}-{next(passes)}", function, tasks, key=f"{self.key}{function}", title="percentiles"
-            )
+            arguments = hashlib.sha256(pickle.dumps(function)).hexdigest()  # of a `partial`
+            key = f"{self.key}{arguments}"
+            results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
             return (found for _, found in results)
 
         return map_files
