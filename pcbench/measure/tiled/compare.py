@@ -66,6 +66,7 @@ from pcbench.measure.tiled.directions import (
     measure_candidate_tile,
     measure_reference_tile,
 )
+from pcbench.measure.tiled.even import even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
@@ -243,6 +244,8 @@ class _Run:
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
         measured = local if region is None else local[region.contains(local)]
+        if region is not None and len(local) < cloud.count:
+            measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -251,7 +254,7 @@ class _Run:
             inside=inside,
             spacing=self._add_normals(tiles),
             grid=CorrelationGrid.covering(*robust_bounds(local)),
-            voxel=(robust_extent(measured) / VOXELS_ALONG if len(measured) else 0.0) or 1.0,
+            voxel=robust_extent(measured) / VOXELS_ALONG or 1.0,
             corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
             complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
         )

@@ -107,3 +107,23 @@ def test_a_full_disk_names_the_file(pair, monkeypatch):
     monkeypatch.undo()
     in_this_process(monkeypatch)
     check_equal(pair.tiled(), pair.memory())
+
+
+@pytest.mark.long
+def test_thinned_clouds_are_those_in_memory(tmp_path, monkeypatch):
+    """Of large clouds, cells and voxels come from every n-th point that passes the filters and lies in the region."""
+    in_this_process(monkeypatch)
+    monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 60_000)
+    monkeypatch.setattr("pcbench.measure.tiled.windows.MAX_SAMPLE", 10**6)
+    rng = np.random.default_rng(0)
+    paths = {}
+    for name, count in (("ref", 420_000), ("a", 30_000)):
+        points = noisy(rng, surface(rng, count, 100.0))
+        paths[name] = tmp_path / f"{name}.laz"
+        classes = rng.choice([2, 6], count, p=[0.8, 0.2]).astype(np.uint8)
+        write_cloud(paths[name], Cloud(points, attributes={"classification": classes}))
+    pair = Pair(tmp_path / "pair", np.zeros((3, 3)), classes=(2,), crop="box:0,0,-99,80,95,99")
+    pair.paths = paths
+    tiled = pair.tiled(tile_points=50_000)
+    assert tiled.reference.points_in_region > 200_000
+    check_equal(tiled, pair.memory())

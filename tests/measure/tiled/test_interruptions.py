@@ -114,6 +114,7 @@ def test_a_folder_that_cannot_be_written(files, tmp_path):
     work = tmp_path / "work"
     work.mkdir()
     work.chmod(0o500)
-    command = [sys.executable, "-m", "pcbench.cli", "compare", *map(str, files), "--tiles", "300", "--workspace", str(work)]
+    command = [sys.executable, "-m", "pcbench.cli", "compare", *map(str, files), "--tiles", "300"]
+    command += ["--workspace", str(work)]
     found = subprocess.run(command, capture_output=True, text=True)
     assert found.returncode != 0 and str(work) in found.stderr and "Traceback" not in found.stderr
