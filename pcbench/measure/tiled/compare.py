@@ -18,7 +18,6 @@ import json
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -31,6 +30,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.io import has_filters
 from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud
@@ -61,6 +61,7 @@ from pcbench.measure.tiled.alignment import (
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
+    MeasuredDirection,
     TileDistances,
     TiledPair,
     measure_candidate_tile,
@@ -70,7 +71,7 @@ from pcbench.measure.tiled.even import even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums
+from pcbench.measure.tiled.overview import PixelGrid
 from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
@@ -78,20 +79,15 @@ from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.measure.tiled.shared import share
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.sums import GroupSums
 from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
 from pcbench.measure.tiled.totals import DirectionTotals
 from pcbench.registration import Registration, local_origin_of_box
-from pcbench.systems import cpu_count, peak_memory
+from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
 
 T = TypeVar("T")
 
 _REFERENCE = "reference"
-_BASE_BYTES = 120 << 20  # memory of a worker without data
-_BYTES_PER_POINT = 450  # memory of a worker for each point of a tile
-_MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
-_MERGED_AT_ONCE = 32
 _PIECE_POINTS = 500_000
 
 
@@ -122,34 +118,22 @@ def compare_on_disk(
         WorkerError: a tile needs too much memory, or the cluster is lost.
     """
     report = on_step or (lambda _: None)
-    opened = partial(
-        open_cloud,
-        classes=settings.classes,
-        returns=settings.returns,
-        piece_points=_PIECE_POINTS,
-        skip_bad=tiling.skip_bad,
-    )
-    clouds = {_REFERENCE: opened(reference)}
-    clouds |= {f"candidate-{number}": opened(path) for number, path in enumerate(candidates.values(), 1)}
-    tile_points = tiling.tile_points or _default_tile_points(tiling)
+    paths = {_REFERENCE: reference}
+    paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
+    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    tile_points = tiling.chosen_tile_points
     key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
-    workers = Workers(_worker_count(tiling, tile_points), tiling.cluster)
+    workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
         run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
 
 
-def _default_tile_points(tiling: TilingSettings) -> int:
-    workers = tiling.workers or cpu_count()
-    free = tiling.memory / (workers + 1) - _BASE_BYTES
-    return int(min(max(free / _BYTES_PER_POINT, 20_000), _MAX_TILE_POINTS))
-
-
-def _worker_count(tiling: TilingSettings, tile_points: int) -> int | None:
-    if tiling.workers is not None or tiling.cluster is not None:
-        return tiling.workers
-    return max(1, min(cpu_count(), tiling.memory // (_BASE_BYTES + _BYTES_PER_POINT * tile_points) - 1))
+def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+    """Describe a cloud; classes and returns select points where files have them, as in memory."""
+    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
@@ -385,7 +369,10 @@ class _Run:
         return found
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
-        local = reference.stored.even - reference.origin
+        stored, origin, pixels = reference.stored, reference.origin, None
+        if self.maps is not None:
+            corners = stored.low - origin, stored.high - origin
+            pixels = PixelGrid.covering(stored.even - origin, *corners, reference.spacing)
         return TiledPair(
             reference=reference.tiles,
             candidate=candidate,
@@ -399,23 +386,23 @@ class _Run:
             has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
-            pixels=None if self.maps is None else PixelGrid.covering(*robust_bounds(local)),
+            pixels=pixels,
         )
 
-    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[_Measured, _Measured]:
+    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
         """Measure both directions, tile by tile."""
         for folder in (pair.forth, pair.back):
             folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{stage}.pair"
         share(pair, file)
 
-        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> _Measured:
+        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
             tasks = [
                 Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
                 for number in tiles.occupied
             ]
             results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
-            return _Measured.of(found for _, found in results)
+            return MeasuredDirection.of(found for _, found in results)
 
         return (
             measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
@@ -472,7 +459,7 @@ class _Run:
         stage: str,
         tiles: Tiles,
         folder: Path,
-        found: _Measured,
+        found: MeasuredDirection,
         spreads: Mapping[str, Spread],
         origin: FloatArray,
         *,
@@ -497,8 +484,8 @@ class _Run:
         stage: str,
         name: str,
         pair: TiledPair,
-        forth: _Measured,
-        back: _Measured,
+        forth: MeasuredDirection,
+        back: MeasuredDirection,
     ) -> None:
         """Write the maps of all points, their indexes and overviews."""
         maps.mkdir(parents=True, exist_ok=True)
@@ -566,36 +553,6 @@ class _Run:
             return (found for _, found in results)
 
         return map_files
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
-
-    totals: DirectionTotals
-    censored: int
-    near: GroupSums
-    pixels: PixelSums | None
-
-    @classmethod
-    def of(cls, parts: Iterable[TileDistances]) -> _Measured:
-        """Merge the tiles, some at a time to limit memory."""
-        merged: list[TileDistances] = []
-        for part in parts:
-            merged.append(part)
-            if len(merged) == _MERGED_AT_ONCE:
-                merged = [_merge(merged)]
-        return cls(*_merge(merged))
-
-
-def _merge(parts: Sequence[TileDistances]) -> TileDistances:
-    pixels = [part.pixels for part in parts if part.pixels is not None]
-    return TileDistances(
-        DirectionTotals.merge([part.totals for part in parts]),
-        sum(part.censored for part in parts),
-        GroupSums.merge([part.near for part in parts]),
-        PixelSums.merge(pixels) if pixels else None,
-    )
 
 
 def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:

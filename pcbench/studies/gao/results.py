@@ -71,6 +71,7 @@ class CloudResult:
         against: evaluations, one per reference.
         notes: notes of the reconstructor.
         failure: why there is no cloud.
+        beside_others: whether it had one thread, and other scenes were processed at the same time.
     """
 
     name: str
@@ -82,6 +83,7 @@ class CloudResult:
     against: tuple[ReferenceEvaluation, ...] = ()
     notes: tuple[str, ...] = ()
     failure: str = ""
+    beside_others: bool = False
 
     def evaluation(self, reference: str) -> ReferenceEvaluation | None:
         """Return the evaluation against a reference; None if there is none or it failed."""
