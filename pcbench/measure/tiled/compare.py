@@ -67,6 +67,7 @@ from pcbench.measure.tiled.directions import (
     measure_candidate_tile,
     measure_reference_tile,
 )
+from pcbench.measure.tiled.even import even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
@@ -227,6 +228,8 @@ class _Run:
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
         measured = local if region is None else local[region.contains(local)]
+        if region is not None and len(local) < cloud.count:
+            measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -235,7 +238,7 @@ class _Run:
             inside=inside,
             spacing=self._add_normals(tiles),
             grid=CorrelationGrid.covering(*robust_bounds(local)),
-            voxel=(robust_extent(measured) / VOXELS_ALONG if len(measured) else 0.0) or 1.0,
+            voxel=robust_extent(measured) / VOXELS_ALONG or 1.0,
             corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
             complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
         )
@@ -349,16 +352,21 @@ class _Run:
         region = None if reference.region is None else reference.region.shifted(-reference.origin)
         if region is not None and (inside := region.contains(places)).any():
             places = places[inside]
-        chosen = windows.Windows.of(stored, places)
+        chosen = windows.Windows.of(stored, places, cloud.count)
         inner = windows.WindowRegion(chosen, region, np.zeros(3))
         sampled = windows.reference_in_windows(stored, chosen)
         if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
             inner = replace(inner, region=None)
-        sample = windows.candidate_in_windows(cloud, chosen, pose, self.runner, f"{stage}-sample", self.key)
+        step = windows.thinning_step(cloud, chosen, pose)
+        sample = windows.candidate_in_windows(cloud, chosen, pose, step, self.runner, f"{stage}-sample", self.key)
         self.report(f"{name}: registering")
         settings = replace(refine_settings(self.settings, pose), crop=inner)
         prepared = Reference.prepare(sampled, settings)
-        return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
+            # The floors r→c are those of the candidate's density, which the sample does not have.
+            found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
+        return found
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
         stored, origin, pixels = reference.stored, reference.origin, None
@@ -539,9 +547,9 @@ class _Run:
             if len(files) == 1:
                 return map(function, files)
             tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
-            results = self.runner.run(
-                f"{stage}-{next(passes)}", function, tasks, key=f"{self.key}{function}", title="percentiles"
-            )
+            arguments = hashlib.sha256(pickle.dumps(function)).hexdigest()  # of a `partial`
+            key = f"{self.key}{arguments}"
+            results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
             return (found for _, found in results)
 
         return map_files

@@ -18,7 +18,7 @@ from pcbench.measure.tiled.tiles import Tiles
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
 _MAX_HALO = 4  # points around a tile, in multiples of its own: strewn points have a wide halo, and dense neighbours
 _FEW_POINTS = 20_000  # which any halo may have
-_SEARCHED_AT_ONCE = 50_000  # points whose k neighbours are searched in tiles
+_SEARCHED_AT_ONCE = 50_000  # points whose neighbours are searched in tiles
 _SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
 
 
@@ -46,9 +46,10 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
         directions = np.where(np.isnan(given[:, :1]), directions, given)
     save_column(cloud.folder, number, "normals", directions)
     coincident = np.flatnonzero(distances == 0)
-    if len(coincident):
-        near = nearest_in_tiles(points[coincident], cloud, min(_SPACING_NEIGHBORS, int(cloud.counts.sum()))).distances
-        distances[coincident] = np.where(near > 0, near, np.inf).min(axis=1)
+    for start in range(0, len(coincident), _SEARCHED_AT_ONCE):
+        some = coincident[start : start + _SEARCHED_AT_ONCE]
+        near = nearest_in_tiles(points[some], cloud, min(_SPACING_NEIGHBORS, int(cloud.counts.sum()))).distances
+        distances[some] = np.where(near > 0, near, np.inf).min(axis=1)
     spacings = distances[np.isfinite(distances)]
     save_column(cloud.folder, number, "spacings", spacings)
     return BitHistogram.of(spacings)

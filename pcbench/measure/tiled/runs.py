@@ -74,7 +74,7 @@ def scan_piece(
         if values is not None:
             save_column(folder, piece.number, name, values)
     stride = max(1, count // _INDEX_ENTRIES)
-    even = points[-first_row % step :: step] if piece.count == count else points[::step]
+    even = points[-first_row % step :: step]
     last_code = int(codes[order[-1]])
     return RunSummary(
         piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, found.notes

@@ -14,12 +14,11 @@ from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.transform import Similarity
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
+from pcbench.measure.tiled.even import EVEN_POINTS, even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.runs import CloudRuns, scan_piece
 from pcbench.tasks import Task, TaskRunner
 
-EVEN_POINTS = 100_000
-"""Points that an evenly thinned cloud has at least, as in `pcbench.geometry.voxels.robust_bounds`."""
 _PROBED_PIECES = 3  # pieces that are read to find out where a cloud lies, if its header does not say so
 
 
@@ -129,13 +128,17 @@ def store_cloud(
     boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
     if not boxes:
         raise InputError(f"{cloud.path}: expected a point cloud with at least one point, got none")
+    runs = CloudRuns.of(folder, lattice, found)
+    even = np.concatenate([summary.even for summary in found])
+    if step > 1 and runs.count != cloud.count:  # filters and points that are not finite shift the rows
+        even = even_points(runs, np.zeros(3), None, runner, name, key)
     notes = [(pieces[task.name], summary.notes) for task, summary in results]
     return StoredCloud(
         source=cloud,
-        runs=CloudRuns.of(folder, lattice, found),
+        runs=runs,
         low=reduce(np.minimum, [low for low, _ in boxes]),
         high=reduce(np.maximum, [high for _, high in boxes]),
-        even=np.concatenate([summary.even for summary in found]),
+        even=even,
         left_out=tuple(sorted(left_out)),
         warnings=(*cloud.warnings, *reading_warnings(cloud, notes)),
     )
