@@ -91,7 +91,7 @@ _BASE_BYTES = 120 << 20  # memory of a worker without data
 _BYTES_PER_POINT = 450  # memory of a worker for each point of a tile
 _MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
 _MERGED_AT_ONCE = 32
-_PIECE_POINTS = 500_000
+_PIECE_POINTS = 1_000_000
 
 
 def compare_on_disk(

@@ -111,14 +111,13 @@ def make_tile(
     points = found.points - origin
     if pose is not None:
         points = pose.apply(points)
-    columns = {"points": points, "rows": found.rows, "classes": found.classes}
+    columns = {"points": points, "rows": found.rows}
     if found.normals is not None and pose is None:
         directions, is_valid = unit(found.normals)
         directions[~is_valid] = np.nan
         columns["given_normals"] = directions
     for name, values in columns.items():
-        if values is not None:
-            save_column(folder, number, name, values)
+        save_column(folder, number, name, values)
     measured = points if region is None else points[region.contains(points)]
     lowest = bounds(measured)[0] if len(measured) else np.full(3, np.inf)
     return TileSummary(number, len(points), *bounds(points), len(measured), lowest)
