@@ -19,7 +19,6 @@ class _Library(NamedTuple):
 LIBRARIES = {
     "PIL": _Library("pillow", "sfm"),
     "cuda": _Library("cuda-core", "cuda"),
-    "dask": _Library("dask", "cluster"),
     "distributed": _Library("distributed", "cluster"),
     "fricp_cpp": _Library("fricp-cpp", ""),
     "flip_evaluator": _Library("flip-evaluator", ""),

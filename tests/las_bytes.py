@@ -157,4 +157,5 @@ def laz_corpus():
     files = {f"format {form}": las(form, 300, compress="chunks") for form in RECORDS}
     files["extra bytes"] = las(7, 99, vlrs=[descriptions], tail=lambda i: struct.pack("<f", i / 4), compress="chunks")
     files["variable"] = las(7, 300, compress="variable", vlrs=[wkt(UTM)])
+    files["copc"] = copc()
     return files

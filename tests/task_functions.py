@@ -126,3 +126,21 @@ def _threads():
 
 def array(x):
     return {"x": x, "values": np.arange(x, dtype=float)}
+
+
+def cell(shared, cell, step):
+    """A cell of a study that announces itself and returns what it got, and its folder and process."""
+    step(f"cell {cell}")
+    logged(shared["folder"], cell)
+    return shared["factor"] * cell, str(Path.cwd()), os.getpid()
+
+
+def ended_cell(shared, cell, step):
+    """A cell whose worker is killed the first time."""
+    return ended(shared, cell, 1, 1)
+
+
+def refused_cell(shared, cell, step):
+    if cell == 2:
+        raise InputError(f"{cell}: expected another number")
+    return logged(shared, cell)

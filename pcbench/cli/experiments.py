@@ -20,6 +20,7 @@ from pcbench.cli.options import (
     seed_option,
     size_option,
 )
+from pcbench.cli.workers import chosen_workers, workers_options
 from pcbench.errors import ReconstructionError
 
 
@@ -110,6 +111,7 @@ def bend(
 )
 @image_scale_option
 @click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help="Time limit for each cloud.")
+@workers_options("one scene after another, each with all CPUs")
 @no_figures_option()
 @seed_option()
 @quiet_option
@@ -127,6 +129,8 @@ def gao(
     crop: str | None,
     image_scale: float,
     time_limit: float | None,
+    workers: int | None,
+    cluster: str | None,
     no_figures: bool,
     seed: int,
     quiet: bool,
@@ -155,7 +159,7 @@ def gao(
     synthetic = Cities(cities, images, *image_size(size), extent)
     job = GaoJob(scenes, synthetic, poses, dict(map(key_value, settings)), crop, image_scale, time_limit, seed)
     with steps(quiet) as step:
-        outcome = run_gao(job, out, figures=not no_figures, step=step)
+        outcome = run_gao(job, out, workers=chosen_workers(workers, cluster), figures=not no_figures, step=step)
     if not quiet:
         for table in console_tables(outcome.study, outcome.views):
             print_columns(table)

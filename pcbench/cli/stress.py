@@ -16,6 +16,7 @@ from pcbench.cli.options import (
     seed_option,
     split_names,
 )
+from pcbench.cli.workers import workers_options
 
 
 @click.command(short_help="Find where registration, metrics and verdicts break.")
@@ -66,6 +67,7 @@ from pcbench.cli.options import (
     metavar="SECONDS",
     help="Time limit of each run; a run that exceeds it counts as a time-out.",
 )
+@workers_options("as many runs as CPUs; with --reconstructors one run after another, each with all CPUs")
 @no_figures_option("charts")
 @seed_option("First random seed.")
 @quiet_option
@@ -82,6 +84,8 @@ def stress(
     seeds: int,
     register: str,
     time_limit: float,
+    workers: int | None,
+    cluster: str | None,
     no_figures: bool,
     seed: int,
     quiet: bool,
@@ -129,6 +133,8 @@ def stress(
         register=register,
         time_limit_s=time_limit,
         reconstructors=reconstructors,
+        workers=workers,
+        cluster=cluster,
     )
     with steps(quiet) as step:
         if reconstructors:

@@ -23,10 +23,12 @@ from pcbench.cli.options import (
     seed_option,
 )
 from pcbench.cli.reports import compare_and_print
+from pcbench.cli.workers import chosen_workers, workers_options
 from pcbench.errors import ReconstructionError
 
 if TYPE_CHECKING:
     from pcbench.studies.bench.runs import BenchJob
+    from pcbench.tasks import Workers
 
 
 @click.command(short_help="Compare clouds of a synthetic city, and reconstructors on another.")
@@ -159,6 +161,7 @@ def _demo_bench(out: Path, seed: int, *, figures: bool, quiet: bool) -> None:
     help="Distance thresholds of precision, recall and F-score; `2px` is two pixels on the ground. Charts show the"
     " last.  [default: 1px,2px,5px]",
 )
+@workers_options("one run after another, each with all CPUs")
 @no_figures_option("charts")
 @json_option("bench.json")
 @quiet_option
@@ -177,6 +180,8 @@ def bench(
     register: str,
     crop: str,
     threshold: str | None,
+    workers: int | None,
+    cluster: str | None,
     no_figures: bool,
     json_file: str | None,
     quiet: bool,
@@ -201,10 +206,13 @@ def bench(
     output = JsonOutput(json_file)
     named = filter(None, [masks, truth_mesh, file_in_setting(register), file_in_setting(crop)])
     output.check([scene, reference, *named], folder=out)
-    _bench_and_print(job, out, output, figures=not no_figures, quiet=quiet)
+    chosen = chosen_workers(workers, cluster)
+    _bench_and_print(job, out, output, workers=chosen, figures=not no_figures, quiet=quiet)
 
 
-def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: bool, quiet: bool) -> None:
+def _bench_and_print(
+    job: BenchJob, out: Path, output: JsonOutput, *, workers: Workers | None = None, figures: bool, quiet: bool
+) -> None:
     from pcbench.studies.bench.runs import FinishedRun
     from pcbench.studies.bench.runs import bench as run_bench
     from pcbench.studies.bench.table import print_bench
@@ -214,7 +222,9 @@ def _bench_and_print(job: BenchJob, out: Path, output: JsonOutput, *, figures: b
             click.echo(f"{done.number}/{done.of} {done.summary}", err=output.on_stdout)
 
     with steps(quiet) as step:
-        outcome = run_bench(job, out, figures=figures, on_row=say, on_step=step, on_warning=warn_unless(quiet))
+        outcome = run_bench(
+            job, out, workers=workers, figures=figures, on_row=say, on_step=step, on_warning=warn_unless(quiet)
+        )
     doc = outcome.document
     output.write(doc)
     if not quiet and not output.on_stdout:

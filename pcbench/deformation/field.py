@@ -15,6 +15,7 @@ from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 FDR = 0.05
+_EQUAL_SHARE = 1e-9  # of the extent, within which coordinates are equal
 # Minimum weight of smooth surface in a tested cell, and its minimum share: vegetation always changes.
 _MIN_SMOOTH_WEIGHT, _MIN_SMOOTH_SHARE = 3.0, 0.1
 _ADJACENT = 1.5  # largest distance of the mean positions of adjacent cells, in edges of a cell
@@ -55,10 +56,11 @@ class CellDisplacements:
         centred = x - np.average(x, weights=w)
         a = w * centred / float(w @ np.square(centred))
         slope, sigma = float(a @ y), math.sqrt(float(a @ self._covariance @ a))
-        rank = np.argsort(x, kind="stable")
-        bins = np.empty(len(x), dtype=np.int64)
-        share = (np.cumsum(w[rank]) - 0.5 * w[rank]) / w.sum()
-        bins[rank] = np.minimum((8 * share).astype(np.int64), 7)
+        # Coordinates that are equal up to rounding belong to one bin: their order is arbitrary.
+        _, group = np.unique(np.round(x / (_EQUAL_SHARE * np.ptp(x))), return_inverse=True)
+        weight = np.bincount(group, w)
+        share = (np.cumsum(weight) - 0.5 * weight) / w.sum()
+        bins = np.minimum((8 * share).astype(np.int64), 7)[group]
         profile = []
         for number in np.unique(bins):
             within = np.where(bins == number, w, 0.0) / w[bins == number].sum()

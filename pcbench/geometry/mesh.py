@@ -186,6 +186,10 @@ class MeshIndex:
     def __len__(self) -> int:
         return len(self.mesh)
 
+    def __reduce__(self) -> tuple[type[MeshIndex], tuple[Mesh]]:
+        """Pickle the mesh: another process builds the same tree."""
+        return MeshIndex, (self.mesh,)
+
     @cached_property
     def supports_signed_distance(self) -> bool:
         """Return whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""

@@ -86,6 +86,10 @@ class Index:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __reduce__(self) -> tuple[type["Index"], tuple[NDArray[np.float64]]]:
+        """Pickle the points: another process builds the same tree."""
+        return Index, (self.points,)
+
     @property
     def nbytes(self) -> int:
         """Memory of the tree in bytes, without the points."""

@@ -61,7 +61,7 @@ def read_cloud(
 
     Raises:
         InputError: a file cannot be read or does not match its extension, files have different coordinate reference
-            systems or units, or no point passes the filters. The message starts with the path.
+            systems or units, or no point passes the filters. The message names the file.
         MissingExtra: an optional library is needed for this file.
     """
     path = cloud_file(as_path(path))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +20,9 @@ from pcbench.io.files import Fields, Warn, errors_named, read_json
 from pcbench.io.las import filter_records, las_fields, to_8_bits
 from pcbench.io.las_checks import LasCounts, count_records
 from pcbench.io.las_crs import WKT, read_crs
-from pcbench.io.las_header import read_extras, read_header
-from pcbench.io.las_records import LasFilters, has_normals, no_match_error, parse_filters, read_compressed_records
+from pcbench.io.las_header import EXTRA_BYTES, LasHeader, read_extras, read_header
+from pcbench.io.las_records import LasFilters, has_normals, no_match_error, parse_filters, record_type
+from pcbench.io.laz import decompress_files
 
 _EXTENSIONS = {"laszip": "laz", "binary": "bin"}
 _KINDS = {"signed": "i", "unsigned": "u", "float": "f"}
@@ -252,26 +252,30 @@ def _read_laszip(
     index: EptIndex, nodes: Sequence[EptNode], filters: LasFilters, warn: Warn, allow_empty: bool
 ) -> tuple[Fields, LasCounts | None]:
     lines: list[str] = []
-    layouts: list[Any] = []
-    parts, counts = [], []
+    files: list[tuple[Path, LasHeader]] = []
     for node in nodes:
-        with errors_named(index.node_path(node).name), index.node_path(node).open("rb") as file:
+        path = index.node_path(node)
+        with errors_named(path.name), path.open("rb") as file:
             header = read_header(file, lines.append)
             if header.count != node.points or not header.compressed:
                 raise InputError(f"expected LAZ with {node.points} points, got {header.count}: copy the file again")
             extras = read_extras(header, lines.append)
-            records = read_compressed_records(file, header, extras, lines.append)
-        layouts.append((records.dtype, header.scales, header.offsets))
-        if layouts[-1] != layouts[0]:
-            raise InputError(
-                f"{index.node_path(node).name}: expected the point format, scale and offset of other nodes, got others"
-            )
-        parts.append(records)
-        counts.append(count_records(records, replace(header, bounds=None)))
+            files.append((path, header))
+            if _layout(header) != _layout(files[0][1]):
+                raise InputError(
+                    "expected the point format, scale and offset of other nodes, got others: copy it again"
+                )
+    records = decompress_files(files, lines.append).view(record_type(header, extras))
     for line in dict.fromkeys(lines):  # one line, not one per node
         warn(line)
-    records = filter_records(np.concatenate(parts), header, filters, allow_empty)
-    return las_fields(records, header, extras, warn), reduce(LasCounts.merge, counts)
+    counts = count_records(records, replace(header, bounds=None))
+    return las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn), counts
+
+
+def _layout(header: LasHeader) -> tuple[object, ...]:
+    """Return what the headers of all nodes must have in common to read their points together."""
+    extra_bytes = header.records.get(EXTRA_BYTES)
+    return header.point_format, header.record_bytes, header.scales, header.offsets, extra_bytes
 
 
 def _read_binary(

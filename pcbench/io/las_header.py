@@ -47,11 +47,13 @@ EXTRA_TYPES = ("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8
 EXTRA_LAYOUT = struct.Struct("<2s BB 32s 4s 24s 24s 24s 3d 3d 32s")
 EXTRA_NO_DATA, EXTRA_SCALE, EXTRA_OFFSET = 1, 8, 16  # bits of a description's options
 
+EXTRA_BYTES = ("LASF_Spec", 4)  # record that describes them
+
 _MAX_RECORDS = 10_000  # real files have about a dozen
 _MAX_RECORD_BYTES = 1 << 20  # longer extended records (waveforms, COPC's hierarchy) are not needed
 # The variable length records that are read: coordinate system, extra bytes, LASzip, COPC.
 _READ_RECORDS = {
-    *(("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Spec", 4)),
+    *(("LASF_Projection", 2112), ("LASF_Projection", 34735), EXTRA_BYTES),
     *(("laszip encoded", 22204), ("copc", 1)),
 }
 
@@ -199,7 +201,7 @@ def read_extras(header: LasHeader, warn: Warn) -> list[ExtraDimension]:
 
     If the descriptions do not fit the record, all are left out with a warning: the coordinates do not depend on them.
     """
-    data = header.records.get(("LASF_Spec", 4), b"")
+    data = header.records.get(EXTRA_BYTES, b"")
     extras = []
     for fields in EXTRA_LAYOUT.iter_unpack(data[: len(data) // EXTRA_LAYOUT.size * EXTRA_LAYOUT.size]):
         _, kind, options, name, _, no_data, _, _, *numbers, _ = fields

@@ -1,14 +1,16 @@
-"""Decompress chunks of LAZ in a child process, from standard input to standard output.
+"""Decompress chunks of LAZ in a child process to standard output.
 
-Usage: `laz_worker.py START LASZIP COUNT BYTES FIRST END`, for the chunks FIRST to END - 1 of a file with COUNT points.
+Usage: `laz_worker.py (FILE START LASZIP COUNT BYTES FIRST END)...`, for the chunks FIRST to END - 1 of each FILE, which
+has COUNT points; the file - is standard input.
 
 lazrs trusts the sizes in a file; on damaged data it may request 55 GB and abort. LAZ also lacks a checksum: damaged
 bytes in the middle may decode to other times or colours. Since encoding is deterministic, the decoded points are
 encoded again and compared with the file.
 
 `pcbench.io.laz` runs this script: without pcbench and numpy it starts in 25 ms. Exit status: 0; 3 if lazrs does not
-load; 4 if the encoding of some points differs (their count and the index of the first one in the file go to standard
-error); 5 if that of all points differs; any other value if the data are damaged.
+load; 4 if the encoding of some points differs (their count and the index of the first one go to standard error: its
+index in a single file, or among the points of several files); 5 if that of all points differs; any other value if the
+data are damaged.
 """
 
 import io
@@ -17,41 +19,53 @@ import sys
 _MAX_BATCH_BYTES = 32 << 20  # decompressed at a time: enough chunks to occupy all cores
 
 
-def main(start: int, laszip: bytes, count: int, record_bytes: int, first: int, end: int) -> None:
-    """Decompress and verify the points of some chunks of a LAZ file."""
-    try:
-        import lazrs
-    except ImportError:
-        sys.exit(3)
+def main(*arguments: str) -> None:
+    """Decompress and verify the points of some chunks of each file."""
+    import lazrs
 
-    source, target = sys.stdin.buffer, sys.stdout.buffer
-    source.seek(start)
-    vlr = lazrs.LazVlr(laszip)
-    table = clip_chunks(lazrs.read_chunk_table(source, vlr), count)
-    chunks = table[first:end]
-    index = sum(points for points, _ in table[:first])  # of the next point
-    source.seek(start + 8 + sum(size for _, size in table[:first]))  # 8: pointer to the chunk table
-    wanted = sum(points for points, _ in chunks)
     damaged: list[tuple[int, int]] = []  # first point and point count of each damaged chunk
-    while chunks:
-        batch = _take_batch(chunks, record_bytes)
-        compressed = source.read(sum(size for _, size in batch))
-        points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
-        lazrs.decompress_points_with_chunk_table(compressed, laszip, points_bytes, batch)
-        target.write(points_bytes)
-        offset = 0
-        encoded = _encode(points_bytes, [points * record_bytes for points, _ in batch], vlr)
-        for (points, size), encoded_chunk in zip(batch, encoded, strict=True):
-            if compressed[offset : offset + size] != encoded_chunk:
-                damaged.append((index, points))
-            offset, index = offset + size, index + points
-    target.flush()
+    wanted = 0
+    for k in range(0, len(arguments), 7):
+        name, start, laszip, *numbers = arguments[k : k + 7]
+        count, record_bytes, first, end = map(int, numbers)
+        with open(0 if name == "-" else name, "rb") as file:  # noqa: PTH123
+            file.seek(int(start))
+            table = clip_chunks(lazrs.read_chunk_table(file, lazrs.LazVlr(bytes.fromhex(laszip))), count)
+            before = wanted + sum(points for points, _ in table[:first])
+            file.seek(int(start) + 8 + sum(size for _, size in table[:first]))  # 8: pointer to the chunk table
+            found = _decompress(file, bytes.fromhex(laszip), record_bytes, table[first:end])
+            damaged += [(before + index, points) for index, points in found]
+            wanted += sum(points for points, _ in table[first:end])
+    sys.stdout.buffer.flush()
     number = sum(points for _, points in damaged)
     if number == wanted:
         sys.exit(5)
     if damaged:
         print(number, damaged[0][0], file=sys.stderr)
         sys.exit(4)
+
+
+def _decompress(
+    source: io.BufferedReader, laszip: bytes, record_bytes: int, chunks: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Write the points of chunks from the current position; return the first point and point count of damaged ones."""
+    import lazrs
+
+    vlr = lazrs.LazVlr(laszip)
+    damaged, index = [], 0
+    while chunks:
+        batch = _take_batch(chunks, record_bytes)
+        compressed = source.read(sum(size for _, size in batch))
+        points_bytes = bytearray(sum(points for points, _ in batch) * record_bytes)
+        lazrs.decompress_points_with_chunk_table(compressed, laszip, points_bytes, batch)
+        sys.stdout.buffer.write(points_bytes)
+        offset = 0
+        encoded = _encode(points_bytes, [points * record_bytes for points, _ in batch], vlr)
+        for (points, size), encoded_chunk in zip(batch, encoded, strict=True):
+            if compressed[offset : offset + size] != encoded_chunk:
+                damaged.append((index, points))
+            offset, index = offset + size, index + points
+    return damaged
 
 
 def clip_chunks(table: list[tuple[int, int]], count: int) -> list[tuple[int, int]]:
@@ -82,7 +96,7 @@ def _take_batch(chunks: list[tuple[int, int]], record_bytes: int) -> list[tuple[
     return batch
 
 
-def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:  # type: ignore[name-defined]  # noqa: F821
+def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[bytes]:
     """Compress each chunk of `sizes` bytes of points."""
     import lazrs
 
@@ -107,4 +121,8 @@ def _encode(points: bytearray, sizes: list[int], vlr: "lazrs.LazVlr") -> list[by
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), bytes.fromhex(sys.argv[2]), *map(int, sys.argv[3:]))
+    try:
+        import lazrs
+    except ImportError:
+        sys.exit(3)
+    main(*sys.argv[1:])

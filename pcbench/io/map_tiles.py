@@ -43,6 +43,24 @@ class MapOverview:
     north: float
     pixel: float
 
+    def halved(self) -> MapOverview:
+        """Return the overview with pixels of twice the edge."""
+        height, width = self.count.shape
+        padding = [(0, height % 2), (0, width % 2)]
+
+        def blocks(values: NDArray[Any]) -> NDArray[Any]:
+            """Return the four pixels of each new one: (H, W, 4)."""
+            padded = np.pad(values, padding)
+            rows, columns = padded.shape
+            return padded.reshape(rows // 2, 2, columns // 2, 2).swapaxes(1, 2).reshape(rows // 2, columns // 2, 4)
+
+        known = blocks(self.count) > 0
+        count = blocks(self.count).sum(axis=2)
+        total = np.where(known, blocks(self.count) * blocks(self.mean), 0).sum(axis=2)
+        largest = np.where(known, blocks(self.largest), -np.inf).max(axis=2)
+        mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+        return MapOverview(mean, np.where(count > 0, largest, np.nan), count, self.west, self.north, 2 * self.pixel)
+
 
 def map_tile_extension() -> str:
     """Return the extension of map tiles: `.laz`, or `.las` if lazrs is not installed."""

@@ -19,7 +19,7 @@ _MAX_INDEX_BYTES = 1 << 30
 _TABLES = (".csv", ".txt")  # beside tiles of other formats, these are usually reports, not clouds
 
 
-class Tiles(NamedTuple):
+class TileFiles(NamedTuple):
     """Files of a cloud in the natural order of their names, and warnings without a path."""
 
     paths: tuple[Path, ...]
@@ -36,7 +36,7 @@ def is_tiled(path: Path) -> bool:
     return path.suffix.lower() == VPC or is_pattern(path) or path.is_dir()
 
 
-def find_tiles(path: Path, extensions: Collection[str]) -> Tiles:
+def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
 
     Hidden files, and files of a folder with other extensions, are left out. So are .csv and .txt files of a folder with
@@ -51,12 +51,12 @@ def find_tiles(path: Path, extensions: Collection[str]) -> Tiles:
         OSError: the folder or the index cannot be read.
     """
     if path.suffix.lower() == VPC and not is_pattern(path):
-        return Tiles(_sorted(_index_files(path)))
+        return TileFiles(_sorted(_index_files(path)))
     if is_pattern(path):
         matches = _sorted([Path(match) for match in glob(str(path), recursive=True)])  # noqa: PTH207 (Path.glob takes no root)
         if not matches:
             raise InputError("no file matches this pattern: check the name and the folder")
-        return Tiles(matches)
+        return TileFiles(matches)
     files = [file for file in path.iterdir() if file.suffix.lower() in extensions and not file.name.startswith(".")]
     tables = [file for file in files if file.suffix.lower() in _TABLES]
     clouds = [file for file in files if file not in tables] or files
@@ -66,9 +66,9 @@ def find_tiles(path: Path, extensions: Collection[str]) -> Tiles:
             " '**/*.laz'"
         )
     if len(clouds) == len(files):
-        return Tiles(_sorted(clouds))
+        return TileFiles(_sorted(clouds))
     left_out = f"left out {len(tables)} .csv and .txt files beside other clouds, such as {tables[0].name}"
-    return Tiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds",))
+    return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds",))
 
 
 def _sorted(paths: Collection[Path]) -> tuple[Path, ...]:

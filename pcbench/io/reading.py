@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from pcbench.io.files import Fields, Warn, errors_named, read_named
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, CloudFormat, format_of
 from pcbench.io.las_records import parse_filters
 from pcbench.io.paths import EPT, find_tiles, is_tiled
-from pcbench.io.tiles import Frame, common_frame, concatenate
+from pcbench.io.tiles import StatedCrs, common_crs, concatenate, merge_warnings
 from pcbench.regular_files import has_entry
 
 
@@ -34,7 +35,7 @@ def read_fields(
         returns: returns to keep.
 
     Raises:
-        InputError: as `pcbench.read_cloud`. The message starts with the path of the file.
+        InputError: as `pcbench.read_cloud`. The message names the file.
         MissingExtra: an optional library is needed.
     """
     filters: dict[str, Any] = {"classes": classes, "returns": returns} if (classes, returns) != (None, None) else {}
@@ -50,21 +51,26 @@ def read_fields(
         return read_named(path, read_file, warn)
     with errors_named(path):
         tiles = find_tiles(path, CLOUDS)
-    parts = [read_named(tile, read_tile, warn) for tile in tiles.paths]
+    lines = [(path, line) for line in tiles.warnings]
 
     def warn_of_all(line: str) -> None:
-        warn(f"{path}: {line}")
+        lines.append((path, line))
 
-    for line in tiles.warnings:
-        warn_of_all(line)
-    frames = [Frame(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
-    crs, unit = common_frame(frames, warn_of_all)
+    parts = [read_named(tile, read_tile, partial(_keep, lines, tile)) for tile in tiles.paths]
+    stated = [StatedCrs(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
+    crs, unit = common_crs(stated, warn_of_all)
     fields = concatenate(parts, warn_of_all)
     if not len(fields["points"]):
         wanted = f"points with {parse_filters(classes, returns)}" if filters else "at least one point"
         raise InputError(f"{path}: expected {wanted}, got none in {len(parts)} files")
     fields["crs"], fields["unit"] = crs, unit
+    for text in merge_warnings(lines):
+        warn(text)
     return fields
+
+
+def _keep(lines: list[tuple[Path, str]], path: Path, text: str) -> None:
+    lines.append((path, text.removeprefix(f"{path}: ")))
 
 
 def filtered_format(path: Path, has_filters: bool) -> CloudFormat:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,10 +14,11 @@ from pcbench.errors import InputError
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.io.files import Fields, Warn
 
+_NUMBER = re.compile(r"\d[\d.,]*(e[+-]?\d+)?")
 _ATTRIBUTE = "attribute "  # before names of attributes, which may be any text
 
 
-class Frame(NamedTuple):
+class StatedCrs(NamedTuple):
     """Coordinate reference system and unit that one file states; None if it states none."""
 
     path: Path
@@ -24,49 +26,70 @@ class Frame(NamedTuple):
     unit: str | None
 
 
-def common_frame(frames: Sequence[Frame], warn: Warn) -> tuple[str | None, str | None]:
+def common_crs(stated: Sequence[StatedCrs], warn: Warn) -> tuple[str | None, str | None]:
     """Return the coordinate reference system and the unit of all files that state one.
 
     Args:
-        frames: what each file states.
+        stated: what each file states.
         warn: callback for warnings, without a path.
 
     Raises:
         InputError: two files state different ones.
     """
-    crs = next((frame for frame in frames if frame.crs is not None), None)
-    unit = next((frame for frame in frames if frame.unit is not None), None)
-    different = set[str]()  # texts that have been compared
-    for frame in frames:
-        if crs and frame.crs and crs.crs and frame.crs != crs.crs and frame.crs not in different:
-            if not same_crs(crs.crs, frame.crs):
+    crs = next((one for one in stated if one.crs is not None), StatedCrs(Path(), None, None))
+    unit = next((one for one in stated if one.unit is not None), StatedCrs(Path(), None, None))
+    same = {crs.crs, None}  # texts of the same system
+    for one in stated:
+        if one.crs not in same:
+            assert crs.crs is not None and one.crs is not None
+            if not same_crs(crs.crs, one.crs):
                 raise InputError(
                     f"expected files in one coordinate reference system, got {crs_name(crs.crs)} in {crs.path} and"
-                    f" {crs_name(frame.crs)} in {frame.path}: convert one of them"
+                    f" {crs_name(one.crs)} in {one.path}: convert one of them"
                 )
-            different.add(frame.crs)
-        if unit and frame.unit and frame.unit != unit.unit:
+            same.add(one.crs)
+        if one.unit not in (unit.unit, None):
             raise InputError(
-                f"expected files in one unit, got {unit.unit} in {unit.path} and {frame.unit} in {frame.path}:"
+                f"expected files in one unit, got {unit.unit} in {unit.path} and {one.unit} in {one.path}:"
                 " convert one of them"
             )
-    for found, name in ((crs, "crs"), (unit, "unit")):
-        silent = [frame for frame in frames if getattr(frame, name) is None]
-        if found is not None and silent:
-            what = "coordinate reference system" if name == "crs" else "unit"
-            text = crs_name(found.crs or "") if name == "crs" else f"in {found.unit}"
-            warn(
-                f"{len(silent)} of {len(frames)} files state no {what}, such as {silent[0].path.name}: their"
-                f" coordinates are taken as {text}"
-            )
-    return crs and crs.crs, unit and unit.unit
+    without = [one for one in stated if one.crs is None]
+    if crs.crs is not None and without:
+        warn(
+            f"{len(without)} of {len(stated)} files state no coordinate reference system, such as"
+            f" {without[0].path.name}: their coordinates are taken as {crs_name(crs.crs)}"
+        )
+    without = [one for one in stated if one.unit is None]
+    if unit.unit is not None and without and crs.crs is None:
+        warn(
+            f"{len(without)} of {len(stated)} files state no unit, such as {without[0].path.name}: their coordinates"
+            f" are taken as in {unit.unit}"
+        )
+    return crs.crs, unit.unit
+
+
+def merge_warnings(warnings: Iterable[tuple[Path, str]]) -> list[str]:
+    """Return warnings as lines that start with the path of a file; those that differ in numbers only become one line.
+
+    Args:
+        warnings: files and warnings without a path, in order.
+    """
+    kinds: dict[str, dict[Path, str]] = {}
+    for path, line in warnings:
+        kinds.setdefault(_NUMBER.sub("#", line), {}).setdefault(path, line)
+    lines = []
+    for found in kinds.values():
+        path, line = next(iter(found.items()))
+        rest = f"; likewise {len(found) - 1} other file{'s' * (len(found) > 2)}" if len(found) > 1 else ""
+        lines.append(f"{path}: {line}{rest}")
+    return lines
 
 
 def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
     """Concatenate the points of several files; normals, colours and attributes are kept if all files have them.
 
     Args:
-        parts: fields of each file. The coordinate system is left out, see `common_frame`.
+        parts: fields of each file. The coordinate system is left out, see `common_crs`.
         warn: callback for warnings, without a path.
     """
     columns = [_columns(part) for part in parts]

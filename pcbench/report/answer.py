@@ -149,10 +149,11 @@ class _Writer:
             return f"{text}, about what the point spacing explains ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
         position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
+        at_least = "at least " if candidate.censored.get(REFERENCE_TO_CANDIDATE) else ""
         return (
             f"{text}, of which the point spacing explains {self.length(away.floor)}: parts are missing. 5% of the"
             f" reference is farther than {self.length(worst.p95)} from the candidate; the farthest point,"
-            f" {self.length(worst.largest)} away, is at ({position})."
+            f" {at_least}{self.length(worst.largest)} away, is at ({position})."
         )
 
     def _pose(self, candidate: Candidate) -> str:

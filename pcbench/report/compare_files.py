@@ -25,6 +25,7 @@ from pcbench.report.reading import paths_in
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 from pcbench.report.workspace import default_workspace, locked_workspace
 
+_WRITING_SAMPLES_S = 5.0  # writing the report of a tiled comparison, whose maps are samples
 _Setting = TypeVar("_Setting")
 
 
@@ -143,10 +144,11 @@ def compare_files(
     paths = [job.reference, *job.candidates.values()]
     if (settings.classes or settings.returns) and not any(filters_for(path, settings) for path in paths):
         raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
-    plan = ProgressPlan(step, _expected_seconds(job, outputs))
     clouds = None
     if job.tiles is not None:
+        step("reading the headers")
         clouds = choose_tiles(job.reference, job.candidates, settings, job.tiles, on_notice)
+    plan = ProgressPlan(step, _expected_seconds(job, outputs, clouds))
     with _workspace(job, settings, clouds, outputs.folder, on_notice) as workspace:  # kept until the report is complete
         if outputs.folder is None:
             return ComparisonOutcome(_run(job, settings, plan, clouds, workspace))
@@ -233,8 +235,10 @@ def _with_change(job: ComparisonJob, file: InputFile) -> InputFile:
     )
 
 
-def _expected_seconds(job: ComparisonJob, outputs: Outputs) -> list[float]:
+def _expected_seconds(job: ComparisonJob, outputs: Outputs, clouds: CloudsOnDisk | None) -> list[float]:
     """Return a rough duration of each announced step, in seconds, for the progress bar."""
+    if clouds is not None:  # tiles estimate their own time
+        return [0.0, _WRITING_SAMPLES_S if outputs.folder is not None else 0.0, drawing_seconds(len(job.candidates))]
     reading = [estimate_reading_seconds(path) for path in (job.reference, *job.candidates.values())]
     pairs = [reading[0] + seconds for seconds in reading[1:]]
     writing = sum(pairs) if outputs.folder is not None else 0.0

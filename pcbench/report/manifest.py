@@ -66,7 +66,7 @@ def check_figures_folder(folder: Path) -> None:
     """Check that pictures and map files can be written into the folders `figures` and `maps` of a report.
 
     Raises:
-        InputError: one of them is a link or a file.
+        InputError: one of them is a link or a file, or `maps` has a link.
     """
     for inner, content in ((folder / FIGURES, "pictures"), (folder / MAPS, "maps")):
         if inner.is_symlink():
@@ -75,6 +75,9 @@ def check_figures_folder(folder: Path) -> None:
             raise InputError(
                 f"{inner}: expected a folder for {content}, got a file: rename it, or choose another folder"
             )
+    for path in (folder / MAPS).glob("*"):
+        if path.is_symlink():
+            raise InputError(f"{path}: expected no link among the maps: remove it, or choose another report folder")
 
 
 def replace_report(scratch: Path, out: Path) -> None:
@@ -189,12 +192,10 @@ def _is_inside(name: Any) -> bool:
     if not isinstance(name, str) or "\0" in name:
         return False
     parts = PurePosixPath(name).parts
-    return (
-        name == "/".join(parts)
-        and ".." not in parts
-        and parts[0] != "/"
-        and (len(parts) == 1 or (len(parts) == 2 and parts[0] == FIGURES) or (len(parts) <= 3 and parts[0] == MAPS))
-    )
+    if not parts or name != "/".join(parts) or ".." in parts or parts[0] == "/":
+        return False
+    depth = {FIGURES: 2, MAPS: 3}.get(parts[0], 1)
+    return len(parts) <= depth
 
 
 def _write(manifest: Path, names: Iterable[str]) -> None:

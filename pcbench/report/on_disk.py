@@ -17,7 +17,8 @@ from typing import Any, Literal
 
 import pcbench
 from pcbench.errors import InputError, MissingExtra
-from pcbench.io import FILTERABLE_EXTENSIONS
+from pcbench.io import has_filters
+from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
 from pcbench.measure.settings import Settings
@@ -93,14 +94,15 @@ class CloudsOnDisk:
             name: [(str(file.path.absolute()), file.count, *_status(file.path)) for file in cloud.files]
             for name, cloud in {"": self.reference, **self.candidates}.items()
         }
+        named = [_status(path) for path in map(file_in_setting, (settings.register, settings.crop)) if path is not None]
         size = tiling.memory, tiling.workers  # they determine the size of tiles
-        parts = [pcbench.__version__, record(settings), record_tiling(tiling), size, clouds]
+        parts = [pcbench.__version__, record(settings), record_tiling(tiling), size, clouds, named]
         return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 
 def filters_for(path: Path, settings: Settings) -> dict[str, Any]:
     """Return the filters that apply to a path: candidates may have other formats than a filtered LAS reference."""
-    if path.suffix.lower() in FILTERABLE_EXTENSIONS or is_in_pieces(path):
+    if has_filters(path):
         return {"classes": settings.classes, "returns": settings.returns}
     return {}
 

@@ -9,7 +9,7 @@ import platform
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, InvalidStateError
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -44,8 +44,9 @@ class ClusterWorkers:
 
     def __init__(self, cluster: str, count: int | None, on_progress: Callable[[str], None]) -> None:
         self._cluster, self._count, self._on_progress = cluster, count, on_progress
-        self._threads = 0
+        self._threads, self._next_count = 0, 0.0
         self._waits_for_workers = False
+        self._outcomes: set[Future[int]] = set()  # of running tasks
         require("distributed", "cluster")
         try:
             self._connect()
@@ -63,16 +64,19 @@ class ClusterWorkers:
     def submit(self, call: Call) -> Future[int]:
         """Run a call; its future has the size of the result's file in bytes, or raises WorkerLost or ConnectionLost."""
         outcome: Future[int] = Future()
+        self._outcomes.add(outcome)
+        outcome.add_done_callback(self._outcomes.discard)
 
         def finish(future: Future[int | Exception]) -> None:
             try:
                 answer = future.result()
             except (Exception, CancelledError) as error:
                 answer = self._explain(error)
-            if isinstance(answer, Exception):
-                outcome.set_exception(answer)
-            else:
-                outcome.set_result(answer)
+            with suppress(InvalidStateError):  # `_reconnect` has ended it
+                if isinstance(answer, Exception):
+                    outcome.set_exception(answer)
+                else:
+                    outcome.set_result(answer)
 
         try:
             self._executor.submit(run_call, pickle.dumps(call), _versions()).add_done_callback(finish)
@@ -88,8 +92,11 @@ class ClusterWorkers:
         """
         if self._client.status != "running":
             self._reconnect()
+        if time.monotonic() < self._next_count:
+            return
+        self._next_count = time.monotonic() + _RETRY_INTERVAL_S
         try:
-            self._threads = sum(self._client.nthreads().values())
+            self._threads = self._count_threads()
         except Exception:  # the connection was lost at this moment: the next call connects again
             return
         if self._threads == 0 and not self._waits_for_workers:
@@ -109,16 +116,24 @@ class ClusterWorkers:
             warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
             self._client = distributed.Client(**where, timeout=_CONNECT_S, name="pcbench", set_as_default=False)
         self._executor = self._client.get_executor()
-        self._threads = sum(self._client.nthreads().values())
+        self._threads = self._count_threads()
+
+    def _count_threads(self) -> int:
+        client = self._client
+        return sum(client.sync(client.scheduler.ncores, callback_timeout=_CONNECT_S).values())
 
     def _reconnect(self) -> None:
+        """Replace the client by a new one; tasks of the old one count as lost, because it forgets some of them."""
         self._on_progress(f"waiting for the scheduler of the cluster {self._cluster}")
+        self.stop()
+        for outcome in list(self._outcomes):
+            with suppress(InvalidStateError):  # it has just ended
+                outcome.set_exception(ConnectionLost())
         deadline = time.monotonic() + _RECONNECT_S
-        while self._client.status == "connecting" and time.monotonic() < deadline:
-            time.sleep(_RETRY_INTERVAL_S)
-        while self._client.status != "running":
+        while True:
             try:
                 self._connect()
+                return
             except OSError as error:
                 if time.monotonic() > deadline:
                     raise WorkerError(

@@ -16,6 +16,7 @@ import numpy as np
 
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
+from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.plugins import Gauge, Reconstruction
@@ -84,8 +85,7 @@ class DenseMvs:
     backend: `colmap` needs a pycolmap with CUDA and a GPU, `bundled` runs anywhere; `auto` uses COLMAP if it can run.
     confidence: minimum confidence of a depth, from 0 to 1. views: minimum number of images that agree on a point; 3
     gives fewer points and fewer errors. In any case more images must confirm a point than see through it.
-    memory: gigabytes that the points of one block may take while they are fused. Larger scenes are fused in several
-    blocks, whose number grows with the scene.
+    memory: gigabytes that fusion may use for points. A scene that needs more is fused in blocks, one after the other.
     mesh: also write a Poisson mesh into the workspace. The workspace keeps the depth and normal maps.
     """
 
@@ -156,6 +156,7 @@ class DenseMvs:
             maps = compute_bundled_maps(matching, matched, workspace)
 
         filtered = self._filter_maps(photographs, references, maps, workspace)
+        photographs.clear()
         notes += _describe_missing_maps(filtered, references)
         write_colmap_model(workspace / MAPS, [recenter_camera(cameras[name], -origin) for name in filtered])
         images = {
@@ -166,7 +167,7 @@ class DenseMvs:
         }
         cells = plan_cells(images, self.memory)
         cloud = fuse_blocks(images, cells, plan.spacing, self.views, workspace)
-        cloud = replace(cloud, points=cloud.points + origin, unit=solved.unit)
+        cloud = replace(cloud, points=freeze(cloud.points + origin), unit=solved.unit)
         in_blocks = f" in {len(cells)} blocks" if len(cells) > 1 else ""
         notes.append(
             f"{len(images)} depth maps fused{in_blocks}; median of {np.median(cloud.attributes['views']):.0f} images"

@@ -43,6 +43,11 @@ class ViewCache:
         self.map = lru_cache(cache_size)(read_map)
         self.depth = lru_cache(cache_size)(read_depth)
 
+    def clear(self) -> None:
+        """Drop the cached views and maps from memory."""
+        for cached in (self.view, self.map, self.depth):
+            cached.cache_clear()
+
     def _view(self, name: str) -> GrayView:
         return read_view(self._views[name], self.cameras[name])
 

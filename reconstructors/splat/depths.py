@@ -72,30 +72,33 @@ class RenderedMaps:
     def __init__(
         self, model: SurfaceModel, frame: LocalFrame, cameras: Mapping[str, Camera], max_confirming_views: int
     ) -> None:
-        self.cameras = {name: frame.camera(camera) for name, camera in cameras.items()}
-        self._model = model
+        local = {name: frame.camera(camera) for name, camera in cameras.items()}
+        self.cameras: Mapping[str, Camera] = local
         largest = max(camera.intrinsics.width * camera.intrinsics.height for camera in cameras.values())
-        self.of = lru_cache(max(max_confirming_views + 1, _CACHE_BYTES // (_BYTES_PER_PIXEL * largest)))(self._render)
+        cache = lru_cache(max(max_confirming_views + 1, _CACHE_BYTES // (_BYTES_PER_PIXEL * largest)))
+        # A cached method would keep the maps in memory until Python looks for cycles of references.
+        self.of = cache(lambda name: _render(model, local[name]))
 
-    def _render(self, name: str) -> RenderedMap:
-        camera = self.cameras[name]
-        output = self._model.render_geometry(View.of(camera, NEAREST))
-        assert output.depth is not None and output.normal is not None and output.median_depth is not None
-        color, transmittance = output.color.cpu().numpy(), output.transmittance.cpu().numpy()
-        depth, median = output.depth.cpu().numpy(), output.median_depth.cpu().numpy()
-        normal = output.normal.cpu().numpy()
-        alpha = 1 - transmittance
-        known = median > 0
-        depth_disagreement = np.abs(depth / np.where(known, alpha, 1) - median)
-        disagreement_px = depth_disagreement / np.where(known, median, 1) * np.float32(camera.intrinsics.fx)
-        length = np.linalg.norm(normal, axis=2)
-        known &= length > 0
-        depth_map = DepthMap(
-            np.where(known, median, 0).astype(np.float32),
-            np.where(known[..., None], normal / np.where(known, length, 1)[..., None], 0).astype(np.float32),
-            np.where(known, alpha / (1 + (disagreement_px / _DEPTH_DISAGREEMENT_PX) ** 2), 0).astype(np.float32),
-        )
-        return RenderedMap(depth_map, (255 * color.clip(0, 1)).round().astype(np.uint8), depth_disagreement)
+
+def _render(model: SurfaceModel, camera: Camera) -> RenderedMap:
+    """Render the map of a camera in the local frame."""
+    output = model.render_geometry(View.of(camera, NEAREST))
+    assert output.depth is not None and output.normal is not None and output.median_depth is not None
+    color, transmittance = output.color.cpu().numpy(), output.transmittance.cpu().numpy()
+    depth, median = output.depth.cpu().numpy(), output.median_depth.cpu().numpy()
+    normal = output.normal.cpu().numpy()
+    alpha = 1 - transmittance
+    known = median > 0
+    depth_disagreement = np.abs(depth / np.where(known, alpha, 1) - median)
+    disagreement_px = depth_disagreement / np.where(known, median, 1) * np.float32(camera.intrinsics.fx)
+    length = np.linalg.norm(normal, axis=2)
+    known &= length > 0
+    depth_map = DepthMap(
+        np.where(known, median, 0).astype(np.float32),
+        np.where(known[..., None], normal / np.where(known, length, 1)[..., None], 0).astype(np.float32),
+        np.where(known, alpha / (1 + (disagreement_px / _DEPTH_DISAGREEMENT_PX) ** 2), 0).astype(np.float32),
+    )
+    return RenderedMap(depth_map, (255 * color.clip(0, 1)).round().astype(np.uint8), depth_disagreement)
 
 
 class Overlap(NamedTuple):

@@ -20,6 +20,7 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import estimate_normals
 from pcbench.geometry.splats import check_limits, spread
 from pcbench.plugins.progress import with_time_left
+from reconstructors.mvs.cells import SPACE, SpaceCell
 from reconstructors.mvs.filter import Criteria, confirm, world_points
 from reconstructors.mvs.sources import MatchedImage
 from reconstructors.splat.depths import RenderedMaps, SurfaceModel, find_overlap
@@ -89,6 +90,7 @@ def surface(
     *,
     criteria: Criteria = SURFACE_CRITERIA,
     voxel: float | None = None,
+    cell: SpaceCell = SPACE,
 ) -> Cloud:
     """Return the surface that the cameras see, as a cloud with normals, colors, `confidence` and `views`.
 
@@ -106,6 +108,7 @@ def surface(
         cameras: pinholes in the world by image name.
         criteria: criteria by which depths are kept and confirmed.
         voxel: edge of the smallest voxels, in the world's unit; by default the median footprint of a pixel.
+        cell: part of the world; depths of points outside are left out.
 
     Raises:
         InputError: a camera has distortion, there are too few cameras, or the voxel is not a positive length.
@@ -120,7 +123,7 @@ def surface(
     voxels = Voxels(overlap.footprint if voxel is None else voxel / frame.unit)
     point_count = 0
     for reference in with_time_left(overlap.references, "surface"):
-        points, uncertainty = _confirmed_points(depths, reference, criteria)
+        points, uncertainty = _confirmed_points(depths, reference, criteria, frame, cell)
         point_count += len(points.views)
         if len(points.views):
             voxels.add(points, uncertainty**-2, uncertainty)
@@ -151,11 +154,17 @@ def _smooth_normals(points: Points) -> FloatArray:
     return oriented
 
 
-def _confirmed_points(depths: RenderedMaps, reference: MatchedImage, criteria: Criteria) -> tuple[Points, FloatArray]:
-    """Return the confirmed points of a camera in the local frame, and their uncertainties (N,)."""
+def _confirmed_points(
+    depths: RenderedMaps, reference: MatchedImage, criteria: Criteria, frame: LocalFrame, cell: SpaceCell
+) -> tuple[Points, FloatArray]:
+    """Return the confirmed points of a camera in a cell, in the local frame, and their uncertainties (N,)."""
     camera, rendered = depths.cameras[reference.name], depths.of(reference.name)
     depth_map = rendered.depth_map
     rows, columns = np.nonzero(depth_map.known & (depth_map.confidence >= criteria.confidence))
+    if cell is not SPACE:
+        pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
+        inside = cell.contains(frame.to_world(world_points(camera, pixels, depth_map.depth[rows, columns])))
+        rows, columns = rows[inside], columns[inside]
     others = [(depths.cameras[name], depths.of(name).depth_map) for name in reference.sources]
     parts: list[Points] = []
     uncertainties: list[FloatArray] = []

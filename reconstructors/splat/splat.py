@@ -27,6 +27,7 @@ from pcbench.plugins.stages import full_disk_explained, library_versions, stage,
 from pcbench.scenes import Scene
 from pcbench.scenes.splits import HoldOut, Split, hold_out, split_for_selection
 from pcbench.scenes.views import VIEWS_FOLDER, ViewImages, write_views
+from reconstructors.mvs.cells import SPACE, SpaceCell
 from reconstructors.mvs.mvs import MAPS, MIN_MEMORY_GB, DenseMvs
 from reconstructors.mvs.views import ALPHA, view_stage
 from reconstructors.sfm.sfm import ColmapSfm
@@ -156,8 +157,9 @@ class GaussianSplatting:
     transparent where they are.
     exposure: whether to fit the brightness of each training photograph, because cameras choose their exposures.
     image_side: maximum length of the photographs' longer side, in pixels. hold_out: images not used for training:
-    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`. memory: gigabytes
-    that training may use.
+    `every` 8th, or 8 `blocks`; the workspace then has renderings of all images for `pcbench views`.
+    memory: gigabytes that training may use. A scene that needs more is trained in blocks, one after the other, each for
+    `steps` steps on the photographs that show it; the blocks share the `gaussians`.
     device: `cuda` or `cpu`; `auto` uses CUDA if there is a device.
     The workspace keeps the model (model/point_cloud.ply), which splat viewers open.
     """
@@ -439,9 +441,8 @@ class GaussianSplatting:
             if len(part.pinholes) < _MIN_IMAGES:
                 continue
             model = load_model(folder / PARAMETERS, part.device)
-            own_stereo = stereo.select(block.surroundings.contains(stereo.points))
             try:
-                cloud = self._extract_surface(model, part, own_stereo, maps)
+                cloud = self._extract_surface(model, part, stereo, maps, block.surroundings)
             except ReconstructionError as error:
                 problem = error
                 continue
@@ -559,11 +560,15 @@ class GaussianSplatting:
         progress("rendering the images")
         write_views(folder, whole.scene.name, "splat", whole.split, pictures)
 
-    def _extract_surface(self, model: Gaussians, part: _Part, stereo: Cloud, maps: Path) -> Cloud:
-        """Return the surface of a part; `stereo` and the folder `maps` are points and depth maps of start=mvs."""
-        surface = extract.surface(model, part.frame, part.pinholes)
+    def _extract_surface(
+        self, model: Gaussians, part: _Part, stereo: Cloud, maps: Path, cell: SpaceCell = SPACE
+    ) -> Cloud:
+        """Return the surface of a part in a cell; `stereo` and the folder `maps` are points and maps of start=mvs."""
+        surface = extract.surface(model, part.frame, part.pinholes, cell=cell)
         if self.cloud == "surface" or self.start != "mvs":
             return surface
+        if cell is not SPACE:
+            stereo = stereo.select(cell.contains(stereo.points))
         return combine(surface, stereo, model, part.frame, part.pinholes, maps)
 
 

@@ -1,4 +1,4 @@
-"""Large clouds as tiles of LAZ, written one tile at a time: terrain with buildings as from a laser scanner in the air."""
+"""Large clouds as tiles of LAZ, written one at a time: terrain with buildings as from a laser scanner in the air."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from pcbench import Cloud, read_cloud, write_cloud
 
 BAD_INPUTS = {
     "missing file": ("compare ref.ply no.ply", "no.ply"),
-    "a directory": ("compare ref.ply .", "folder"),
+    "a folder without clouds": ("compare ref.ply hollow", "hollow: "),
     "empty file": ("compare ref.ply empty.ply", "empty"),
     "wrong magic": ("compare ref.ply magic.ply", "magic.ply"),
     "truncated": ("compare ref.ply cut.ply", "of 1500 vert"),
@@ -50,6 +50,7 @@ BAD_INPUTS = {
 def test_bad_input_is_one_line(files, run, name):
     header = b"ply\nformat binary_little_endian 1.0\nelement vertex %s\n"
     body = b"property float x\nproperty float y\nproperty float z\nend_header\n"
+    (files / "hollow").mkdir()
     (files / "empty.ply").touch()
     (files / "magic.ply").write_bytes(b"PK\x03\x04 not a cloud")
     (files / "cut.ply").write_bytes((files / "a.ply").read_bytes()[:-40])
@@ -149,7 +150,7 @@ def test_an_interrupt_leaves_no_files(files, run, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pcbench.measure.comparison.register", interrupt)
+    monkeypatch.setattr("pcbench.measure.pair.register", interrupt)
     code, _, err = run("compare", "ref.ply", "a.ply", "--out", "report")
     assert code == 130
     assert err.strip() == "interrupted"
@@ -162,8 +163,8 @@ def test_an_ascii_terminal_and_a_terminated_run(files):
     process = subprocess.run(command, env=environment, capture_output=True, check=True)
     assert b"RMS off the surface" in process.stdout
     script = (
-        "import os, signal, sys, pcbench.measure.comparison\n"
-        "pcbench.measure.comparison.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "import os, signal, sys, pcbench.measure.pair\n"
+        "pcbench.measure.pair.register = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)\n"
         "sys.argv = 'pcbench compare ref.ply a.ply --out report'.split()\n"
         "from pcbench.cli import main; main()"
     )

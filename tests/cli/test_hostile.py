@@ -139,7 +139,7 @@ def test_two_simultaneous_comparisons_into_one_report_are_refused(files, run, mo
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pcbench.measure.comparison.register", run_again)
+        patch.setattr("pcbench.measure.pair.register", run_again)
         run("compare", "ref.ply", "a.ply", "--out", "report")
     ((code, _, err),) = results
     assert (code, is_one_line(err)) == (2, True)

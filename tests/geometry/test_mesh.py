@@ -1,5 +1,7 @@
 """Mesh: area, normals, closedness, transforms, sampling, and refusals."""
 
+import pickle
+
 import numpy as np
 import pytest
 from mesh_shapes import cube, height_field, spiky_sphere, tetrahedron
@@ -101,3 +103,11 @@ def test_invalid_meshes_are_refused(name):
     vertices, faces = INVALID_MESHES[name]
     with check_error():
         Mesh(vertices, faces)
+
+
+def test_a_pickled_index_gives_the_same_distances():
+    index = MeshIndex(Mesh(*spiky_sphere()))
+    copy = pickle.loads(pickle.dumps(index))
+    queries = np.random.default_rng(0).normal(size=(200, 3))
+    for found, again in zip(index.query(queries), copy.query(queries), strict=True):
+        np.testing.assert_array_equal(found, again)

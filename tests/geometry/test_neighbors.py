@@ -1,5 +1,6 @@
 """Nearest-neighbour search compared with an independent brute force in numpy: bit-identical, ties by index."""
 
+import pickle
 import subprocess
 import sys
 
@@ -377,3 +378,12 @@ def test_sampled_spacing_agrees_with_that_of_all_points():
     index = Index(np.random.default_rng(5).random((100_000, 3)))
     # Median of 20,000 distances with a relative spread of 0.4: three standard errors of 0.4 * 1.25 / sqrt(20,000).
     assert median_spacing(index) == pytest.approx(median_spacing(index, index.nearest_other()), rel=0.012)
+
+
+def test_a_pickled_index_finds_the_same_points():
+    points = np.random.default_rng(0).random((500, 3))
+    index = Index(points[:400])
+    copy = pickle.loads(pickle.dumps(index))
+    found, again = (each.query(points) for each in (index, copy))
+    np.testing.assert_array_equal(found.indices, again.indices)
+    np.testing.assert_array_equal(found.distances, again.distances)

@@ -94,3 +94,21 @@ def test_an_overview_is_read_back(tmp_path, kind):
     np.testing.assert_array_equal(read.count, count)
     assert (read.west, read.north, read.pixel) == (10.0, 20.0, 0.25)
     assert list(read_geotiff(path).bands) == ["mean", "largest", "count"]
+
+
+def test_a_halved_overview_has_the_means_of_all_points():
+    rng = np.random.default_rng(0)
+    count = rng.integers(0, 4, (5, 7))
+    mean = np.where(count > 0, rng.uniform(0, 1, count.shape), np.nan)
+    found = MapOverview(mean, 2 * mean, count, 10.0, 20.0, 0.25).halved()
+    assert found.mean.shape == (3, 4)
+    assert (found.west, found.north, found.pixel) == (10.0, 20.0, 0.5)
+    assert found.count.sum() == count.sum()
+    for row in range(3):
+        for column in range(4):
+            part = np.s_[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
+            points = np.repeat(np.nan_to_num(mean[part]).ravel(), count[part].ravel())
+            expected = (points.mean(), 2 * points.max()) if len(points) else (np.nan, np.nan)
+            values = found.mean[row, column], found.largest[row, column]
+            np.testing.assert_allclose(values, expected, rtol=1e-12)  # rounding of a few sums
+            assert found.count[row, column] == len(points)

@@ -62,6 +62,11 @@ def test_zero_point_file_is_refused_alone(tmp_path):
         open_cloud(tmp_path / "a.las")
 
 
+def test_pieces_have_at_least_one_point(tmp_path):
+    with pytest.raises(ValueError, match="pieces of at least one point, got 0"):
+        open_cloud(tmp_path / "a.las", piece_points=0)
+
+
 # ---- LAZ and COPC ----
 
 

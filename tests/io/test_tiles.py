@@ -17,7 +17,7 @@ from wording import check_error, check_text
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import has_filters, read_cloud, write_cloud
 from pcbench.io.files import check_output, digest
-from pcbench.io.pieces import is_in_pieces, open_cloud
+from pcbench.io.pieces import is_in_pieces, open_cloud, read_piece
 
 
 def write_vpc(path, hrefs, assets="data"):
@@ -69,6 +69,17 @@ def test_what_only_some_files_have_is_left_out(tiles):
     assert cloud.normals is cloud.colors is None
     assert "intensity" in cloud.attributes and "height" not in cloud.attributes
     check_pieces(tiles, 7)
+
+
+def test_equal_warnings_of_many_files_are_one_line(tiles):
+    described = extras(extra(b"a\nb", 9))
+    for number in range(20, 26):
+        (tiles / f"tile_{number}.las").write_bytes(las(3, 5, vlrs=[described], tail=lambda i: bytes(4)))
+    lines = []
+    read_cloud(tiles / "tile_2?.las", on_warning=lines.append)
+    assert len(lines) == 1
+    check_text(lines[0], masked=False)
+    check_pieces(tiles / "tile_2?.las", 2)
 
 
 def test_tables_beside_clouds_are_left_out(tiles):
@@ -273,6 +284,31 @@ def test_damaged_node_of_ept_is_named(tmp_path):
     (folder / "ept-data/1-0-0-0.laz").write_bytes(las(6, 7, compress="chunks"))
     with check_error():
         read_cloud(folder)
+
+
+def test_damaged_bytes_of_a_node_are_found_by_the_other_nodes(tmp_path):
+    import_or_skip("lazrs")
+    folder = ept_bytes.write(tmp_path / "ept", 600)
+    node = folder / "ept-data/1-0-0-0.laz"
+    data = node.read_bytes()
+    disk = open_cloud(folder)
+    messages = set()
+    for offset in range(len(data) - 400, len(data) - 100, 20):
+        damaged = bytearray(data)
+        damaged[offset] ^= 4
+        node.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"1-0-0-0\.laz: damaged LAZ data") as caught:
+            read_piece(disk, disk.pieces[0])
+        messages.add(str(caught.value).removeprefix(str(folder)))
+    assert any("1-0-0-0.laz: damaged LAZ data: failed verification" in message for message in messages), messages
+
+
+def test_many_nodes_are_decompressed_in_batches(tmp_path, monkeypatch):
+    import_or_skip("lazrs")
+    folder = ept_bytes.write(tmp_path / "ept")
+    expected = read_cloud(folder)
+    monkeypatch.setattr("pcbench.io.laz._MAX_JOBS", 4)
+    assert read_cloud(folder).points.tobytes() == expected.points.tobytes()
 
 
 # ---- outputs and speed ----

@@ -11,7 +11,7 @@ from wording import check_text
 
 from pcbench import Cloud, Mesh, Settings, compare
 from pcbench.deformation import size
-from pcbench.measure import directions, quantities, reference, scores
+from pcbench.measure import directions, quantities, reference, scores, summaries
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.quantity import LENGTH, Headline, Quantity
@@ -161,7 +161,7 @@ def test_a_new_mean_is_in_every_output(monkeypatch):
     capped = MeanMetric(
         "capped", "Capped", "at most 0.5", 1, lambda d: np.minimum(d.to_points, 0.5), headline="capped mean"
     )
-    for module in (directions, scores, quantities):
+    for module in (directions, scores, summaries, quantities):
         monkeypatch.setattr(module, "MEAN_METRICS", (*MEAN_METRICS, capped))
     comparison = make_comparison("clouds")
     values = document(comparison)["candidates"][0]["metrics"]["capped"]

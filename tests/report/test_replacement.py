@@ -170,8 +170,33 @@ def test_linked_figures_are_refused(tmp_path):
     assert read_files(tmp_path) == before
 
 
+def test_links_of_map_folders_are_refused(tmp_path):
+    write(tmp_path / "mine", {"tile_0000.laz": "mine"})
+    save(tmp_path / "report", {**NEW_FILES, "maps/a_distance/tile_0000.laz": "tile"})
+    (tmp_path / "report/maps/a_distance/tile_0000.laz").unlink()
+    (tmp_path / "report/maps/a_distance").rmdir()
+    (tmp_path / "report/maps/a_distance").symlink_to(tmp_path / "mine")
+    with check_error():
+        save(tmp_path / "report", NEW_FILES)
+    assert (tmp_path / "mine/tile_0000.laz").read_text() == "mine"
+
+
 @pytest.mark.parametrize(
-    "name", ["../mine.txt", "/mine.txt", "figures/../../mine.txt", "more/mine.txt", "", ".", "..", "a\0b", 5, None]
+    "name",
+    [
+        "maps/a/b/mine.txt",
+        "maps/../../mine.txt",
+        "../mine.txt",
+        "/mine.txt",
+        "figures/../../mine.txt",
+        "more/mine.txt",
+        "",
+        ".",
+        "..",
+        "a\0b",
+        5,
+        None,
+    ],
 )
 def test_a_forged_manifest_removes_nothing_elsewhere(tmp_path, name):
     write(tmp_path, {"mine.txt": "mine", "report/more/mine.txt": "mine"})

@@ -5,15 +5,20 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from concurrent.futures import Future
 from contextlib import contextmanager
+from pathlib import Path
 
+import numpy as np
 import pytest
 import task_functions
+from docs_blocks import blocks
 from optional import import_or_skip
 from repository import ROOT, TESTS
 from wording import check_error, check_text
 
+from pcbench import Cloud, write_cloud
 from pcbench.errors import InputError, WorkerError
 from pcbench.tasks import Task, TaskRunner, Workers, cluster
 from pcbench.tasks.calls import ConnectionLost
@@ -205,6 +210,12 @@ class Cluster:
                         stderr=log,
                     )
                 )
+        for _ in range(600):
+            with socket.socket() as client:
+                if client.connect_ex(("127.0.0.1", self.port)) == 0:
+                    return
+            time.sleep(0.1)
+        raise AssertionError((self.folder / "log.txt").read_text())
 
     def kill_scheduler(self):
         self.processes[0].kill()
@@ -309,3 +320,54 @@ def test_the_scheduler_file_is_an_address(address, tmp_path, folder):
     (tmp_path / "scheduler.json").write_text(json.dumps({"address": address}))
     with TaskRunner(Workers(cluster=str(tmp_path / "scheduler.json")), folder) as runner:
         assert values(runner.run("stage", task_functions.square, numbered(2))) == [0, 1]
+
+
+# The scripts of the page
+
+
+def _script(name, folder):
+    page = ROOT / "docs" / "howto" / "cluster.md"
+    (text,) = (block.text for block in blocks(page) if block.title == name)
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def _run_python(arguments, folder):
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    commands = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return subprocess.check_output(
+        [sys.executable, *map(str, arguments)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path, "PATH": commands},
+        text=True,
+        stderr=subprocess.STDOUT,
+    )
+
+
+@pytest.mark.long
+def test_the_local_cluster_of_the_page(tmp_path):
+    rng = np.random.default_rng(0)
+    for name, count in (("reference", 20_000), ("candidate", 10_000)):
+        plane = rng.uniform(0, 20, (count, 2))
+        write_cloud(tmp_path / f"{name}.ply", Cloud(np.column_stack([plane, np.sin(plane[:, 0])])))
+    output = _run_python([_script("local_cluster.py", tmp_path)], tmp_path)
+    assert "tiles of at most 5,000 points" in output
+    assert (tmp_path / "report" / "comparison.json").exists()
+
+
+def test_the_job_of_the_page(tmp_path):
+    pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
+    script = _script("slurm.py", tmp_path)
+    text = script.read_text()
+    script.write_text(text[: text.index("        cluster.scale")])
+    output = _run_python([script], tmp_path)
+    assert "#SBATCH -p compute" in output and "--nthreads 1 --memory-limit 4.00GiB" in output
+
+
+def test_the_pods_of_the_page(tmp_path):
+    pytest.importorskip("dask_kubernetes", reason="dask-kubernetes is not installed")
+    spec = json.loads(_run_python([_script("kubernetes.py", tmp_path)], tmp_path))
+    assert spec["spec"]["worker"]["replicas"] == 64
+    for part in ("scheduler", "worker"):
+        (container,) = spec["spec"][part]["spec"]["containers"]
+        assert container["volumeMounts"][0]["mountPath"] == "/clouds"

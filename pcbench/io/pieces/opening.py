@@ -7,14 +7,14 @@ from collections.abc import Collection
 from pathlib import Path
 
 from pcbench.errors import InputError
-from pcbench.io.files import Warn, as_path, errors_named, read_named
+from pcbench.io.files import as_path, check_readable, errors_named
 from pcbench.io.formats import CLOUDS
 from pcbench.io.las_records import LasFilters, parse_filters
-from pcbench.io.paths import EPT, find_tiles, is_tiled
+from pcbench.io.paths import EPT, TileFiles, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
-from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Part, Piece
+from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
 from pcbench.io.reading import cloud_file, filtered_format
-from pcbench.io.tiles import Frame, common_frame, normals_warning
+from pcbench.io.tiles import StatedCrs, common_crs, normals_warning
 
 PIECE_POINTS = 1_000_000
 
@@ -45,38 +45,37 @@ def open_cloud(
 
     Raises:
         InputError: a file is damaged or missing, or no file is left; files have different coordinate reference systems
-            or units; or a filter is not available for a format. The message starts with the path of the file.
+            or units; or a filter is not available for a format. The message names the file.
         MissingExtra: an optional library is needed for a file.
     """
+    if piece_points < 1:
+        raise InputError(f"expected pieces of at least one point, got {piece_points}")
     path = cloud_file(as_path(path))
     filters = parse_filters(classes, returns)
-    lines: list[str] = []
+    with errors_named(path):
+        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else TileFiles((path,))
+    lines = [(path, line) for line in tiles.warnings]
 
     def warn(line: str) -> None:
-        lines.append(f"{path}: {line}")
+        lines.append((path, line))
 
-    with errors_named(path):
-        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else None
-    for line in tiles.warnings if tiles else ():
-        warn(line)
     files: list[CloudFile] = []
     pieces: list[Piece] = []
     left_out: list[DamagedFile] = []
-    for file in tiles.paths if tiles else (path,):
+    for file in tiles.paths:
         with errors_named(file):
             filtered_format(file, filters != LasFilters())  # a wrong name or filter is not damage
-        form = piece_format(file)
-
-        def describe(file: Path, warn: Warn, form: PieceFormat = form) -> tuple[CloudFile, list[Part]]:
-            return form.describe(file, piece_points, warn)
-
+        form, notes = piece_format(file), list[str]()
         try:
-            described, parts = read_named(file, describe, lines.append)
+            with errors_named(file):
+                check_readable(file)
+                described, parts = form.describe(file, piece_points, notes.append)
         except InputError as error:
             if not skip_bad:
                 raise
             left_out.append(DamagedFile(file, _stated_count(file, form), str(error).removeprefix(f"{file}: ")))
             continue
+        lines += [(file, note) for note in notes]
         files.append(described)
         for k, part in enumerate(parts, 1):
             label = f"piece {k} of {len(parts)}" if len(parts) > 1 else ""
@@ -88,7 +87,7 @@ def open_cloud(
     with_normals = sum(file.has_normals for file in files)
     if 0 < with_normals < len(files):
         warn(normals_warning(with_normals, len(files)))
-    crs, unit = common_frame([Frame(file.path, file.crs, file.unit) for file in files], warn)
+    crs, unit = common_crs([StatedCrs(file.path, file.crs, file.unit) for file in files], warn)
     return CloudOnDisk(
         path=path,
         files=tuple(files),
@@ -99,7 +98,7 @@ def open_cloud(
         unit=unit,
         has_normals=with_normals == len(files),
         left_out=tuple(left_out),
-        warnings=tuple(lines),
+        file_warnings=tuple(lines),
     )
 
 

@@ -12,11 +12,12 @@ from pcbench.geometry.arrays import MAX_COORDINATE
 from pcbench.io.files import count_null_points, dropped_warning, errors_named, null_points_warning
 from pcbench.io.formats import format_of
 from pcbench.io.las_checks import LasCounts
-from pcbench.io.las_header import read_header
+from pcbench.io.las_header import LasHeader, read_header
 from pcbench.io.las_records import LasFilters
 from pcbench.io.paths import EPT
 from pcbench.io.pieces.formats import piece_format
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes, PiecePoints
+from pcbench.io.tiles import merge_warnings
 
 
 def read_piece(cloud: CloudOnDisk, piece: Piece) -> PiecePoints:
@@ -68,21 +69,25 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
             pieces are there.
     """
     found = sorted(notes, key=lambda pair: pair[0].number)
-    lines = [f"{piece.file}: {line}" for piece, note in found for line in note.lines]
+    lines = [(piece.file, line) for piece, note in found for line in note.lines]
     counts: dict[Path, LasCounts] = {}
     for piece, note in found:
         if note.las is not None:
             counts[piece.file] = counts[piece.file].merge(note.las) if piece.file in counts else note.las
     for path, merged in counts.items():
-        if path.name == EPT:
-            lines += [f"{path}: {line}" for line in merged.warnings()]
-            continue
-        with errors_named(path), path.open("rb") as file:
-            header = read_header(file, lambda _: None)
-        lines += [f"{path}: {line}" for line in merged.warnings(header)]
+        lines += [(path, line) for line in merged.warnings(_las_header(path))]
     finite, dropped = sum(note.finite for _, note in found), sum(note.dropped for _, note in found)
     if dropped:
-        lines.append(f"{cloud.path}: {dropped_warning(dropped, finite + dropped)}")
+        lines.append((cloud.path, dropped_warning(dropped, finite + dropped)))
     if line := null_points_warning(sum(note.at_origin for _, note in found), finite):
-        lines.append(f"{cloud.path}: {line}")
-    return tuple(line for line in dict.fromkeys(lines) if line not in cloud.warnings)
+        lines.append((cloud.path, line))
+    known = set(cloud.file_warnings)
+    return tuple(merge_warnings(pair for pair in lines if pair not in known))
+
+
+def _las_header(path: Path) -> LasHeader | None:
+    """Return the header of a LAS file; None for Entwine Point Tiles, whose nodes have headers of their own."""
+    if path.name == EPT:
+        return None
+    with errors_named(path), path.open("rb") as file:
+        return read_header(file, lambda _: None)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.las_checks import LasCounts
+from pcbench.io.tiles import merge_warnings
 
 Corner = tuple[float, float, float]
 
@@ -92,7 +93,7 @@ class CloudOnDisk:
         unit: unit of all files that state one.
         has_normals: whether the points of all files have normals.
         left_out: damaged files that are not read.
-        warnings: what a reader of the cloud should know, one line each; they start with a path.
+        file_warnings: warnings from the headers, each with the path of its file or of the cloud.
     """
 
     path: Path
@@ -104,7 +105,12 @@ class CloudOnDisk:
     unit: str | None = None
     has_normals: bool = False
     left_out: tuple[DamagedFile, ...] = ()
-    warnings: tuple[str, ...] = ()
+    file_warnings: tuple[tuple[Path, str], ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings from the headers as lines that start with a path; equal ones of several files are one line."""
+        return tuple(merge_warnings(self.file_warnings))
 
     @property
     def count(self) -> int:
@@ -113,7 +119,7 @@ class CloudOnDisk:
 
     def without_pieces(self) -> CloudOnDisk:
         """Return a copy without files and pieces, to send to workers: `read_piece` does not need them."""
-        return replace(self, files=(), pieces=(), warnings=())
+        return replace(self, files=(), pieces=(), file_warnings=())
 
     @property
     def nbytes_in_memory(self) -> int:

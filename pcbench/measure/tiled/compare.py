@@ -15,9 +15,9 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,22 +30,21 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.io import has_filters
+from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
-from pcbench.measure.metrics import FScore
-from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
+from pcbench.measure.presets import Preset
 from pcbench.measure.reference import VOXELS_ALONG, Reference
 from pcbench.measure.results import (
     CANDIDATE_TO_REFERENCE,
     REFERENCE_TO_CANDIDATE,
     Candidate,
     CandidateComparisons,
-    Metrics,
     ReferenceSummary,
-    ThresholdScores,
     Tiling,
 )
 from pcbench.measure.scores import Measurement, measure
@@ -62,6 +61,7 @@ from pcbench.measure.tiled.alignment import (
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
+    MeasuredDirection,
     TileDistances,
     TiledPair,
     measure_candidate_tile,
@@ -70,27 +70,23 @@ from pcbench.measure.tiled.directions import (
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
-from pcbench.measure.tiled.overview import PixelGrid, PixelSums
+from pcbench.measure.tiled.overview import PixelGrid
+from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.measure.tiled.shared import share
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.sums import GroupSums
 from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
 from pcbench.measure.tiled.totals import DirectionTotals
 from pcbench.registration import Registration, local_origin_of_box
-from pcbench.systems import cpu_count, peak_memory
+from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
 
 T = TypeVar("T")
 
 _REFERENCE = "reference"
-_BASE_BYTES = 120 << 20  # memory of a worker without data
-_BYTES_PER_POINT = 450  # memory of a worker for each point of a tile
-_MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
-_MERGED_AT_ONCE = 32
 _PIECE_POINTS = 1_000_000
 
 
@@ -121,44 +117,35 @@ def compare_on_disk(
         WorkerError: a tile needs too much memory, or the cluster is lost.
     """
     report = on_step or (lambda _: None)
-    opened = partial(
-        open_cloud,
-        classes=settings.classes,
-        returns=settings.returns,
-        piece_points=_PIECE_POINTS,
-        skip_bad=tiling.skip_bad,
-    )
-    clouds = {_REFERENCE: opened(reference)}
-    clouds |= {f"candidate-{number}": opened(path) for number, path in enumerate(candidates.values(), 1)}
-    tile_points = tiling.tile_points or _default_tile_points(tiling)
-    key = _key(clouds, settings, replace(tiling, tile_points=tile_points))
-    workers = Workers(_worker_count(tiling, tile_points), tiling.cluster)
+    paths = {_REFERENCE: reference}
+    paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
+    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    tile_points = tiling.chosen_tile_points
+    key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
+    workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
         run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
 
 
-def _default_tile_points(tiling: TilingSettings) -> int:
-    workers = tiling.workers or cpu_count()
-    free = tiling.memory / (workers + 1) - _BASE_BYTES
-    return int(min(max(free / _BYTES_PER_POINT, 20_000), _MAX_TILE_POINTS))
+def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+    """Describe a cloud; classes and returns select points where files have them, as in memory."""
+    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
 
 
-def _worker_count(tiling: TilingSettings, tile_points: int) -> int | None:
-    if tiling.workers is not None or tiling.cluster is not None:
-        return tiling.workers
-    return max(1, min(cpu_count(), tiling.memory // (_BASE_BYTES + _BYTES_PER_POINT * tile_points) - 1))
-
-
-def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings) -> str:
+def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
     """Return a text that identifies the inputs and everything that stored results depend on."""
     files = {
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
     how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
-    found = [installed_versions(("pcbench",)), files, settings.plain(), how]
+    pose, crop = known_pose(settings), file_in_setting(settings.crop)
+    region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
+    read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
+    found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
 
 
@@ -318,7 +305,8 @@ class _Run:
             )
             if self.maps is not None:
                 self._write_maps(self.maps, reference, stage, name, pair, forth, back)
-        quoted = _presets(measurement.metrics, self.settings, reference.region, (inside, reference.inside))
+        with record_time(timings, "presets"):
+            quoted = self._presets(reference, pair, stage, name, (forth.totals, back.totals))
         near = NearFit.of_sums(forth.near, inside, has_normals=pair.has_normals)
         warnings = [
             *crs_warnings(reference.stored.source.crs, cloud.source.crs),
@@ -335,10 +323,7 @@ class _Run:
             points=cloud.count,
             points_in_region=inside,
             registration=sample.registration,
-            metrics=replace(
-                measurement.metrics,
-                presets=dict(quoted),
-            ),
+            metrics=replace(measurement.metrics, presets=quoted),
             deviation=deviation,
             completeness=completeness,
             deformation=sample.deformation,
@@ -376,15 +361,15 @@ class _Run:
         return assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
 
     def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
-        folders = [self.folder / stage / way for way in ("forth", "back")]
-        for folder in folders:
-            folder.mkdir(parents=True, exist_ok=True)
-        local = reference.stored.even - reference.origin
+        stored, origin, pixels = reference.stored, reference.origin, None
+        if self.maps is not None:
+            corners = stored.low - origin, stored.high - origin
+            pixels = PixelGrid.covering(stored.even - origin, *corners, reference.spacing)
         return TiledPair(
             reference=reference.tiles,
             candidate=candidate,
-            forth=folders[0],
-            back=folders[1],
+            forth=self.folder / stage / "forth",
+            back=self.folder / stage / "back",
             region=reference.region,
             grid=reference.grid,
             voxel=reference.voxel,
@@ -393,26 +378,65 @@ class _Run:
             has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
-            pixels=None if self.maps is None else PixelGrid.covering(*robust_bounds(local)),
+            pixels=pixels,
         )
 
-    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[_Measured, _Measured]:
+    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
         """Measure both directions, tile by tile."""
+        for folder in (pair.forth, pair.back):
+            folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{stage}.pair"
         share(pair, file)
 
-        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> _Measured:
+        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
             tasks = [
                 Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
                 for number in tiles.occupied
             ]
             results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
-            return _Measured.of(found for _, found in results)
+            return MeasuredDirection.of(found for _, found in results)
 
         return (
             measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
             measured("back", measure_reference_tile, pair.reference, f"{name}: measuring r→c"),
         )
+
+    def _presets(
+        self,
+        reference: _TiledReference,
+        pair: TiledPair,
+        stage: str,
+        name: str,
+        totals: tuple[DirectionTotals, DirectionTotals],
+    ) -> dict[str, Preset]:
+        """Return the presets, measured again between clouds cut at the region if there is one."""
+        names = [preset for preset in self.settings.presets if preset in TILED_PRESETS]
+        if reference.region is not None and names:
+            cropped = replace(
+                pair,
+                reference=self._crop(_REFERENCE, pair.reference, reference.region),
+                candidate=self._crop(stage, pair.candidate, reference.region),
+                forth=pair.forth / "cropped",
+                back=pair.back / "cropped",
+                region=None,
+                pixels=None,
+            )
+            forth, back = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+            totals = forth.totals, back.totals
+        return dict(presets_of(*totals, pair.thresholds, names))
+
+    def _crop(self, stage: str, tiles: Tiles, region: Region) -> Tiles:
+        """Cut tiles at the region."""
+        folder = self.folder / stage / "cropped"
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            Task(f"{number:06d}", (tiles.folder, number, region, folder), int(tiles.counts[number]))
+            for number in tiles.occupied
+        ]
+        found = {
+            tile.number: tile for tile in self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+        }
+        return Tiles.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
 
     def _spreads(self, stage: str, totals: DirectionTotals, files: Mapping[str, list[Path]]) -> dict[str, Spread]:
         distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}
@@ -427,7 +451,7 @@ class _Run:
         stage: str,
         tiles: Tiles,
         folder: Path,
-        found: _Measured,
+        found: MeasuredDirection,
         spreads: Mapping[str, Spread],
         origin: FloatArray,
         *,
@@ -452,8 +476,8 @@ class _Run:
         stage: str,
         name: str,
         pair: TiledPair,
-        forth: _Measured,
-        back: _Measured,
+        forth: MeasuredDirection,
+        back: MeasuredDirection,
     ) -> None:
         """Write the maps of all points, their indexes and overviews."""
         maps.mkdir(parents=True, exist_ok=True)
@@ -523,36 +547,6 @@ class _Run:
         return map_files
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
-
-    totals: DirectionTotals
-    censored: int
-    near: GroupSums
-    pixels: PixelSums | None
-
-    @classmethod
-    def of(cls, parts: Iterable[TileDistances]) -> _Measured:
-        """Merge the tiles, some at a time to limit memory."""
-        merged: list[TileDistances] = []
-        for part in parts:
-            merged.append(part)
-            if len(merged) == _MERGED_AT_ONCE:
-                merged = [_merge(merged)]
-        return cls(*_merge(merged))
-
-
-def _merge(parts: Sequence[TileDistances]) -> TileDistances:
-    pixels = [part.pixels for part in parts if part.pixels is not None]
-    return TileDistances(
-        DirectionTotals.merge([part.totals for part in parts]),
-        sum(part.censored for part in parts),
-        GroupSums.merge([part.near for part in parts]),
-        PixelSums.merge(pixels) if pixels else None,
-    )
-
-
 def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
     distances = replace(tiles, folder=folder)
     return {name: [distances.file(number, name) for number in tiles.occupied] for name in (DISTANCE, PLANE_DISTANCE)}
@@ -560,35 +554,3 @@ def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
 
 def _cells(grid: CorrelationGrid) -> CorrelationCells:
     return CorrelationCells(np.zeros(0, np.int64), grid.shape, grid.side)
-
-
-def _presets(
-    metrics: Metrics, settings: Settings, region: Region | None, counts: tuple[int, int]
-) -> Iterator[tuple[str, Preset]]:
-    """Yield the presets that follow from the metrics; with a region they would need a search in cropped clouds.
-
-    Args:
-        metrics: the metrics.
-        settings: the settings, which name the presets.
-        region: the measured region.
-        counts: number of queries c→r and r→c.
-    """
-    if region is not None:
-        return
-    d1, d2 = metrics.d1_mse, metrics.d2_mse
-    forth, back = (float(way.value or 0.0) for way in (d1.accuracy, d1.completeness))
-    largest = metrics.hausdorff.symmetric_max
-    for name in settings.presets:
-        if name == "gao2025":
-            yield name, Gao2025(forth, d2.accuracy.value, None, largest, forth + back, back)
-        elif name == "open3d":
-            chamfer = float(metrics.chamfer.sum_unsquared.value or 0.0)
-            yield name, Open3d(chamfer, largest, tuple(_fscore(scores) for scores in metrics.fscores))
-        elif name == "pdal":
-            yield name, Pdal(counts[0] * forth + counts[1] * back, largest)
-
-
-def _fscore(scores: ThresholdScores) -> FScore:
-    return FScore(
-        scores.threshold, *(float(part.value or 0.0) for part in (scores.precision, scores.recall, scores.fscore))
-    )

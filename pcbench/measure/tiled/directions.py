@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from pcbench.measure.tiled.tiles import Tiles
 from pcbench.measure.tiled.totals import DirectionTotals
 
 DISTANCE, PLANE_DISTANCE, MEASURED = "distance", "plane_distance", "measured"
+_MERGED_AT_ONCE = 32  # tiles whose sums are in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,36 @@ class TileDistances(NamedTuple):
     censored: int
     near: GroupSums
     pixels: PixelSums | None
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredDirection:
+    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
+
+    totals: DirectionTotals
+    censored: int
+    near: GroupSums
+    pixels: PixelSums | None
+
+    @classmethod
+    def of(cls, parts: Iterable[TileDistances]) -> MeasuredDirection:
+        """Merge the tiles, some at a time to limit memory."""
+        merged: list[TileDistances] = []
+        for part in parts:
+            merged.append(part)
+            if len(merged) == _MERGED_AT_ONCE:
+                merged = [_merge(merged)]
+        return cls(*_merge(merged))
+
+
+def _merge(parts: Sequence[TileDistances]) -> TileDistances:
+    pixels = [part.pixels for part in parts if part.pixels is not None]
+    return TileDistances(
+        DirectionTotals.merge([part.totals for part in parts]),
+        sum(part.censored for part in parts),
+        GroupSums.merge([part.near for part in parts]),
+        PixelSums.merge(pixels) if pixels else None,
+    )
 
 
 def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:

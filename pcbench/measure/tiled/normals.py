@@ -17,6 +17,9 @@ from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.tiles import Tiles
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
+_MAX_HALO = 4  # points around a tile, in multiples of its own: strewn points have a wide halo, and dense neighbours
+_FEW_POINTS = 20_000  # which any halo may have
+_SEARCHED_AT_ONCE = 50_000  # points whose k neighbours are searched in tiles
 _SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
 
 
@@ -56,29 +59,29 @@ def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tupl
     """Return the distance (N,) of each point to the nearest other one, and the normal (N, 3) of k nearest points."""
     width = _halo_width(cloud, number, k)
     low, high = cloud.low[number] - width, cloud.high[number] + width
-    around, rows = _points_in_box(cloud, low, high)
-    own = np.searchsorted(rows, cloud.open(number, "rows"))
+    around, rows = _points_in_box(cloud, low, high, most=max(_MAX_HALO * len(points), _FEW_POINTS))
     distances, normals = np.empty(len(points)), np.empty((len(points), 3))
     certain = np.zeros(len(points), bool)
     if len(around) >= k:
-        index = Index(around)
-        planes = index.local_planes(k)
-        reach, distances, normals = (
-            planes.reach[own],
-            planes.nearest_other.distances[own],
-            planes.normals.take(own, axis=0),
-        )
+        planes = Index(around).local_planes(k)
+        own = np.searchsorted(rows, cloud.open(number, "rows"))
+        reach, distances = planes.reach[own], planes.nearest_other.distances[own]
+        normals = planes.normals.take(own, axis=0)
         certain = reach < _distance_to_border(points, low, high)
     rest = np.flatnonzero(~certain)
-    if len(rest):
-        found = nearest_in_tiles(points[rest], cloud, k)
-        distances[rest] = found.distances[:, 1]
-        # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
-        ours = cloud.open(number, "rows")[rest]
-        every, first = np.unique(np.concatenate([ours, found.rows.ravel()]), return_index=True)
-        some = np.concatenate([points[rest], found.column(cloud, "points").reshape(-1, 3)])[first]
-        normals[rest] = Index(some).local_planes(k, np.searchsorted(every, ours)).normals
+    for start in range(0, len(rest), _SEARCHED_AT_ONCE):
+        some = rest[start : start + _SEARCHED_AT_ONCE]
+        distances[some], normals[some] = _searched_planes(cloud, points[some], cloud.open(number, "rows")[some], k)
     return distances, normals
+
+
+def _searched_planes(cloud: Tiles, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return the same for points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
+    found = nearest_in_tiles(points, cloud, k)
+    # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
+    every, first = np.unique(np.concatenate([rows, found.rows.ravel()]), return_index=True)
+    near = np.concatenate([points, found.column(cloud, "points").reshape(-1, 3)])[first]
+    return found.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
 
 
 def _halo_width(cloud: Tiles, number: int, k: int) -> float:
@@ -88,15 +91,18 @@ def _halo_width(cloud: Tiles, number: int, k: int) -> float:
     return _HALO_SPACINGS * math.sqrt(k * area / (math.pi * int(cloud.counts[number])))
 
 
-def _points_in_box(cloud: Tiles, low: FloatArray, high: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the points (N, 3) of a cloud in a box and their rows (N,), ascending."""
-    points, rows = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
-    for tile in cloud.occupied:
-        if (cloud.low[tile] <= high).all() and (cloud.high[tile] >= low).all():
-            candidates = cloud.open(tile, "points")
-            inside = positions_in_box(candidates, low, high)
-            points.append(candidates.take(inside, axis=0))
-            rows.append(cloud.open(tile, "rows").take(inside))
+def _points_in_box(cloud: Tiles, low: FloatArray, high: FloatArray, most: int) -> tuple[FloatArray, IntArray]:
+    """Return the points (N, 3) of a cloud in a box and their rows (N,), ascending; none if they exceed `most`."""
+    points, rows, count = [np.zeros((0, 3))], [np.zeros(0, np.int64)], 0
+    overlaps = (cloud.counts > 0) & (cloud.low <= high).all(axis=1) & (cloud.high >= low).all(axis=1)
+    for tile in map(int, np.flatnonzero(overlaps)):
+        candidates = cloud.open(tile, "points")
+        inside = positions_in_box(candidates, low, high)
+        count += len(inside)
+        if count > most:
+            return points[0], rows[0]
+        points.append(candidates.take(inside, axis=0))
+        rows.append(cloud.open(tile, "rows").take(inside))
     every = np.concatenate(rows)
     order = np.argsort(every, kind="stable")  # fast, because the rows of each tile are in order
     return np.concatenate(points).take(order, axis=0), every[order]

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.voxels import robust_bounds
 from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.tiled.sums import GroupSums
 
-_PIXELS_ALONG = 1_000  # along the longer side of the overview
+_PIXELS_ALONG = 1_000  # at most, along the longer side of the overview
+_SPACINGS_PER_PIXEL = 2.5  # at least: most pixels of a surface then hold points
+_BORDER_SHARE = 0.05  # of the robust bounds, beyond which points are outliers
 
 
 @dataclass(frozen=True)
@@ -32,14 +35,23 @@ class PixelGrid:
     height: int
 
     @classmethod
-    def covering(cls, low: FloatArray, high: FloatArray) -> PixelGrid:
-        """Return a raster over a box with corners `low` (3,) and `high` (3,); points outside are left out."""
-        size = high[:2] - low[:2]
-        longest = float(size.max())
-        pixel = _round_length(longest / _PIXELS_ALONG) if longest > 0 else 1.0
-        west, south = (math.floor(float(corner) / pixel) * pixel for corner in low[:2])
+    def covering(cls, even: FloatArray, low: FloatArray, high: FloatArray, spacing: float) -> PixelGrid:
+        """Return a raster over a cloud without far outliers, with pixels that hold several points.
+
+        Args:
+            even: (M, 3) evenly thinned cloud.
+            low: (3,) lowest corner of its box.
+            high: (3,) highest corner.
+            spacing: its median point spacing.
+        """
+        inner_low, inner_high = robust_bounds(even)
+        border = _BORDER_SHARE * (inner_high - inner_low)
+        low, high = np.maximum(low, inner_low - border)[:2], np.minimum(high, inner_high + border)[:2]
+        length = max(float((high - low).max()) / _PIXELS_ALONG, _SPACINGS_PER_PIXEL * spacing)
+        pixel = _round_length(length) if length > 0 else 1.0
+        west, south = (math.floor(float(corner) / pixel) * pixel for corner in low)
         width, height = (
-            max(1, math.ceil((float(end) - start) / pixel)) for end, start in zip(high[:2], (west, south), strict=True)
+            max(1, math.ceil((float(end) - start) / pixel)) for end, start in zip(high, (west, south), strict=True)
         )
         return cls(west, south, pixel, width, height)
 

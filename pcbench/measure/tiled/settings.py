@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from pcbench.errors import InputError
+from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
 _SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", re.IGNORECASE)
@@ -13,6 +14,10 @@ _FACTORS = {"": 1, "b": 1}
 _FACTORS |= {f"{letter}b": 1000**power for power, letter in enumerate("kmgt", 1)}
 _FACTORS |= {f"{letter}ib": 1024**power for power, letter in enumerate("kmgt", 1)}
 _MIN_TILE_POINTS = 100
+_BASE_BYTES = 120 << 20  # memory of a worker without data
+_BYTES_PER_POINT = 450  # memory of a worker for each point of a tile
+_MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
+_MIN_DEFAULT_TILE_POINTS = 20_000
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,22 @@ class TilingSettings:
             raise InputError(f"expected at least one worker, got {self.workers}")
         if self.max_distance is not None and not self.max_distance > 0:
             raise InputError(f"expected a maximum distance above 0, got {self.max_distance:g}")
+
+    @property
+    def chosen_tile_points(self) -> int:
+        """Largest number of points of a tile, as given or so that workers and this process share the memory."""
+        if self.tile_points is not None:
+            return self.tile_points
+        free = self.memory / (1 + (self.workers or cpu_count())) - _BASE_BYTES
+        return int(min(max(free / _BYTES_PER_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
+
+    @property
+    def chosen_workers(self) -> int | None:
+        """Number of workers, as given or so that they fit into the memory; None: all of the cluster."""
+        if self.workers is not None or self.cluster is not None:
+            return self.workers
+        per_worker = _BASE_BYTES + _BYTES_PER_POINT * self.chosen_tile_points
+        return max(1, min(cpu_count(), self.memory // per_worker - 1))
 
 
 def parse_bytes(text: str) -> int:

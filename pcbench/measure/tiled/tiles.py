@@ -37,6 +37,17 @@ class TileSummary:
     inside: int
     lowest_inside: FloatArray
 
+    @classmethod
+    def of(cls, number: int, points: FloatArray, inside: FloatArray) -> TileSummary:
+        """Return the summary of a tile with points (N, 3), of which some (M, 3) are inside the region."""
+        lowest = bounds(inside)[0] if len(inside) else np.full(3, np.inf)
+        return cls(number, len(points), *bounds(points), len(inside), lowest)
+
+    @classmethod
+    def empty(cls, number: int) -> TileSummary:
+        """Return the summary of a tile without points."""
+        return cls(number, 0, np.zeros(3), np.zeros(3), 0, np.full(3, np.inf))
+
 
 @dataclass(frozen=True)
 class Tiles:
@@ -107,7 +118,7 @@ def make_tile(
     """
     found = runs.read([code_range])
     if not len(found.points):
-        return TileSummary(number, 0, np.zeros(3), np.zeros(3), 0, np.full(3, np.inf))
+        return TileSummary.empty(number)
     points = found.points - origin
     if pose is not None:
         points = pose.apply(points)
@@ -118,6 +129,4 @@ def make_tile(
         columns["given_normals"] = directions
     for name, values in columns.items():
         save_column(folder, number, name, values)
-    measured = points if region is None else points[region.contains(points)]
-    lowest = bounds(measured)[0] if len(measured) else np.full(3, np.inf)
-    return TileSummary(number, len(points), *bounds(points), len(measured), lowest)
+    return TileSummary.of(number, points, points if region is None else points[region.contains(points)])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import length, rounding_limit
 
@@ -53,19 +55,22 @@ def _places(comparison: SourcedComparison, count: int) -> Iterator[Place]:
     unit, radius = comparison.reference.unit, _RADIUS_SHARE * comparison.reference.extent
     least = rounding_limit(comparison)
     for candidate in comparison:
-        name, hausdorff = candidate.name, candidate.metrics.hausdorff
+        name = candidate.name
         sides = (
-            (candidate.deviation, hausdorff.accuracy, "off the reference", (name, "")),
-            (candidate.completeness, hausdorff.completeness, "missing in the candidate", ("", name)),
+            (candidate.deviation, CANDIDATE_TO_REFERENCE, "off the reference", (name, "")),
+            (candidate.completeness, REFERENCE_TO_CANDIDATE, "missing in the candidate", ("", name)),
         )
-        for map_, extremes, what, layer in sides:
+        for map_, way, what, layer in sides:
+            extremes = candidate.metrics.hausdorff[way]
+            limit = extremes.largest if candidate.censored.get(way) else math.inf
             points, distances = map_.points, map_.scalars["distance"]
             if map_.sampled_from is not None:  # a sample hardly ever contains the farthest point
                 points = np.concatenate([extremes.worst_point[None], points])
                 distances = np.concatenate([[extremes.largest], distances])
             for row in _peaks(points, distances, radius, count, least):
                 far, at = float(distances[row]), _tuple(points[row])
-                yield Place(name, what, far, length(far, unit), at, *layer, radius)
+                size = f"{'≥ ' if far >= limit else ''}{length(far, unit)}"
+                yield Place(name, what, far, size, at, *layer, radius)
         local = candidate.deformation.local
         if local is not None and local.largest is not None and local.at is not None:
             size = length(local.largest, unit)

@@ -13,6 +13,8 @@ from pcbench.report.figures import Figures
 from pcbench.report.plot.panels import DPI, save
 
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 11.0, 4.0, 11.0  # of the picture, in inches
+_MIN_PIXEL_POINTS = 8.0  # points per pixel on average: most pixels between the points of a sparse cloud would be empty
+_MIN_PIXELS = 100  # along the shorter side
 _BAR_WIDTH = 1.6  # of the colour bar and the labels of both axes
 
 
@@ -38,9 +40,11 @@ def draw_overview(
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
 
-    known = np.isfinite(overview.mean)
-    if not known.any():
+    if not overview.count.any():
         return False
+    while min(overview.count.shape) > _MIN_PIXELS and overview.count[overview.count > 0].mean() < _MIN_PIXEL_POINTS:
+        overview = overview.halved()
+    known = np.isfinite(overview.mean)
     rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
     window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     values, pixel = overview.mean[window], overview.pixel

@@ -34,6 +34,7 @@ from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
 from pcbench.studies.bench.table import row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
+from pcbench.studies.cells import map_cells
 from pcbench.studies.folder import (
     StudyKind,
     check_folder,
@@ -44,6 +45,7 @@ from pcbench.studies.folder import (
     write_results,
 )
 from pcbench.systems import cpu_count
+from pcbench.tasks import Workers
 
 SCHEMA = "pcbench.bench/1"
 KIND = StudyKind("bench", "bench.json", SCHEMA, "bench.md", (".lock", "runs"))
@@ -78,6 +80,7 @@ COLUMNS = (
     "recall_visible_floor",
     "fscore_visible",
     "pareto",
+    "beside_others",
     "message",
 )
 _MEASURE_VERSION = 2  # increased when the measurement changes, so that stored scores are computed again
@@ -155,6 +158,7 @@ def bench(
     job: BenchJob,
     out: Path,
     *,
+    workers: Workers | None = None,
     figures: bool = True,
     on_row: Callable[[FinishedRun], None] = lambda _: None,
     on_step: Callable[[str], None] = lambda _: None,
@@ -169,6 +173,7 @@ def bench(
     Args:
         job: bench to run.
         out: output folder.
+        workers: where the runs go on at the same time, each with one thread; None: one after another in this process.
         figures: whether to draw charts.
         on_row: called with each finished run.
         on_step: progress callback.
@@ -198,12 +203,11 @@ def bench(
     with study_folder(out, KIND, job):
         (out / _RUNS_FOLDER).mkdir(exist_ok=True)
         rows: list[dict[str, Any]] = []
-        for number, trial in enumerate(todo, 1):
-            # All runs count as equally long; the progress bar learns from those that are done.
-            on_step(
-                Step(f"{number} of {len(todo)}: {trial.title}", _EXPECTED_RUN_S, _EXPECTED_RUN_S * (len(todo) - number))
-            )
-            row, kept = _row(job, trial, inputs, protocol, out)
+        shared = _Shared(job, inputs, protocol, out, beside_others=workers is not None)
+        cells = map_cells(
+            _run_trial, shared, todo, out=out, workers=workers, step=on_step, cell_seconds=_EXPECTED_RUN_S
+        )
+        for number, (row, kept) in enumerate(cells, 1):
             rows.append(row)
             mark_front(rows)
             doc = _document(job, inputs, protocol, methods, rows, notes)
@@ -267,28 +271,47 @@ def _named_files(rules: Rules) -> list[Path]:
     return [path for path in paths if is_regular_file(path)]
 
 
-def _row(
-    job: BenchJob, trial: Trial, inputs: _Inputs, protocol: EvaluationProtocol, out: Path
-) -> tuple[dict[str, Any], bool]:
+@dataclass(frozen=True)
+class _Shared:
+    """What all runs of a bench share.
+
+    Args:
+        job: the bench.
+        inputs: what decides whether stored results are still valid.
+        protocol: how clouds are measured.
+        out: folder of the bench.
+        beside_others: whether several runs go on at the same time, each with one thread.
+    """
+
+    job: BenchJob
+    inputs: _Inputs
+    protocol: EvaluationProtocol
+    out: Path
+    beside_others: bool
+
+
+def _run_trial(shared: _Shared, trial: Trial, step: Callable[[str], None]) -> tuple[dict[str, Any], bool]:
     """Return the row of a trial, and whether both its run and its score were stored."""
-    folder = out / _RUNS_FOLDER / _folder_name(trial)
-    record, run_reused = _reconstruct(job, trial, inputs, folder)
+    step(Step(trial.title, _EXPECTED_RUN_S))
+    folder = shared.out / _RUNS_FOLDER / _folder_name(trial)
+    record, run_reused = _reconstruct(shared, trial, folder)
     row = {
         "method": trial.method.label,
         "choices": dict(trial.choices),
         "seed": trial.seed,
         **record,
-        "folder": str(folder.relative_to(out)),
+        "folder": str(folder.relative_to(shared.out)),
     }
     if record["status"] != "ok":
         return row, run_reused
-    measured, score_reused = _measure(inputs, protocol, folder, record["id"])
+    measured, score_reused = _measure(shared.inputs, shared.protocol, folder, record["id"])
     return {**row, **measured}, run_reused and score_reused
 
 
-def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any], bool]:
+def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str, Any], bool]:
+    job = shared.job
     key = {
-        **inputs.run,
+        **shared.inputs.run,
         "plugin": trial.method.spec,
         "plugin_sha256": trial.method.description.sha256,
         "origin": trial.method.description.origin,
@@ -298,7 +321,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
     }
     stored = read_record(folder / _RUN_FILE, key)
     if stored is not None and _is_still_valid(stored, job.time_limit_s, folder):
-        return stored, True
+        return {"beside_others": False, **stored}, True
     # Start from an empty folder: the time of a resumed run would be too short.
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -320,6 +343,7 @@ def _reconstruct(job: BenchJob, trial: Trial, inputs: _Inputs, folder: Path) -> 
         "cpu_s": result.cpu_s,
         "peak_rss_bytes": result.peak_rss_bytes,
         "gpu_bytes": result.gpu_bytes,
+        "beside_others": shared.beside_others,
         "time_limit_s": job.time_limit_s,
         "settings": dict(result.settings),
         "points": None if reconstruction is None else len(reconstruction.cloud),

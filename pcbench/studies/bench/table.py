@@ -98,7 +98,7 @@ def print_bench(doc: dict[str, Any]) -> None:
         cells = [Text(f"{text}{marks[place]}", styles[place]) for text, place in line.cells]
         rows.append([*map(Text, line.head), *cells, Text("*" if line.on_front else "")])
     print_table(header, rows, left={*range(len(_HEAD)), len(header) - 1})
-    lines = (*legend(doc), *(f"note: {note}" for note in doc["notes"]), *_run_lines(doc))
+    lines = (*legend(doc), *(f"note: {note}" for note in notes(doc)), *_run_lines(doc))
     print(f"\n{_BEST_MARK} best, {_SECOND_MARK} second", *lines, sep="\n")
 
 
@@ -153,7 +153,19 @@ def legend(doc: dict[str, Any]) -> Iterator[str]:
 
 def warnings(doc: dict[str, Any]) -> list[str]:
     """Return what not to trust: failures and doubtful registrations of runs, and notes on the whole bench."""
-    return [*_run_lines(doc), *doc["notes"]]
+    return [*_run_lines(doc), *notes(doc)]
+
+
+def notes(doc: dict[str, Any]) -> list[str]:
+    """Return notes on the whole bench."""
+    beside = sum(bool(row.get("beside_others")) for row in doc["rows"])
+    if beside == 0:
+        return list(doc["notes"])
+    timed = (
+        f"{beside} of {len(doc['rows'])} runs had one thread, and other runs beside them (--workers): do not compare"
+        " their times with those of runs alone"
+    )
+    return [*doc["notes"], timed]
 
 
 def _run_lines(doc: dict[str, Any]) -> Iterator[str]:

@@ -36,6 +36,7 @@ class CloudRun:
         folder: folder with its cloud and cameras; None if it failed.
         seconds: wall time of its process.
         resumed: whether the process resumed an earlier one, so that `seconds` is too short.
+        beside_others: whether it had one thread, and other scenes were processed at the same time.
         memory_bytes: peak memory of the process; None if unknown.
         notes: notes of the reconstructor.
         failure: one line if there is no cloud.
@@ -45,6 +46,7 @@ class CloudRun:
     folder: Path | None = None
     seconds: float | None = None
     resumed: bool = False
+    beside_others: bool = False
     memory_bytes: int | None = None
     notes: tuple[str, ...] = ()
     failure: str = ""
@@ -62,7 +64,14 @@ class CloudRun:
 
 
 def make_clouds(
-    job: GaoJob, scene: Scene, path: Path, out: Path, unit: str | None, step: Callable[[Step], None]
+    job: GaoJob,
+    scene: Scene,
+    path: Path,
+    out: Path,
+    unit: str | None,
+    step: Callable[[Step], None],
+    *,
+    beside_others: bool = False,
 ) -> list[CloudRun]:
     """Reconstruct all clouds of a scene, in the order of `methods`; a failure becomes a result with its reason.
 
@@ -73,12 +82,13 @@ def make_clouds(
         out: existing folder for all results.
         unit: unit of the scene's cameras, if known, for clouds without one.
         step: progress callback; the remaining seconds are those of this scene.
+        beside_others: whether other scenes are processed at the same time.
 
     Raises:
         InputError: the crop holds no point of the sparse cloud, which is reconstructed first.
         OSError: a file cannot be written.
     """
-    maker = _CloudMaker(job, scene, path, out, unit, step)
+    maker = _CloudMaker(job, scene, path, out, unit, step, beside_others)
     done: list[CloudRun] = []
     for number, method in enumerate(plan := methods(job)):
         seconds = _EXPECTED_S[method.plugin]
@@ -113,6 +123,7 @@ class _CloudMaker:
     out: Path
     unit: str | None
     step: Callable[[Step], None]
+    beside_others: bool
 
     def make(self, method: CloudMethod, earlier_runs: Sequence[CloudRun]) -> CloudRun:
         sparse = next((run for run in earlier_runs if run.method.name == SPARSE), None)
@@ -161,6 +172,7 @@ class _CloudMaker:
         record = {
             "seconds": outcome.wall_s,
             "resumed": resumed,
+            "beside_others": self.beside_others,
             "memory_bytes": outcome.peak_rss_bytes,
             "notes": [*outcome.warnings, *result.notes],
         }

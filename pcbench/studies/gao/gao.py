@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from pcbench.report.html import PAGE
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
+from pcbench.studies.cells import map_cells
 from pcbench.studies.folder import (
     MARK,
     StudyKind,
@@ -67,6 +69,7 @@ from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures
 from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_files, score_views
+from pcbench.tasks import Workers
 
 KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, "gao.md", (".experiment-gao",))
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
@@ -97,7 +100,14 @@ class Outcome:
     without_page: str | None = None
 
 
-def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str], None] = lambda _: None) -> Outcome:
+def run_gao(
+    job: GaoJob,
+    out: Path,
+    *,
+    workers: Workers | None = None,
+    figures: bool = True,
+    step: Callable[[str], None] = lambda _: None,
+) -> Outcome:
     """Run the experiment and write its results to a folder.
 
     They are report.html, experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and
@@ -107,6 +117,8 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
     Args:
         job: the experiment.
         out: output folder.
+        workers: where scenes are processed at the same time, each with one thread; None: one after another in this
+            process.
         figures: whether to draw pictures.
         step: progress callback.
 
@@ -129,33 +141,33 @@ def run_gao(job: GaoJob, out: Path, *, figures: bool = True, step: Callable[[str
     if not given and job.cities.images < _MIN_IMAGES:
         raise InputError(f"expected at least {_MIN_IMAGES} images, got {job.cities.images}")
     with study_folder(out, KIND, job):
-        return _run(job, given, out, figures, step)
+        return _run(job, given, out, workers, figures, step)
 
 
-def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, step: Callable[[str], None]) -> Outcome:
+def _run(
+    job: GaoJob,
+    given: Mapping[Path, Scene],
+    out: Path,
+    workers: Workers | None,
+    figures: bool,
+    step: Callable[[str], None],
+) -> Outcome:
     made = (
         {path: _read_checked_scene(job, path) for path in _synthetic_scenes(job.cities, out, job.seed, step)}
         if not given
         else {}
     )
     all_scenes = {**given, **made}
-    paths = list(all_scenes)
+    named = folders_by_name(all_scenes, _RESERVED_NAMES)
+    cells = [_SceneCell(name, path, all_scenes[path], out / name, workers is not None) for name, path in named.items()]
+    outcomes = map_cells(_run_scene, job, cells, out=out, workers=workers, step=step, cell_seconds=_SCENE_S)
     scenes: list[SceneResult] = []
     reports: list[Path] = []
     rendered: dict[tuple[str, str], Path] = {}
-    for number, (name, path) in enumerate(folders_by_name(paths, _RESERVED_NAMES).items()):
-        after = _SCENE_S * (len(paths) - number - 1)
-
-        def scene_step(text: str, after: float = after) -> None:
-            of = text if isinstance(text, Step) else Step(text)
-            step(Step(text, of.expected, of.after + after))
-
-        folder = out / name
-        folder.mkdir(exist_ok=True)
-        found = _run_scene(job, name, path, all_scenes[path], folder, scene_step)
+    for found in outcomes:
         scenes.append(found.result)
         reports += found.reports
-        rendered |= {(name, workspace): views for workspace, views in found.views.items()}
+        rendered |= {(found.result.name, workspace): views for workspace, views in found.views.items()}
     views = _score_views(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
     of_splats = {name: _new_views(scene) for (name, workspace), scene in scored.items() if workspace == SPLAT}
@@ -176,6 +188,14 @@ def _run(job: GaoJob, given: Mapping[Path, Scene], out: Path, figures: bool, ste
     return Outcome(study, views, drawn.problem or views_drawn.problem, without_page)
 
 
+class _SceneCell(NamedTuple):
+    name: str
+    path: Path
+    scene: Scene
+    out: Path  # folder of its results
+    beside_others: bool  # whether several scenes are processed at the same time
+
+
 @dataclass(frozen=True)
 class _SceneOutcome:
     result: SceneResult
@@ -183,13 +203,13 @@ class _SceneOutcome:
     views: dict[str, Path]  # folders of rendered views, by workspace
 
 
-def _run_scene(
-    job: GaoJob, name: str, path: Path, scene: Scene, out: Path, scene_step: Callable[[str], None]
-) -> _SceneOutcome:
+def _run_scene(job: GaoJob, cell: _SceneCell, scene_step: Callable[[str], None]) -> _SceneOutcome:
     """Run one scene, without the scores of its views."""
+    name, path, scene, out, beside_others = cell
+    out.mkdir(exist_ok=True)
     truth = _truth_file(path)
     unit = read_cloud(truth).unit if truth.is_file() else "m" if scene.origin is not None else None
-    made = make_clouds(job, scene, path, out, unit, scene_step)
+    made = make_clouds(job, scene, path, out, unit, scene_step, beside_others=beside_others)
     solved = next(m for m in made if m.method.name == SPARSE).cameras() if job.poses == "solve" else {}
     cameras = list(cameras_in_cloud_frame(solved, scene.cameras).values())
     crop = job.crop or default_region(cameras)
@@ -246,6 +266,7 @@ def _cloud_result(made: CloudRun, evaluations: Mapping[str, CloudEvaluation]) ->
         points=None if made.cloud is None else len(read_cloud(made.cloud)),
         seconds=made.seconds,
         resumed=made.resumed,
+        beside_others=made.beside_others,
         memory_bytes=made.memory_bytes,
         extra=name == SURFACE,
         against=tuple(against),

@@ -106,6 +106,11 @@ def _time_sentences(study: GaoStudy) -> Iterator[str]:
         f"Time per scene: {sparse:.0f} s for sparse, {mvs:.0f} s more for mvs, {means:.0f} s more for splats"
         f" ({means / mvs:.2g} times mvs); peak memory: {memory[0]:,.0f}, {memory[1]:,.0f} and {memory[2]:,.0f} MiB."
     )
+    if any(cloud.beside_others for row in whole for cloud in row):
+        yield (
+            "Clouds were made with one thread, and other scenes beside them (--workers): do not compare these times"
+            " with those of scenes alone."
+        )
 
 
 def _truth_sentences(study: GaoStudy) -> Iterator[str]:

@@ -123,11 +123,13 @@ def csv_text(study: GaoStudy) -> str:
     """Return CSV with one line per cloud and reference; a failed cloud has one line."""
     fields = list(Gao2025.__annotations__)
     bend = ("verdict", "model", "bend_rms", "bend_low", "bend_high", "detectable")
-    head = ["scene", "cloud", "points", "seconds", "resumed", "memory_bytes", "reference", "points_in_region"]
+    head = ["scene", "cloud", "points", "seconds", "resumed", "beside_others", "memory_bytes"]
+    head += ["reference", "points_in_region"]
     rows = []
     for scene in study.scenes:
         for cloud in scene.clouds:
-            first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.memory_bytes]
+            first = [scene.name, cloud.name, cloud.points, cloud.seconds, cloud.resumed, cloud.beside_others]
+            first.append(cloud.memory_bytes)
             for of in cloud.against or (ReferenceEvaluation("", failure=cloud.failure),):
                 values = [None if of.measures is None else getattr(of.measures, field) for field in fields]
                 rest = [of.floor, *_bend_values(of.deformation), of.failure or cloud.failure]

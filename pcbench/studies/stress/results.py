@@ -14,6 +14,7 @@ from statistics import NormalDist, median
 from typing import Any, TypeVar
 
 from pcbench.studies.folder import study_document
+from pcbench.tasks import Workers
 
 SCHEMA = "pcbench.stress/1"
 DOCUMENT = "stress.json"
@@ -113,6 +114,9 @@ class StressSettings:
         register: registration method that finds the true pose of a given pair.
         time_limit_s: time limit of a cell, in seconds.
         reconstructors: whether reconstructors run on perturbed photographs instead.
+        workers: number of runs at the same time, each with one thread; None: as many runs as CPUs, but one
+            reconstructor after another.
+        cluster: Dask scheduler whose workers make the runs; None: processes on this machine.
     """
 
     quick: bool = False
@@ -123,6 +127,13 @@ class StressSettings:
     register: str = "icp"
     time_limit_s: float = 120.0
     reconstructors: bool = False
+    workers: int | None = None
+    cluster: str | None = None
+
+    @property
+    def chosen_workers(self) -> Workers | None:
+        """The workers that the user chose; None if neither their number nor a cluster is given."""
+        return None if self.workers is None and self.cluster is None else Workers(self.workers, self.cluster)
 
 
 @dataclass(frozen=True)

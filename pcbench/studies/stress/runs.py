@@ -1,4 +1,4 @@
-"""Run the cells of a plan in child processes, as many at a time as there are CPUs, and read their records.
+"""Run the cells of a plan in child processes of workers, and read their records.
 
 A crash of a native library or a run that hangs ends its child only: it becomes an outcome, and a new child goes on
 with the next run. Records of earlier runs are reused if nothing that they depend on has changed.
@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from pcbench.children import run_module
 from pcbench.errors import InputError
 from pcbench.extras import installed_versions
 from pcbench.plugins.code import digest_files, plugin_files
-from pcbench.progress import Step
+from pcbench.studies.cells import MEMORY_ADVICE
 from pcbench.studies.folder import read_record, write_record
 from pcbench.studies.stress.cells import RunPlan, RunResult, failed_run
 from pcbench.studies.stress.child import MISSING_LIBRARY
@@ -35,6 +34,7 @@ from pcbench.studies.stress.results import (
     verdict_cell,
 )
 from pcbench.systems import cpu_count, signal_name
+from pcbench.tasks import Task, TaskRunner, Workers
 
 RECORDS, WORK = "runs", "work"  # folders of records and of temporary files
 _CHILD = "pcbench.studies.stress.child"
@@ -45,7 +45,7 @@ _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
 _OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BATCH_RUNS = (16, 40)  # fewest and most runs of a child process, whose start takes seconds
-_RUN_S = 1.0  # rough duration of a run, for progress bars
+_ALL_CPUS = Workers()
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,11 @@ class RunSettings:
     given: Path | None = None
     given_digest: str = ""
 
+    def absolute(self) -> RunSettings:
+        """Return the settings with absolute paths."""
+        given = None if self.given is None else self.given.absolute()
+        return replace(self, out=self.out.absolute(), given=given)
+
     def record(self, plan: RunPlan) -> Path:
         """Return the path of a run's record."""
         return self.out / RECORDS / f"{plan.stem}.json"
@@ -81,40 +86,36 @@ class RunSettings:
 
 
 def run_all(
-    plans: Sequence[RunPlan], settings: RunSettings, step: Callable[[str], None] = lambda _: None
+    plans: Sequence[RunPlan],
+    settings: RunSettings,
+    step: Callable[[str], None] = lambda _: None,
+    workers: Workers = _ALL_CPUS,
 ) -> list[RunResult]:
     """Run all plans that have no record yet, and return the results of all.
 
     Raises:
         InputError: an optional library is installed but cannot be loaded.
+        WorkerError: the cluster cannot be used.
         OSError: a record cannot be written.
     """
-    (settings.out / RECORDS).mkdir(exist_ok=True)
-    (settings.out / WORK).mkdir(exist_ok=True)
+    settings = settings.absolute()  # workers of a cluster have other folders
+    shutil.rmtree(settings.out / WORK, ignore_errors=True)
+    for name in (RECORDS, WORK):
+        (settings.out / name).mkdir(exist_ok=True)
     code = code_digest()
     keys = {plan: settings.key(plan, code) for plan in plans}
     missing = [plan for plan in plans if not _is_final(_read(settings.record(plan), keys[plan], plan))]
     smallest, largest = _BATCH_RUNS
-    batches = list(_batches(missing, min(largest, max(smallest, len(missing) // (4 * cpu_count())))))
-    done = len(plans) - len(missing)
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        waiting: dict[Future[None], int] = {
-            pool.submit(_run_batch, f"batch_{number}", batch, settings, keys): len(batch)
-            for number, batch in enumerate(batches)
-        }
-        try:
-            while waiting:
-                left = _RUN_S * (len(plans) - done) / cpu_count()
-                step(Step(f"{done} of {len(plans)} runs", left / len(waiting), left - left / len(waiting)))
-                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                    done += waiting.pop(future)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            shutil.rmtree(settings.out / WORK, ignore_errors=True)  # without its batch, a child ends after its run
-            raise
-    shutil.rmtree(settings.out / WORK, ignore_errors=True)
+    batches = _batches(missing, min(largest, max(smallest, len(missing) // (4 * (workers.count or cpu_count())))))
+    tasks = [
+        Task(f"batch-{number}", (f"batch_{number}", batch, settings, {plan: keys[plan] for plan in batch}), len(batch))
+        for number, batch in enumerate(batches)
+    ]
+    try:
+        with TaskRunner(workers, settings.out / WORK, step, unit="runs", memory_advice=MEMORY_ADVICE) as runner:
+            runner.run("batches", _run_batch, tasks, title="done")
+    finally:
+        shutil.rmtree(settings.out / WORK, ignore_errors=True)  # without its batch, a child ends after its run
     results = []
     for plan in plans:
         result = _read(settings.record(plan), keys[plan], plan)

@@ -79,6 +79,7 @@ from pcbench.studies.stress.scenes import (
 from pcbench.studies.stress.table import stress_table
 from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
 from pcbench.studies.stress.words import sentences
+from pcbench.tasks import Workers
 
 KIND = StudyKind("stress", DOCUMENT, SCHEMA, "stress.md")
 CSV, TABLE = "stress.csv", "stress.txt"
@@ -209,7 +210,7 @@ def run_stress(
         )
     with study_folder(out, KIND, settings):
         run_settings = _run_settings(out, settings, pair)
-        results = run_all(runs, run_settings, step)
+        results = run_all(runs, run_settings, step, settings.chosen_workers or Workers())
         step("writing the results")
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
         study = replace(study, worst=_save_worst(out, study, runs, results, pair))

@@ -147,6 +147,11 @@ def warnings(study: StressStudy) -> Iterator[str]:
             "sfm solves for its cameras and aligns them to the given ones: errors of the given cameras move its cloud,"
             " but do not bend it. mvs and splat use the given cameras."
         )
+    if study.settings.chosen_workers is not None:
+        yield (
+            "Runs had one thread, and other runs beside them (--workers): do not compare their times with those of runs"
+            " alone."
+        )
     by_reason: dict[str, list[str]] = {}
     for missing in study.missing:
         by_reason.setdefault(missing.reason, []).append(missing.name)

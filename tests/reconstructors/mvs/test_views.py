@@ -10,7 +10,7 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_model import write_colmap_model
 from pcbench.scenes import read_scene
-from reconstructors.mvs.views import luminance, pinhole, read_view, undistort, view_stage
+from reconstructors.mvs.views import ViewCache, luminance, pinhole, read_view, undistort, view_stage
 
 LENS = Intrinsics(480, 360, 430.0, 430.0, 245.0, 178.0, (-0.15, 0.03, 0.001, -0.001))
 
@@ -102,6 +102,15 @@ def test_pinhole_stays_unchanged(scene, tmp_path):
         180,
         240,
     )
+
+
+def test_views_are_cached_until_the_cache_is_cleared(scene, tmp_path):
+    camera = scene.cameras["left/b.png"]
+    cache = ViewCache({camera.name: camera}, {camera.name: view_stage(scene, camera, camera, tmp_path)}, 3)
+    view = cache.view(camera.name)
+    assert cache.view(camera.name) is view
+    cache.clear()
+    assert cache.view(camera.name) is not view
 
 
 def test_masks_are_undistorted_and_stored(scene, tmp_path):

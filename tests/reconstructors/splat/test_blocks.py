@@ -245,7 +245,7 @@ def test_each_block_yields_the_surface_in_its_cell(train, monkeypatch):
     points = np.random.default_rng(1).uniform(0, corner.SIDE, (500, 3))
     images = []
 
-    def surface(model, frame, pinholes):
+    def surface(model, frame, pinholes, cell):
         assert isinstance(model, Gaussians)
         images.append(len(pinholes))
         return Cloud(
@@ -259,11 +259,11 @@ def test_each_block_yields_the_surface_in_its_cell(train, monkeypatch):
     np.testing.assert_array_equal(np.sort(cloud.points, axis=0), np.sort(points, axis=0))
     np.testing.assert_array_equal(cloud.attributes["views"], np.where(cells[0].contains(cloud.points), 3, 9))
 
-    def no_surface(*_):
+    def no_surface(*_, **__):
         raise ReconstructionError("no surface")
 
     monkeypatch.setattr(
-        plugin.extract, "surface", lambda *arguments: (surface, no_surface)[len(images) % 2](*arguments)
+        plugin.extract, "surface", lambda *arguments, **cell: (surface, no_surface)[len(images) % 2](*arguments, **cell)
     )
     reconstruction = train(cloud="surface")
     check_text(next(note for note in reconstruction.notes if "have no surface" in note))

@@ -1,5 +1,7 @@
 """Clouds of Gaussians: surfaces with closed forms, and the agreement of images."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,7 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_model import write_colmap_model
+from reconstructors.mvs.cells import SPACE
 from reconstructors.mvs.maps import write_map
 
 torch = import_or_skip("torch")
@@ -157,6 +160,34 @@ def test_a_small_cache_of_maps_gives_the_same_cloud(monkeypatch):
     find_overlap(make_plane(), depths, 12)
     assert depths.of.cache_info().currsize == 13
     assert np.array_equal(surface(make_plane(), WORLD, cameras_on_circle()).points, expected.points)
+
+
+def test_rendered_maps_are_freed_with_their_cache():
+    """Without a collection of cycles, which Python may put off while maps of the next block are rendered."""
+    gc.disable()
+    try:
+        depths = RenderedMaps(make_plane(), WORLD, cameras_on_circle(3), 12)
+        map_of_first = weakref.ref(depths.of(next(iter(depths.cameras))).depth_map.depth)
+        assert map_of_first() is not None
+        del depths
+        assert map_of_first() is None
+    finally:
+        gc.enable()
+
+
+def test_a_cell_has_the_part_of_the_surface_that_lies_in_it():
+    model, cameras = make_plane(), cameras_on_circle()
+    whole = surface(model, WORLD, cameras)
+    left, right = SPACE.split(0, 0.3)
+    parts = [surface(model, WORLD, cameras, cell=cell) for cell in (left, right)]
+    # A voxel at the border averages points of both cells.
+    assert len(whole) <= sum(map(len, parts)) <= 1.05 * len(whole)
+    assert parts[0].points[:, 0].max() <= 0.31 and parts[1].points[:, 0].min() >= 0.29
+    far_left = parts[0].points[:, 0] < 0.1
+    expected = whole.points[whole.points[:, 0] < 0.1]
+    np.testing.assert_allclose(np.sort(parts[0].points[far_left], axis=0), np.sort(expected, axis=0), atol=1e-9)
+    with check_error(ReconstructionError):
+        surface(model, WORLD, cameras, cell=SPACE.split(0, -100.0)[0])
 
 
 def test_points_are_averaged_by_weight_and_coarse_ones_only_fill_gaps():

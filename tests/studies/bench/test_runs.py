@@ -27,6 +27,8 @@ from pcbench.plugins.run import Description, describe
 from pcbench.studies.bench import runs
 from pcbench.studies.bench.plan import Axis
 from pcbench.studies.bench.runs import COLUMNS, BenchJob
+from pcbench.studies.bench.table import notes
+from pcbench.tasks import Workers
 
 
 @pytest.mark.long
@@ -43,7 +45,8 @@ def test_each_run_is_a_row(bench_folder, run):
     assert " ".join(COLUMNS) == (
         "method settings seed status wall_s cpu_s peak_rss_bytes gpu_bytes points registration accuracy_to mean_c2r"
         " mean_c2r_floor mean_r2c mean_r2c_floor d1_c2r d1_r2c chamfer hausdorff threshold pixels precision"
-        " precision_floor recall recall_floor fscore recall_visible recall_visible_floor fscore_visible pareto message"
+        " precision_floor recall recall_floor fscore recall_visible recall_visible_floor fscore_visible pareto"
+        " beside_others message"
     )
     successes, failures = rows[:4], rows[4:]
     assert [(row["settings"], row["seed"]) for row in successes] == [
@@ -174,6 +177,43 @@ def test_method_that_damages_its_folder_is_a_row(bench_folder, monkeypatch):
     monkeypatch.setattr(runs, "describe", lambda *_: Description())  # importing them is harmless
     rows = run_bench(job(*names, "Good"))["rows"]
     assert [row["status"] for row in rows] == ["crashed"] * len(actions) + ["ok"]
+
+
+@pytest.mark.long
+def test_workers_give_the_same_rows_and_say_that_their_times_differ(bench_folder):
+    bench_job = job("Good", "Crash", "Cannot", axes=[Axis.sweep("Good.noise=0.05,1")], seeds=2)
+    steps = []
+    shared = run_bench(bench_job, Path("shared"), workers=Workers(2), on_step=steps.append)
+    assert any(step.startswith("done: ") for step in steps)
+    assert sorted(executed_methods()) == ["Cannot", "Crash", *["Good"] * 4]
+    alone = run_bench(bench_job, Path("alone"))
+
+    def without_times(row):
+        times = (
+            "id",
+            "wall_s",
+            "cpu_s",
+            "timings_s",
+            "peak_rss_bytes",
+            "beside_others",
+            "pareto",
+            "folder",
+            "comparison",
+        )
+        comparison = row.get("comparison") or {}
+        return [{key: value for key, value in of.items() if key not in times} for of in (row, comparison)]
+
+    assert [without_times(row) for row in shared["rows"]] == [without_times(row) for row in alone["rows"]]
+    assert {row["beside_others"] for row in shared["rows"]} == {True}
+    assert {row["beside_others"] for row in alone["rows"]} == {False}
+    (timed,) = set(notes(shared)) - set(notes(alone))
+    check_text(timed)
+    assert timed in Path("shared/bench.md").read_text()
+    # Stored runs are used again without workers.
+    again = run_bench(bench_job, Path("shared"))
+    assert [row["id"] for row in again["rows"] if row["status"] == "ok"] == [
+        row["id"] for row in shared["rows"] if row["status"] == "ok"
+    ]
 
 
 def test_interrupted_bench_is_resumed(bench_folder, in_process):

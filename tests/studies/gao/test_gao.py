@@ -12,9 +12,11 @@ from command_line import is_one_line
 from html_pages import check_page_of_study
 from optional import import_or_skip
 from scene_folders import orbit, ten_images_folder
+from task_pools import tasks_in_process  # noqa: F401  # a fixture
 from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.io.colmap_model import write_colmap_model
@@ -31,6 +33,7 @@ from pcbench.studies.gao.results import (
     TRUTH,
     read_study,
 )
+from pcbench.tasks import Workers
 from reconstructors.sfm.alignment import transform_camera
 
 K = Intrinsics.from_fov(320, 180, 40.0)
@@ -292,6 +295,43 @@ def test_later_clouds_have_the_unit_of_the_sparse_cloud(tmp_path, monkeypatch):
     monkeypatch.setattr(clouds._CloudMaker, "make", make)
     clouds.make_clouds(GaoJob((scene.folder,)), scene, scene.folder, tmp_path, None, lambda _: None)
     assert units == {SPARSE: None, MVS: "m", MEANS: "m", SURFACE: "m", FIELD: "m"}
+
+
+def test_scenes_on_workers_give_the_same_results(tmp_path, monkeypatch, tasks_in_process):  # noqa: F811
+    scenes = tuple(ten_images_folder(tmp_path / name) for name in ("first", "second"))
+    monkeypatch.setattr(gao, "find_plugin", lambda _: SimpleNamespace(missing=None, configure=lambda _: None))
+
+    def make(job, scene, path, out, unit, step, *, beside_others):
+        step(f"{scene.name}: made")
+        return [clouds.CloudRun(method, failure=f"no cloud of {path.name}") for method in methods(job)]
+
+    monkeypatch.setattr(gao, "make_clouds", make)
+    studies, steps = [], []
+    for out, workers in ((tmp_path / "alone", None), (tmp_path / "shared", Workers(2))):
+        with pytest.raises(ReconstructionError):
+            run_gao(GaoJob(scenes), out, workers=workers, figures=False, step=steps.append)
+        studies.append(replace(read_study(out), provenance=None))
+    assert studies[0] == studies[1]
+    assert [scene.name for scene in studies[0].scenes] == ["first", "second"]
+    assert {"1 of 2: first: made", "2 of 2: second: made", "done: 0 of 2 runs"} <= set(steps)
+
+
+def test_times_beside_other_scenes_are_marked(tmp_path, monkeypatch):
+    scene = read_scene(ten_images_folder(tmp_path / "scene"))
+    stored = []
+
+    def run(*_):
+        cloud = Cloud(np.arange(30.0).reshape(10, 3))
+        result = SimpleNamespace(cloud=cloud, gauge="similarity", cameras={}, notes=())
+        return SimpleNamespace(require_reconstruction=lambda: result, wall_s=2.0, peak_rss_bytes=1, warnings=())
+
+    monkeypatch.setattr(clouds, "run", run)
+    monkeypatch.setattr(clouds, "describe", lambda _: SimpleNamespace(sha256="0"))
+    for beside_others in (True, False):  # the second uses the stored clouds, and what they record
+        job = GaoJob((scene.folder,))
+        made = clouds.make_clouds(job, scene, scene.folder, tmp_path, None, print, beside_others=beside_others)
+        stored.append([run.beside_others for run in made])
+    assert stored == [[True] * 5] * 2
 
 
 SMALL_SCENE_OPTIONS = ("--cities", "1", "--images", "28", "--size", "240x136", "--extent", "100", "--poses", "given")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from optional import import_or_skip
+from task_pools import tasks_in_process  # noqa: F401  # a fixture
 from wording import check_error, check_text
 
 from pcbench.errors import InputError
@@ -43,6 +44,7 @@ from pcbench.studies.stress.results import (
     StressSettings,
     read_study,
 )
+from pcbench.studies.stress.words import warnings
 
 # A reconstructor whose cloud depends on the number of images.
 PLUGIN = """
@@ -142,6 +144,22 @@ def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, tmp_path
     (out / "runs" / f"{record_of(out, 'fewer-images_80')}").unlink()  # as if the study had been killed there
     with pytest.raises(AssertionError, match="a reconstructor was started"):
         run_reconstructor_stress(out, settings, figures=False)
+
+
+@pytest.mark.long
+def test_workers_give_the_same_results(plugin, tmp_path, tasks_in_process):  # noqa: F811
+    settings = replace(SETTINGS, methods=(plugin,))
+    alone = run_reconstructor_stress(tmp_path / "alone", settings, figures=False).study
+    shared = run_reconstructor_stress(tmp_path / "shared", replace(settings, workers=2), figures=False).study
+
+    def results(study):
+        return [replace(cell, cpu_s=None, wall_s=None, memory_bytes=None) for cell in study.reconstructions]
+
+    assert results(shared) == results(alone)
+    assert read_study(tmp_path / "shared").settings.workers == 2
+    (warning,) = set(warnings(shared)) - set(warnings(alone))
+    check_text(warning)
+    assert not (tmp_path / "shared" / "work").exists()
 
 
 def record_of(out, start):

@@ -5,12 +5,14 @@ import time
 from dataclasses import replace
 
 import pytest
+from task_pools import tasks_in_process  # noqa: F401  # a fixture
 from wording import check_error
 
 from pcbench.studies.stress import runs
 from pcbench.studies.stress.cells import RunPlan
 from pcbench.studies.stress.results import CRASH, METRICS, REGISTRATION, RIGHT, TIME_OUT, VERDICTS
 from pcbench.systems import cpu_count
+from pcbench.tasks import Workers, runner
 
 # A child whose methods misbehave on some levels of the ladder.
 CHILD = """
@@ -39,7 +41,7 @@ PLANS = [RunPlan(REGISTRATION, "object", "density", level, None, "icp", 0, 3000)
 
 
 @pytest.fixture
-def settings(tmp_path, monkeypatch):
+def settings(tmp_path, monkeypatch, tasks_in_process):  # noqa: F811
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "misbehaving_child.py").write_text(CHILD)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
@@ -92,7 +94,7 @@ def test_damaged_records_and_killed_runs_are_repeated(damage, tmp_path):
 
 
 def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch):
-    """Batches of 40 runs are on their way; the complete runs keep their records."""
+    """Batches of 25 runs are on their way; the complete runs keep their records."""
     plans = [replace(PLANS[0], level=1 + 0.01 * number) for number in range(400)]
     records = tmp_path / "runs"
 
@@ -101,11 +103,14 @@ def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch
             time.sleep(0.01)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runs, "wait", interrupt)
+    monkeypatch.setattr(runner, "wait", interrupt)
     with pytest.raises(KeyboardInterrupt):
         runs.run_all(plans, runs.RunSettings(tmp_path, time_limit_s=60.0))
-    assert 2 <= len(list(records.iterdir())) <= 2 + 2 * cpu_count()
+    count = len(list(records.iterdir()))
+    assert 2 <= count <= 2 + 2 * cpu_count()
     assert not (tmp_path / "work").exists()
+    time.sleep(0.5)
+    assert len(list(records.iterdir())) == count  # the child processes have ended too
 
 
 def test_a_library_that_cannot_be_loaded_ends_the_study(settings):
@@ -125,3 +130,20 @@ def test_metrics_and_verdicts_have_records_too(tmp_path):
     assert len(metrics.cells) == 2 and len(verdicts.cells) == 3
     assert all(cell.value > 0 and cell.exact > 0 for cell in metrics.cells)
     assert {cell.pose_is_right for cell in verdicts.cells} == {True}
+
+
+@pytest.mark.long
+def test_any_number_of_workers_gives_the_same_results(tmp_path):
+    plans = [RunPlan(REGISTRATION, "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
+    found = []
+    for count in (1, 2):
+        out = tmp_path / str(count)
+        out.mkdir()
+        results = runs.run_all(plans, runs.RunSettings(out, time_limit_s=60.0), workers=Workers(count))
+        found.append(
+            [
+                (result.pose, [replace(cell, cpu_s=None, memory_bytes=None) for cell in result.cells])
+                for result in results
+            ]
+        )
+    assert found[0] == found[1]

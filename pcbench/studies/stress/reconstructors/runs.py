@@ -1,7 +1,8 @@
-"""Run reconstructors on perturbed photographs, one run after another, and measure their clouds.
+"""Run reconstructors on perturbed photographs, and measure their clouds.
 
-Each reconstruction is a child process with a time limit, as in `pcbench bench`; only one runs at a time, because it may
-use all CPUs. Each run has a record, so that a study that was killed goes on after its last complete run.
+Each reconstruction is a child process with a time limit, as in `pcbench bench`. Without workers only one runs at a
+time, because it may use all CPUs. Each run has a record, so that a study that was killed goes on after its last
+complete run.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.scenes.synthetic.files import SceneSettings
 from pcbench.studies.bench.score import EvaluationProtocol, score
+from pcbench.studies.cells import map_cells
 from pcbench.studies.folder import read_record, write_record
 from pcbench.studies.stress.cells import RunPlan
 from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED, PhotoLadder
@@ -49,6 +51,7 @@ from pcbench.studies.stress.results import (
 )
 from pcbench.studies.stress.runs import RECORDS, WORK
 from pcbench.studies.stress.study import RENDERED
+from pcbench.tasks import Workers
 
 SCENE = "photographs"
 _RUN_S = 10.0  # rough duration of a run, for progress bars
@@ -151,26 +154,34 @@ def run_photo_plans(
     methods: Mapping[str, ReconstructorMethod],
     settings: PhotoRuns,
     step: Callable[[str], None] = lambda _: None,
+    workers: Workers | None = None,
 ) -> list[ReconstructionCell]:
     """Run all plans that have no record yet, and return the cells of all, in their order.
+
+    Args:
+        plans: runs of the study.
+        methods: methods by name.
+        settings: settings that all runs share.
+        step: progress callback.
+        workers: where runs go on at the same time, each with one thread; None: one after another in this process.
 
     Raises:
         MissingExtra, NoFiguresError: images cannot be rendered on this machine.
         OSError: a record cannot be written.
     """
     (settings.out / RECORDS).mkdir(exist_ok=True)
+    shutil.rmtree(settings.out / WORK, ignore_errors=True)
     keys = {plan: settings.key(plan, methods[plan.method]) for plan in plans}
     found = {plan: read_record(settings.record(plan), keys[plan]) for plan in plans}
-    missing = [plan for plan in plans if found[plan] is None]
-    for number, plan in enumerate(missing):
-        left = _RUN_S * (len(missing) - number - 1)
-        done = len(plans) - len(missing) + number
-        ladder = PHOTO_LADDERS.get(plan.ladder)
-        level = "" if ladder is None else f" {ladder.info(quick=False).level_text(plan.level)}"
-        step(Step(f"{done} of {len(plans)} runs: {plan.method}, {plan.ladder}{level}", _RUN_S, left))
-        cell = _run_plan(plan, methods[plan.method], settings)
+    missing = [(plan, methods[plan.method], keys[plan]) for plan in plans if found[plan] is None]
+    if workers is not None:  # each scene is rendered once, before several runs need it
+        for seed in {plan.seed for plan, _, _ in missing}:
+            settings.info(seed)
+        for plan, _, _ in missing:
+            settings.rendered(settings.scene(plan))
+    cells = map_cells(_run_plan, settings, missing, out=settings.out, workers=workers, step=step, cell_seconds=_RUN_S)
+    for (plan, _, _), cell in zip(missing, cells, strict=True):
         found[plan] = asdict(cell)
-        write_record(settings.record(plan), keys[plan], asdict(cell))
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
     return settle([reconstruction_cell(values) for values in found.values() if values is not None])
 
@@ -191,11 +202,25 @@ def _settled(cell: ReconstructionCell, standard: ReconstructionCell) -> Reconstr
     return replace(cell, outcome=WARNED if cell.warns else DEGRADED)
 
 
-def _run_plan(plan: RunPlan, method: ReconstructorMethod, settings: PhotoRuns) -> ReconstructionCell:
-    """Reconstruct and measure; the outcome of a delivered cloud is `right` until `settle` decides."""
+def _run_plan(
+    settings: PhotoRuns, run_of: tuple[RunPlan, ReconstructorMethod, dict[str, Any]], step: Callable[[str], None]
+) -> ReconstructionCell:
+    """Reconstruct and measure, and write the record; the outcome of a cloud is `right` until `settle` decides."""
+    plan, method, key = run_of
+    ladder = PHOTO_LADDERS.get(plan.ladder)
+    level = "" if ladder is None else f" {ladder.info(quick=False).level_text(plan.level)}"
+    step(Step(f"{plan.method}, {plan.ladder}{level}", _RUN_S))
+    work = settings.out / WORK / plan.stem
+    try:
+        cell = _reconstruct(plan, method, settings, work)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    write_record(settings.record(plan), key, asdict(cell))
+    return cell
+
+
+def _reconstruct(plan: RunPlan, method: ReconstructorMethod, settings: PhotoRuns, work: Path) -> ReconstructionCell:
     scene = settings.rendered(settings.scene(plan))
-    work = settings.out / WORK
-    shutil.rmtree(work, ignore_errors=True)
     photographs, workspace = work / "photographs", work / "workspace"
     photographs.mkdir(parents=True)
     perturbed = perturbed_photographs(scene, plan.ladder, plan.level, plan.seed)

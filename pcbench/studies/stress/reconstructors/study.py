@@ -115,7 +115,7 @@ def run_reconstructor_stress(
         shared = PhotoRuns(out, settings.time_limit_s, settings.quick)
         step("rendering the city")
         info = shared.info(settings.seed)
-        cells = run_photo_plans(runs, plan.methods, shared, step)
+        cells = run_photo_plans(runs, plan.methods, shared, step, settings.chosen_workers)
         step("writing the results")
         study = StressStudy(
             settings=settings,

@@ -1,0 +1,346 @@
+"""Comparisons in tiles against the same comparison in memory, and against themselves with other tiles."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tiled_clouds import in_this_process
+from wording import check_error
+
+from pcbench import read_cloud
+from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
+from pcbench.io import write_cloud
+from pcbench.measure.comparison import compare
+from pcbench.measure.quantities import quantities
+from pcbench.measure.settings import Settings
+from pcbench.measure.tiled.compare import compare_on_disk
+from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.report.comparison import Comparison
+from pcbench.report.document import document
+
+# Sums of other orders round differently; everything else is equal in all bits.
+SUMS = ("mse", "mean", "rms", "bias", "std", "chamfer", "sum_", "area_weighted")
+
+
+def numbers(candidate):
+    """All numbers of a candidate by name, and their intervals."""
+    return {
+        (q.metric, q.direction, q.threshold, q.variant): (q.value, q.interval)
+        for q in quantities(candidate)
+        if q.variant not in ("mpeg", "tnt")
+    }
+
+
+def is_sum(name):
+    return any(part in f"{name[0]}_{name[3]}" for part in SUMS)
+
+
+def check_equal(tiled, memory, *, with_warnings=True):
+    """Check that a comparison in tiles has the numbers of the one in memory."""
+    assert replace(tiled.reference, warnings=()) == replace(memory.reference, warnings=())
+    assert [a.name for a in tiled] == [b.name for b in memory]
+    for ours, theirs in zip(tiled, memory, strict=True):
+        assert (ours.points, ours.points_in_region) == (theirs.points, theirs.points_in_region)
+        np.testing.assert_array_equal(ours.registration.T_local.matrix, theirs.registration.T_local.matrix)
+        found, expected = numbers(ours), numbers(theirs)
+        assert found.keys() == expected.keys()
+        for name, (value, interval) in expected.items():
+            if value is None or isinstance(value, str) or not is_sum(name):
+                assert found[name][0] == value or (value != value and found[name][0] != found[name][0]), name
+            else:
+                assert found[name][0] == pytest.approx(value, rel=1e-12, abs=0), name
+            assert (found[name][1] is None) == (interval is None), name
+            if interval is not None:
+                np.testing.assert_allclose(found[name][1], interval, rtol=1e-8, atol=1e-15, err_msg=str(name))
+        assert ours.deformation == theirs.deformation
+        if with_warnings:  # in memory, those of reading are not in the result
+            assert [w.code for w in ours.warnings] == [w.code for w in theirs.warnings]
+        for map_name in ("deviation", "completeness"):
+            a, b = getattr(ours, map_name), getattr(theirs, map_name)
+            # In memory, the points of the reference are those of its file; in tiles the origin was added again.
+            np.testing.assert_allclose(a.points, b.points, rtol=0, atol=1e-15 * (10 + np.abs(b.points).max()))
+            np.testing.assert_array_equal(a.rows, b.rows)
+            for kind in b.scalars:
+                np.testing.assert_array_equal(a.scalars[kind], b.scalars[kind])
+    for a, b in zip(tiled.differences, memory.differences, strict=True):
+        assert (a.a, a.b, a.metric) == (b.a, b.b, b.metric)
+        assert a.difference == pytest.approx(b.difference, rel=1e-9, abs=1e-12)
+
+
+class Pair:
+    """Files of a reference and of candidates, and their comparison in memory."""
+
+    def __init__(self, folder, reference, *candidates, **settings):
+        folder.mkdir(exist_ok=True)
+        self.folder, self.paths = folder, {}
+        for name, cloud in zip(("ref", "a", "b"), (reference, *candidates), strict=False):
+            self.paths[name] = folder / f"{name}.ply"
+            write_cloud(self.paths[name], cloud if isinstance(cloud, Cloud) else Cloud(np.asarray(cloud, float)))
+        self.settings = Settings(**({"register": "none", "presets": ("gao2025", "open3d", "pdal")} | settings))
+
+    def tiled(self, work="work", maps=None, settings=None, **tiling):
+        workspace = self.folder / work
+        workspace.mkdir(exist_ok=True)
+        how = TilingSettings(**({"tile_points": 500, "workers": 1} | tiling))
+        candidates = {name: path for name, path in self.paths.items() if name != "ref"}
+        return compare_on_disk(
+            self.paths["ref"], candidates, settings or self.settings, how, workspace=workspace, maps=maps
+        )
+
+    def memory(self):
+        options = {"classes": self.settings.classes, "returns": self.settings.returns}
+        clouds = {name: read_cloud(path, on_warning=lambda _: None, **options) for name, path in self.paths.items()}
+        return compare(clouds.pop("ref"), clouds, self.settings)
+
+
+def surface(rng, count, size=10.0):
+    points = rng.random((count, 3)) * size
+    points[:, 2] = np.sin(points[:, 0]) + 0.1 * points[:, 1]
+    return points
+
+
+def noisy(rng, points, sigma=0.02):
+    return points + rng.normal(size=points.shape) * sigma
+
+
+def holes(rng):
+    points = surface(rng, 1500)
+    return points[np.hypot(*(points[:, :2] - 5).T) > 2], noisy(rng, surface(rng, 1200))
+
+
+def outliers(rng):
+    points = surface(rng, 1500)
+    far = rng.normal(size=(40, 3)) * 1000
+    return np.concatenate([points, far[:20]]), np.concatenate([[[1e6, -2e6, 5.0]], noisy(rng, points[::3]), far[20:]])
+
+
+def duplicates(rng):
+    points = np.round(surface(rng, 2000), 1)
+    return np.concatenate([points, points[:300], np.tile(points[:1], (30, 1))]), np.round(
+        noisy(rng, points[::2], 0.1), 1
+    )
+
+
+def density(rng):
+    dense, sparse = surface(rng, 2500, 0.4), surface(rng, 1000)
+    return np.concatenate([dense, sparse]), noisy(rng, np.concatenate([sparse[::2], dense[::5]]))
+
+
+def sparse_reference(rng):
+    return surface(rng, 40), noisy(rng, surface(rng, 2000))
+
+
+def sparse_candidate(rng):
+    return surface(rng, 2000), noisy(rng, surface(rng, 4))
+
+
+def one_candidate_point(rng):
+    return surface(rng, 2000), [[5.0, 5.0, 0.3]]
+
+
+def few_points(rng):
+    return surface(rng, 12), noisy(rng, surface(rng, 15))
+
+
+def equal_points(rng):
+    return np.tile([[1.0, 2.0, 3.0]], (300, 1)), np.tile([[1.0, 2.0, 3.0]], (200, 1))
+
+
+def utm(rng):
+    points = surface(rng, 1500) + [500_000, 5_000_000, 100]
+    return points, noisy(rng, points[::2])
+
+
+def given_normals(rng):
+    points = surface(rng, 1500)
+    normals = rng.normal(size=points.shape)
+    normals[::7] = 0
+    return Cloud(points, normals=normals), noisy(rng, points[::2])
+
+
+def strips(rng):
+    """Parts with nothing between them: most tiles of the curve are empty."""
+    points = surface(rng, 1500)
+    points[:, 0] = np.round(points[:, 0] / 3) * 300 + points[:, 0] % 0.1
+    return points, noisy(rng, points[::2])
+
+
+KINDS = (
+    holes, outliers, duplicates, density, sparse_reference, sparse_candidate, one_candidate_point, few_points,
+    equal_points, utm, given_normals, strips,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_numbers_are_those_in_memory(tmp_path, monkeypatch, kind):
+    in_this_process(monkeypatch)
+    pair = Pair(tmp_path / "pair", *kind(np.random.default_rng(0)))
+    check_equal(pair.tiled(), pair.memory())
+
+
+CROPS = {
+    "box": "box:2,2,-5,7,6,9",
+    "sphere": "sphere:5,5,0.5,3",
+    "polygon": "polygon",
+    "reference": "reference",
+    "corner": "box:0,0,-5,0.6,0.6,5",  # leaves most tiles without a point
+}
+CASES = [
+    *({"crop": crop} for crop in CROPS.values()),
+    {"thresholds": (0.05, 0.3), "seed": 3, "two": True},
+    {"register": "icp"},
+    {"register": "similarity"},
+    {"register": "icp", "initial": Similarity(np.eye(3), np.array([0.2, 0.1, 0.0]), 1.0)},
+]
+
+
+def moved(points):
+    """Points turned by a degree and shifted."""
+    angle = np.deg2rad(1)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    return Similarity(turn, np.array([0.1, -0.1, 0.02]), 1.0).apply(points)
+
+
+def pair_of(folder, count=1500, two=False, **settings):
+    rng = np.random.default_rng(0)
+    points = surface(rng, count)
+    a, b = noisy(rng, points[::2]), noisy(rng, surface(rng, count // 3))
+    if settings.get("register", "none") != "none":
+        a, b = moved(a), moved(b)
+    return Pair(folder, points, *((a, b) if two else (a,)), **settings)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(f"{key}-{str(case[key])[:12]}" for key in case))
+def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case):
+    in_this_process(monkeypatch)
+    if case.get("crop") == "polygon":
+        file = tmp_path / "polygon.json"
+        ring = [[1, 1], [8, 2], [6, 7], [2, 9], [1, 1]]
+        file.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+        case = {"crop": f"polygon:{file}"}
+    pair = pair_of(tmp_path / "pair", **case)
+    check_equal(pair.tiled(tile_points=300), pair.memory())
+
+
+def as_document(comparison):
+    """comparison.json without what depends on the tiles and the machine, and the points of the maps."""
+    values = document(Comparison.of(comparison, None))
+    values["provenance"] = values["tiling"] = None
+    for candidate in values["candidates"]:
+        candidate["timings_s"] = candidate["peak_rss_bytes"] = None
+    maps = [
+        (way.points.tobytes(), way.rows.tobytes(), *(scalars.tobytes() for scalars in way.scalars.values()))
+        for candidate in comparison
+        for way in (candidate.deviation, candidate.completeness)
+    ]
+    return json.dumps(values), maps
+
+
+@pytest.mark.long
+def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypatch):
+    pair = pair_of(tmp_path / "pair", two=True, crop="sphere:5,5,0.5,4")
+    found = []
+    for seed, size in enumerate((100, 350, 1200, None)):
+        in_this_process(monkeypatch, seed)
+        monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 700)  # of three pieces
+        found.append(pair.tiled(f"work-{size}", tmp_path / f"maps-{size}", tile_points=size))
+    assert len({comparison.tiling.tiles for comparison in found}) == 4
+    documents = [as_document(comparison) for comparison in found]
+    assert all(one == documents[0] for one in documents[1:])
+    overviews = [sorted((tmp_path / f"maps-{size}").glob("*.tif")) for size in (100, None)]
+    assert len(overviews[0]) == 4
+    assert [file.read_bytes() for file in overviews[0]] == [file.read_bytes() for file in overviews[1]]
+
+
+def test_a_maximum_distance_caps_larger_distances_and_counts_them(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    pair = pair_of(tmp_path / "pair")
+    exact, limit = pair.memory(), 0.12
+    capped = pair.tiled(max_distance=limit)
+    shares = []
+    for a, b in zip(capped, exact, strict=True):
+        for way, found, expected in (
+            ("candidate_to_reference", a.deviation, b.deviation),
+            ("reference_to_candidate", a.completeness, b.completeness),
+        ):
+            distances, true = found.scalars["distance"], expected.scalars["distance"]
+            np.testing.assert_array_equal(distances, np.minimum(true, limit))
+            assert a.censored[way] == np.mean(true >= limit)
+            shares.append(a.censored[way])
+        near = b.deviation.scalars["distance"] < limit
+        np.testing.assert_array_equal(
+            a.deviation.scalars["plane_distance"][near], b.deviation.scalars["plane_distance"][near]
+        )
+        assert (a.deviation.scalars["plane_distance"][~near] == limit).all()
+    assert min(shares) >= 0 and max(shares) > 0.2
+    none_beyond = pair.tiled("work-2", max_distance=1e6)
+    assert set(none_beyond["a"].censored.values()) == {0.0}
+    assert as_document(replace_censored(none_beyond)) == as_document(pair.tiled("work-3"))
+
+
+def replace_censored(comparison):
+    return replace(comparison, candidates=tuple(replace(candidate, censored={}) for candidate in comparison))
+
+
+def test_a_changed_polygon_or_matrix_is_not_mistaken_for_the_old_one(tmp_path, monkeypatch):
+    """The same command in the same workspace, after a file that the settings name was edited."""
+    in_this_process(monkeypatch)
+    matrix, polygon = tmp_path / "matrix.txt", tmp_path / "polygon.json"
+    pair = pair_of(tmp_path / "pair", crop=f"polygon:{polygon}", register=f"matrix:{matrix}")
+    for shift, corner in ((0.1, 8), (0.2, 8), (0.2, 6)):
+        pose = np.eye(4)
+        pose[0, 3] = shift
+        np.savetxt(matrix, pose)
+        ring = [[1, 1], [corner, 2], [6, 7], [2, 9], [1, 1]]
+        polygon.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+        check_equal(pair.tiled(), pair.memory())
+
+
+def test_another_folder_for_the_maps_gets_them_all(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    pair = pair_of(tmp_path / "pair")
+    pair.tiled()
+    names = []
+    for name in ("one", "two"):
+        pair.tiled(maps=tmp_path / name)
+        names.append(sorted(str(path.relative_to(tmp_path / name)) for path in (tmp_path / name).rglob("*.*")))
+    assert names[0] == names[1] and any(name.endswith(".tif") for name in names[0])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_reference_without_planes_is_refused(tmp_path, monkeypatch, count):
+    in_this_process(monkeypatch)
+    pair = Pair(tmp_path / "pair", surface(np.random.default_rng(0), count), surface(np.random.default_rng(0), 50))
+    with pytest.raises(InputError) as error:
+        pair.tiled()
+    check_error(error)
+
+
+def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    pair = pair_of(tmp_path / "pair", crop="box:50,50,50,60,60,60")
+    with pytest.raises(
+        InputError, match=r"the crop 'box:50,50,50,60,60,60' leaves none of the reference's 1,500 points"
+    ):
+        pair.tiled()
+
+
+def test_points_that_are_not_finite_are_left_out_as_in_memory(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 400)
+    rng = np.random.default_rng(0)
+    points = surface(rng, 2000)
+    pair = Pair(tmp_path / "pair", points, noisy(rng, points[::2]))
+    for name, rows in (("ref", slice(400, 800)), ("a", slice(3, None, 50))):  # a piece without a point, and some points
+        data = pair.paths[name].read_bytes()
+        start = data.index(b"end_header\n") + 11
+        values = np.frombuffer(data[start:], "<f8").reshape(-1, 3).copy()
+        values[rows] = np.nan
+        pair.paths[name].write_bytes(data[:start] + values.tobytes())
+    tiled = pair.tiled()
+    check_equal(tiled, pair.memory(), with_warnings=False)
+    assert [w.code for w in tiled.reference.warnings] == [w.code for w in tiled["a"].warnings] == ["reader"]
+    assert "400 of 2000" in tiled.reference.warnings[0].text
