@@ -66,24 +66,24 @@ class CloudResult:
         points: number of points.
         seconds: wall time of its process.
         resumed: whether the process resumed an earlier one, so that `seconds` is too short.
-        beside_others: whether it had one thread, and other scenes were processed at the same time.
         memory_bytes: peak memory of its process.
         extra: whether it is a second cloud of the training before it, so that its seconds add to those.
         against: evaluations, one per reference.
         notes: notes of the reconstructor.
         failure: why there is no cloud.
+        beside_others: whether it had one thread, and other scenes were processed at the same time.
     """
 
     name: str
     points: int | None = None
     seconds: float | None = None
     resumed: bool = False
-    beside_others: bool = False
     memory_bytes: int | None = None
     extra: bool = False
     against: tuple[ReferenceEvaluation, ...] = ()
     notes: tuple[str, ...] = ()
     failure: str = ""
+    beside_others: bool = False
 
     def evaluation(self, reference: str) -> ReferenceEvaluation | None:
         """Return the evaluation against a reference; None if there is none or it failed."""
