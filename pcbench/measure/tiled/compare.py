@@ -88,7 +88,7 @@ from pcbench.tasks import Task, TaskRunner, Workers
 T = TypeVar("T")
 
 _REFERENCE = "reference"
-_PIECE_POINTS = 500_000
+_PIECE_POINTS = 1_000_000
 
 
 def compare_on_disk(

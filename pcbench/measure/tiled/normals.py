@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
-from pcbench.measure.tiled.search import nearest_in_tiles
+from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
 from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.tiles import Tiles
 
@@ -65,8 +66,9 @@ def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tupl
     if len(around) >= k:
         planes = Index(around).local_planes(k)
         own = np.searchsorted(rows, cloud.open(number, "rows"))
-        reach, distances, normals = planes.reach[own], planes.nearest_other.distances[own], planes.normals[own]
-        certain = reach < np.minimum(points - low, high - points).min(axis=1)
+        reach, distances = planes.reach[own], planes.nearest_other.distances[own]
+        normals = planes.normals.take(own, axis=0)
+        certain = reach < _distance_to_border(points, low, high)
     rest = np.flatnonzero(~certain)
     for start in range(0, len(rest), _SEARCHED_AT_ONCE):
         some = rest[start : start + _SEARCHED_AT_ONCE]
@@ -93,15 +95,21 @@ def _halo_width(cloud: Tiles, number: int, k: int) -> float:
 def _points_in_box(cloud: Tiles, low: FloatArray, high: FloatArray, most: int) -> tuple[FloatArray, IntArray]:
     """Return the points (N, 3) of a cloud in a box and their rows (N,), ascending; none if they exceed `most`."""
     points, rows, count = [np.zeros((0, 3))], [np.zeros(0, np.int64)], 0
-    for tile in cloud.occupied:
-        if (cloud.low[tile] <= high).all() and (cloud.high[tile] >= low).all():
-            candidates = cloud.load(tile, "points")
-            inside = np.flatnonzero(((candidates >= low) & (candidates <= high)).all(axis=1))
-            count += len(inside)
-            if count > most:
-                return points[0], rows[0]
-            points.append(candidates[inside])
-            rows.append(cloud.open(tile, "rows")[inside])
+    overlaps = (cloud.counts > 0) & (cloud.low <= high).all(axis=1) & (cloud.high >= low).all(axis=1)
+    for tile in map(int, np.flatnonzero(overlaps)):
+        candidates = cloud.open(tile, "points")
+        inside = positions_in_box(candidates, low, high)
+        count += len(inside)
+        if count > most:
+            return points[0], rows[0]
+        points.append(candidates.take(inside, axis=0))
+        rows.append(cloud.open(tile, "rows").take(inside))
     every = np.concatenate(rows)
-    order = np.argsort(every, kind="stable")
-    return np.concatenate(points)[order], every[order]
+    order = np.argsort(every, kind="stable")  # fast, because the rows of each tile are in order
+    return np.concatenate(points).take(order, axis=0), every[order]
+
+
+def _distance_to_border(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the distance (N,) of points (N, 3) in a box from its border."""
+    sides = (np.minimum(points[:, axis] - low[axis], high[axis] - points[:, axis]) for axis in range(3))
+    return reduce(np.minimum, sides)

@@ -16,6 +16,7 @@ from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
 
 _INDEX_ENTRIES = 1_024  # of a run: fine enough to find windows of some thousand points
+_TABLE_SHARE = 20  # a table sorts numbers faster than comparisons if at least one in this many occurs
 _COLUMNS = ("points", "order", "normals", "classes")
 
 
@@ -65,9 +66,9 @@ def scan_piece(
     codes = lattice.codes(points)
     order = np.argsort(codes, kind="stable")
     columns: dict[str, NDArray[Any] | None] = {
-        "points": points[order],
+        "points": points.take(order, axis=0),
         "order": order.astype(np.uint32),
-        "normals": None if found.normals is None else found.normals[order],
+        "normals": None if found.normals is None else found.normals.take(order, axis=0),
         "classes": None if found.classification is None else found.classification[order],
     }
     for name, values in columns.items():
@@ -146,25 +147,27 @@ class CloudRuns:
         """Read the points whose codes lie in one of these half-open ranges, in the order of their rows."""
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         for run in self.runs:
-            for start, stop in self._slices(run, ranges):
-                for name in _COLUMNS:
-                    file = column_file(self.folder, run.number, name)
-                    if name in ("points", "order") or file.exists():
-                        values = np.array(np.load(file, mmap_mode="r")[start:stop])  # a map would keep the file open
-                        parts[name].append(values.astype(np.int64) + run.first_row if name == "order" else values)
+            slices = list(self._slices(run, ranges))
+            if not slices:
+                continue
+            places = np.concatenate(_read_slices(column_file(self.folder, run.number, "order"), slices))
+            order = _ascending(places, run.count)
+            parts["order"].append(places[order].astype(np.int64) + run.first_row)
+            for name in ("points", "normals", "classes"):
+                file = column_file(self.folder, run.number, name)
+                if name == "points" or file.exists():
+                    parts[name].append(np.concatenate(_read_slices(file, slices)).take(order, axis=0))
         if not parts["order"]:
             return StoredPoints(np.zeros((0, 3)), np.zeros(0, np.int64), None, None)
-        rows = np.concatenate(parts["order"])
-        order = np.argsort(rows, kind="stable")
 
         def column(name: str) -> NDArray[Any] | None:
             # A column that only some files have is left out, as when clouds are read into memory.
             complete = len(parts[name]) == len(parts["order"])
-            return np.concatenate(parts[name])[order] if complete else None
+            return np.concatenate(parts[name]) if complete else None
 
         points = column("points")
         assert points is not None
-        return StoredPoints(points, rows[order], column("normals"), column("classes"))
+        return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
     def _slices(self, run: Run, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for low, high in ranges:
@@ -184,6 +187,21 @@ class CloudRuns:
         start = (at - 1) * run.stride
         points = np.load(column_file(self.folder, run.number, "points"), mmap_mode="r")[start : at * run.stride]
         return start + int(np.searchsorted(self.lattice.codes(points), np.uint64(code)))
+
+
+def _read_slices(file: Path, slices: Sequence[tuple[int, int]]) -> list[NDArray[Any]]:
+    """Return parts of a stored column, which are read when they are used."""
+    values = np.load(file, mmap_mode="r")
+    return [values[start:stop] for start, stop in slices]
+
+
+def _ascending(numbers: NDArray[np.uint32], end: int) -> IntArray:
+    """Return the order that sorts different numbers below `end`."""
+    if len(numbers) < end // _TABLE_SHARE:
+        return np.argsort(numbers)
+    table = np.full(end, -1, np.int64)
+    table[numbers] = np.arange(len(numbers))
+    return table[table >= 0]
 
 
 def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:

@@ -41,10 +41,11 @@ class TileMatches(NamedTuple):
         """Return a column of the cloud's tiles at the nearest points, (M, k, ...); NaN where there is no point."""
         shape = cloud.open(cloud.occupied[0], name).shape[1:]
         found = np.full((*self.tiles.shape, *shape), np.nan)
-        for tile in np.unique(self.tiles):
+        flat, tiles, places = found.reshape(-1, *shape), self.tiles.ravel(), self.places.ravel()
+        for tile in np.unique(tiles):
             if tile >= 0:
-                at = self.tiles == tile
-                found[at] = cloud.open(int(tile), name)[self.places[at]]
+                at = np.flatnonzero(tiles == tile)
+                flat[at] = cloud.open(int(tile), name).take(places[at], axis=0)
         return found
 
 
@@ -82,7 +83,7 @@ class _Search:
         self.order = np.argsort(number, kind="stable")
         self.starts = np.flatnonzero(np.diff(number[self.order], prepend=-1))
         self.ends = np.append(self.starts[1:], len(queries))
-        self.queries = queries[self.order]
+        self.queries = queries.take(self.order, axis=0)
         self.cloud, self.k = cloud, k
         shape = (len(queries), k)
         self.best = TileMatches(
@@ -150,7 +151,7 @@ class _Search:
             return
         which = np.concatenate([np.arange(self.starts[block], self.ends[block]) for block in blocks])
         worst = self.best.distances[which, -1]
-        gap = np.sqrt(_squared_gaps(self.queries[which], self.cloud.low[tile], self.cloud.high[tile]))
+        gap = np.sqrt(_squared_gaps(self.queries.take(which, axis=0), self.cloud.low[tile], self.cloud.high[tile]))
         which = which[gap <= worst]
         if len(which):
             self._search(tile, which)
@@ -158,11 +159,11 @@ class _Search:
                 self.reach[block] = self.best.distances[self.starts[block] : self.ends[block], -1].max()
 
     def _search(self, tile: int, which: IntArray) -> None:
-        queries, worst = self.queries[which], self.best.distances[which, -1]
+        queries, worst = self.queries.take(which, axis=0), self.best.distances[which, -1]
         points, rows = self.cloud.load(tile, "points"), self.cloud.open(tile, "rows")
         places = _near_points(points, queries, worst)
         if places is not None:
-            points, rows = points[places], rows[places]
+            points, rows = points.take(places, axis=0), rows.take(places)
         if not len(points):
             return
         k = min(self.k, len(points))
@@ -170,7 +171,7 @@ class _Search:
         indices = matches.indices.reshape(len(which), k)
         found = TileMatches(
             matches.distances.reshape(len(which), k),
-            np.asarray(rows)[indices],
+            rows.take(indices),
             np.full(indices.shape, tile, np.int32),
             (indices if places is None else places[indices]).astype(np.int32),
         )
@@ -179,7 +180,7 @@ class _Search:
         better = found
         if k < self.k or (before.tiles >= 0).any() or np.isfinite(worst).any():
             before_squared = _squared_distances(before.column(self.cloud, "points"), queries)
-            found_squared = _squared_distances(points[indices], queries)
+            found_squared = _squared_distances(points.take(indices, axis=0), queries)
             # Squares decide, as in memory: square roots of different squares may be equal.
             limit = np.where(before.rows == _NO_ROW, np.square(before.distances), before_squared)
             better = _merge(before, limit, found, found_squared, self.k)
@@ -191,7 +192,7 @@ class _Search:
         back = np.empty(len(self.order), np.int64)
         back[self.order] = np.arange(len(self.order))
         best = self.best
-        return TileMatches(best.distances[back], best.rows[back], best.tiles[back], best.places[back])
+        return TileMatches(*(values.take(back, axis=0) for values in best))
 
 
 def _squared_length(components: Iterable[FloatArray]) -> FloatArray:
@@ -206,8 +207,10 @@ def _squared_gaps(points: FloatArray, low: FloatArray, high: FloatArray) -> Floa
 
     The sums are rounded like squared distances between points, so they never exceed that of a point in the box.
     """
-    gap = np.maximum(0, np.maximum(low - points, points - high))
-    return _squared_length(np.moveaxis(gap, -1, 0))
+    return _squared_length(
+        np.maximum(0, np.maximum(low[..., axis] - points[..., axis], points[..., axis] - high[..., axis]))
+        for axis in range(3)
+    )
 
 
 def _squared_distances(points: FloatArray, queries: FloatArray) -> FloatArray:
@@ -222,10 +225,18 @@ def _near_points(points: FloatArray, queries: FloatArray, reach: FloatArray) -> 
     margin = 1e-12 * (np.abs(queries).max() + reach.max())  # for the rounding of sums
     low = (queries - reach[:, None]).min(axis=0) - margin
     high = (queries + reach[:, None]).max(axis=0) + margin
-    keep = np.ones(len(points), bool)
+    return positions_in_box(points, low, high)
+
+
+def positions_in_box(points: FloatArray, low: FloatArray, high: FloatArray) -> IntArray:
+    """Return the ascending positions of the points (N, 3) in a box with corners `low` (3,) and `high` (3,)."""
+    found: IntArray | None = None
     for axis in range(3):
-        keep &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
-    return np.flatnonzero(keep)
+        values = points[:, axis] if found is None else points[found, axis]
+        inside = np.flatnonzero((values >= low[axis]) & (values <= high[axis]))
+        found = inside if found is None else found[inside]
+    assert found is not None
+    return found
 
 
 def _merge(

@@ -122,12 +122,11 @@ def make_tile(
     points = found.points - origin
     if pose is not None:
         points = pose.apply(points)
-    columns = {"points": points, "rows": found.rows, "classes": found.classes}
+    columns = {"points": points, "rows": found.rows}
     if found.normals is not None and pose is None:
         directions, is_valid = unit(found.normals)
         directions[~is_valid] = np.nan
         columns["given_normals"] = directions
     for name, values in columns.items():
-        if values is not None:
-            save_column(folder, number, name, values)
+        save_column(folder, number, name, values)
     return TileSummary.of(number, points, points if region is None else points[region.contains(points)])
