@@ -11,7 +11,7 @@ from pcbench.io.pieces import open_cloud
 from pcbench.measure.tiled import compare
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.runs import CloudRuns, scan_piece, tile_ranges
-from pcbench.measure.tiled.tiles import Tiles, make_tile
+from pcbench.measure.tiled.tiles import TiledCloud, make_tile
 
 ORIGIN = np.zeros(3)
 
@@ -34,7 +34,7 @@ def stored_tiles(folder, points, most, *, region=None, pose=None, **options):
     """Store points as tiles of about at most so many points; return them."""
     runs, _ = stored_runs(folder / "runs", points, **options)
     (folder / "tiles").mkdir()
-    return Tiles.of(
+    return TiledCloud.of(
         folder / "tiles",
         [
             make_tile(runs.overlapping(codes), number, codes, ORIGIN, pose, region, folder / "tiles")

@@ -79,7 +79,7 @@ from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.measure.tiled.shared import share
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
+from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
 from pcbench.measure.tiled.totals import DirectionTotals
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
@@ -155,7 +155,7 @@ class _TiledReference:
     """The reference in tiles, with all that its candidates share."""
 
     stored: StoredCloud
-    tiles: Tiles
+    tiles: TiledCloud
     origin: FloatArray
     region: Region | None
     inside: int
@@ -223,7 +223,7 @@ class _Run:
         given = as_region(crop, even)
         region = None if given is None else given.shifted(origin)
         summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
-        tiles = Tiles.of(self.folder / _REFERENCE / "tiles", summaries)
+        tiles = TiledCloud.of(self.folder / _REFERENCE / "tiles", summaries)
         inside = sum(summary.inside for summary in summaries)
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
@@ -260,7 +260,7 @@ class _Run:
             tasks.append(Task(f"{number:06d}", arguments, self.tile_points))
         return self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles")
 
-    def _add_normals(self, tiles: Tiles) -> float:
+    def _add_normals(self, tiles: TiledCloud) -> float:
         """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
         file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
         share(tiles, file)
@@ -283,7 +283,9 @@ class _Run:
             summaries = self._make_tiles(stage, cloud, reference.origin, sample.registration, reference.region)
             inside = sum(summary.inside for summary in summaries)
             self._check_inside(inside, cloud, f"{name}'s")
-            pair = self._pair(reference, stage, Tiles.of(self.folder / stage / "tiles", summaries), sample.registration)
+            pair = self._pair(
+                reference, stage, TiledCloud.of(self.folder / stage / "tiles", summaries), sample.registration
+            )
             forth, back = self._measure_tiles(pair, stage, name)
         with record_time(timings, "metrics"):
             spreads = [
@@ -368,7 +370,9 @@ class _Run:
             found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
         return found
 
-    def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
+    def _pair(
+        self, reference: _TiledReference, stage: str, candidate: TiledCloud, registration: Registration
+    ) -> TiledPair:
         stored, origin, pixels = reference.stored, reference.origin, None
         if self.maps is not None:
             corners = stored.low - origin, stored.high - origin
@@ -396,7 +400,9 @@ class _Run:
         file = self.folder / f"{stage}.pair"
         share(pair, file)
 
-        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
+        def measured(
+            way: str, function: Callable[..., TileDistances], tiles: TiledCloud, title: str
+        ) -> MeasuredDirection:
             tasks = [
                 Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
                 for number in tiles.occupied
@@ -433,7 +439,7 @@ class _Run:
             totals = forth.totals, back.totals
         return dict(presets_of(*totals, pair.thresholds, names))
 
-    def _crop(self, stage: str, tiles: Tiles, region: Region) -> Tiles:
+    def _crop(self, stage: str, tiles: TiledCloud, region: Region) -> TiledCloud:
         """Cut tiles at the region."""
         folder = self.folder / stage / "cropped"
         folder.mkdir(parents=True, exist_ok=True)
@@ -444,7 +450,7 @@ class _Run:
         found = {
             tile.number: tile for tile in self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
         }
-        return Tiles.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
+        return TiledCloud.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
 
     def _spreads(self, stage: str, totals: DirectionTotals, files: Mapping[str, list[Path]]) -> dict[str, Spread]:
         distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}
@@ -457,7 +463,7 @@ class _Run:
     def _map(
         self,
         stage: str,
-        tiles: Tiles,
+        tiles: TiledCloud,
         folder: Path,
         found: MeasuredDirection,
         spreads: Mapping[str, Spread],
@@ -555,7 +561,7 @@ class _Run:
         return map_files
 
 
-def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
+def _distance_files(tiles: TiledCloud, folder: Path) -> dict[str, list[Path]]:
     distances = replace(tiles, folder=folder)
     return {name: [distances.file(number, name) for number in tiles.occupied] for name in (DISTANCE, PLANE_DISTANCE)}
 

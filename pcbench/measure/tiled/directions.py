@@ -18,7 +18,7 @@ from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.sums import GroupSums
-from pcbench.measure.tiled.tiles import Tiles
+from pcbench.measure.tiled.tiles import TiledCloud
 from pcbench.measure.tiled.totals import DirectionTotals
 
 DISTANCE, PLANE_DISTANCE, MEASURED = "distance", "plane_distance", "measured"
@@ -44,8 +44,8 @@ class TiledPair:
         pixels: grid of the overview; None: none is made.
     """
 
-    reference: Tiles
-    candidate: Tiles
+    reference: TiledCloud
+    candidate: TiledCloud
     forth: Path
     back: Path
     region: Region | None
@@ -152,7 +152,7 @@ class _Distances(NamedTuple):
     to_planes: FloatArray | None  # (n,)
 
 
-def _queries(pair: TiledPair, cloud: Tiles, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
+def _queries(pair: TiledPair, cloud: TiledCloud, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
     """Return the points of a tile inside the region, their rows, and their positions in the tile; None: all."""
     points, rows = cloud.load(number, "points"), cloud.load(number, "rows")
     if pair.region is None:
