@@ -10,6 +10,7 @@ import os
 import pickle
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
 
@@ -114,6 +115,19 @@ def read_result(path: Path, key: str) -> Any:
     except FileNotFoundError:
         pass
     raise InputError(f"{path}: the file was damaged or removed after it had been written: run the same command again")
+
+
+@lru_cache(maxsize=2)
+def read_shared(path: Path, key: str) -> Any:
+    """Read a value that many tasks share; a worker reads it once, so it must not be changed.
+
+    Arguments of tasks travel with each of them. Such a value is stored by `write_result` instead, and only its path and
+    its key travel. The key must identify the value.
+
+    Raises:
+        InputError: see `read_result`.
+    """
+    return read_result(path, key)
 
 
 class _HashingFile:
