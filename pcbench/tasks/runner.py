@@ -16,11 +16,12 @@ from types import TracebackType
 from typing import Protocol, TypeVar
 
 from pcbench.errors import InputError, WorkerError
+from pcbench.scratch import PARTIAL_SUFFIX
 from pcbench.systems import cpu_count
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
 from pcbench.tasks.processes import LocalWorkers
 from pcbench.tasks.progress import StageProgress
-from pcbench.tasks.results import PARTIAL_SUFFIX, SUFFIX, StageResults, Task, is_intact
+from pcbench.tasks.results import SUFFIX, StageResults, Task, is_intact
 
 T = TypeVar("T")
 

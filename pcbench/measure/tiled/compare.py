@@ -76,7 +76,6 @@ from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.measure.tiled.shared import share
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
 from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
@@ -84,6 +83,7 @@ from pcbench.measure.tiled.totals import DirectionTotals
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
+from pcbench.tasks.results import write_result
 
 T = TypeVar("T")
 
@@ -263,7 +263,7 @@ class _Run:
     def _add_normals(self, tiles: TiledCloud) -> float:
         """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
         file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
-        share(tiles, file)
+        write_result(file, self.key, tiles)
         tasks = [
             Task(f"{number:06d}", (file, self.key, number, k), int(tiles.counts[number])) for number in tiles.occupied
         ]
@@ -412,15 +412,13 @@ class _Run:
         for folder in (pair.forth, pair.back):
             folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{stage}.pair"
-        share(pair, file)
+        key = f"{self.key}{stage}"
+        write_result(file, key, pair)
 
         def measured(
             way: str, function: Callable[..., TileDistances], tiles: TiledCloud, title: str
         ) -> MeasuredDirection:
-            tasks = [
-                Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
-                for number in tiles.occupied
-            ]
+            tasks = [Task(f"{number:06d}", (file, key, number), int(tiles.counts[number])) for number in tiles.occupied]
             results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
             return MeasuredDirection.of(found for _, found in results)
 

@@ -16,10 +16,10 @@ from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
-from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.sums import GroupSums
 from pcbench.measure.tiled.tiles import TiledCloud
 from pcbench.measure.tiled.totals import DirectionTotals
+from pcbench.tasks.results import read_shared
 
 DISTANCE, PLANE_DISTANCE, MEASURED = "distance", "plane_distance", "measured"
 _MERGED_AT_ONCE = 32  # tiles whose sums are in memory
@@ -113,7 +113,7 @@ def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:
         key: identifies its content.
         number: number of the tile.
     """
-    pair: TiledPair = load_shared(file, key)
+    pair: TiledPair = read_shared(file, key)
     points, rows, inside = _queries(pair, pair.candidate, number)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
@@ -130,7 +130,7 @@ def measure_reference_tile(file: Path, key: str, number: int) -> TileDistances:
 
     Arguments are as for `measure_candidate_tile`.
     """
-    pair: TiledPair = load_shared(file, key)
+    pair: TiledPair = read_shared(file, key)
     points, rows, inside = _queries(pair, pair.reference, number)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
     planes = None

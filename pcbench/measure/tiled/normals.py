@@ -13,8 +13,8 @@ from pcbench.geometry.neighbors import Index
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
-from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.tiles import TiledCloud
+from pcbench.tasks.results import read_shared
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
 _MAX_HALO = 4  # points around a tile, in multiples of its own: strewn points have a wide halo, and dense neighbours
@@ -39,7 +39,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     Returns:
         The histogram of the spacings.
     """
-    cloud: TiledCloud = load_shared(file, key)
+    cloud: TiledCloud = read_shared(file, key)
     points = cloud.load(number, "points")
     distances, directions = _local_planes(cloud, number, points, k)
     if cloud.file(number, "given_normals").exists():

@@ -83,7 +83,7 @@ def scan_piece(
 
 
 @dataclass(frozen=True)
-class SortedRun:
+class StoredRun:
     """A stored run.
 
     Attributes:
@@ -122,7 +122,7 @@ class CloudRuns:
 
     folder: Path
     lattice: Lattice
-    runs: tuple[SortedRun, ...]
+    runs: tuple[StoredRun, ...]
 
     @classmethod
     def of(cls, folder: Path, lattice: Lattice, summaries: Sequence[RunSummary]) -> CloudRuns:
@@ -130,7 +130,7 @@ class CloudRuns:
         runs, first_row = [], 0
         for found in summaries:
             if found.count:
-                runs.append(SortedRun(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
+                runs.append(StoredRun(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
             first_row += found.count
         return cls(folder, lattice, tuple(runs))
 
@@ -169,7 +169,7 @@ class CloudRuns:
         assert points is not None
         return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
-    def _slices(self, run: SortedRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    def _slices(self, run: StoredRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for low, high in ranges:
             if not run.overlaps((low, high)):
                 continue
@@ -177,7 +177,7 @@ class CloudRuns:
             if start < stop:
                 yield start, stop
 
-    def _position(self, run: SortedRun, code: int) -> int:
+    def _position(self, run: StoredRun, code: int) -> int:
         """Return the number of points of a run with smaller codes."""
         if code >= 1 << CODE_BITS:
             return run.count

@@ -192,7 +192,7 @@ class _Search:
         back = np.empty(len(self.order), np.int64)
         back[self.order] = np.arange(len(self.order))
         best = self.best
-        return TileMatches(*(values.take(back, axis=0) for values in best))
+        return TileMatches(best.distances[back], best.rows[back], best.tiles[back], best.places[back])
 
 
 def _squared_length(components: Iterable[FloatArray]) -> FloatArray:

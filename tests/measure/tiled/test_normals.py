@@ -10,13 +10,13 @@ from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.measure.tiled import normals as tiled_normals
 from pcbench.measure.tiled.normals import add_normals
-from pcbench.measure.tiled.shared import share
+from pcbench.tasks.results import write_result
 
 
 def computed(folder, points, most, k, given_normals=None):
     """Normals (N, 3) and all spacings of a cloud in tiles."""
     tiles = stored_tiles(folder, points, most, piece_points=max(1, len(points) // 3), normals=given_normals)
-    share(tiles, folder / "shared")
+    write_result(folder / "shared", str(folder), tiles)
     found, spacings = np.full((len(points), 3), 7.0), []
     for number in tiles.occupied:
         histogram = add_normals(folder / "shared", str(folder), number, k)
