@@ -13,7 +13,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
-from pcbench.measure.tiled.columns import save_column
+from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.sums import GroupSums
@@ -59,11 +59,11 @@ class TiledPair:
     pixels: PixelGrid | None
 
 
-class TileDistances(NamedTuple):
-    """What the distances of a tile add up to.
+class DistanceSums(NamedTuple):
+    """Sums over the distances of one tile or of several.
 
     Attributes:
-        totals: counts and sums.
+        totals: counts and sums for the metrics.
         censored: number of distances that reach the maximum distance.
         near: sums over the points within the overlap distance of squared distances to planes, as `square`.
         pixels: sums per pixel of the overview, if one is made.
@@ -74,30 +74,41 @@ class TileDistances(NamedTuple):
     near: GroupSums
     pixels: PixelSums | None
 
-
-@dataclass(frozen=True, eq=False)
-class MeasuredDirection:
-    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
-
-    totals: DirectionTotals
-    censored: int
-    near: GroupSums
-    pixels: PixelSums | None
-
     @classmethod
-    def of(cls, parts: Iterable[TileDistances]) -> MeasuredDirection:
-        """Merge the tiles, some at a time to limit memory."""
-        merged: list[TileDistances] = []
+    def merge(cls, parts: Iterable[DistanceSums]) -> DistanceSums:
+        """Return the sums over all tiles of one or several parts, which are merged some at a time to limit memory."""
+        merged: list[DistanceSums] = []
         for part in parts:
             merged.append(part)
             if len(merged) == _MERGED_AT_ONCE:
                 merged = [_merge(merged)]
-        return cls(*_merge(merged))
+        return _merge(merged)
 
 
-def _merge(parts: Sequence[TileDistances]) -> TileDistances:
+@dataclass(frozen=True, eq=False)
+class MeasuredDirection:
+    """The measured distances of one direction.
+
+    Attributes:
+        stage: start of the names of its stages.
+        queries: tiles of the points from which distances were measured.
+        folder: folder of the distances.
+        sums: sums over all of them.
+    """
+
+    stage: str
+    queries: TiledCloud
+    folder: Path
+    sums: DistanceSums
+
+    def files(self, column: str) -> list[Path]:
+        """Return the files of a column of the distances, such as `DISTANCE`, of all tiles with points."""
+        return [column_file(self.folder, number, column) for number in self.queries.occupied]
+
+
+def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
     pixels = [part.pixels for part in parts if part.pixels is not None]
-    return TileDistances(
+    return DistanceSums(
         DirectionTotals.merge([part.totals for part in parts]),
         sum(part.censored for part in parts),
         GroupSums.merge([part.near for part in parts]),
@@ -105,7 +116,7 @@ def _merge(parts: Sequence[TileDistances]) -> TileDistances:
     )
 
 
-def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:
+def measure_candidate_tile(file: Path, key: str, number: int) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the candidate to the reference.
 
     Args:
@@ -125,7 +136,7 @@ def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:
     return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
 
 
-def measure_reference_tile(file: Path, key: str, number: int) -> TileDistances:
+def measure_reference_tile(file: Path, key: str, number: int) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the reference to the candidate.
 
     Arguments are as for `measure_candidate_tile`.
@@ -161,7 +172,7 @@ def _queries(pair: TiledPair, cloud: TiledCloud, number: int) -> tuple[FloatArra
     return points[inside], rows[inside], inside
 
 
-def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> TileDistances:
+def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> DistanceSums:
     """Store the distances of a tile and add them up."""
     censored = 0
     if pair.max_distance < np.inf:
@@ -179,4 +190,4 @@ def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, 
     squares = np.zeros(len(is_near)) if found.to_planes is None else np.square(found.to_planes)
     near = GroupSums.of(None, {"square": squares[is_near]})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
-    return TileDistances(totals, censored, near, pixels)
+    return DistanceSums(totals, censored, near, pixels)
