@@ -324,7 +324,7 @@ class _Run:
                 self._write_map(self.maps, name, "completeness", back, reference, pair.pixels)
         with record_time(timings, "presets"):
             quoted = self._presets(reference, pair, stage, name, directions)
-        near = NearFit.of_sums(forth.sums.near, inside, has_normals=pair.has_normals)
+        near = NearFit.of_sums(forth.sums.near, inside)
         warnings = [
             *crs_warnings(reference.stored.source.crs, cloud.source.crs),
             *measurement.warnings,
@@ -399,7 +399,6 @@ class _Run:
             voxel=reference.voxel,
             corner=reference.corner,
             thresholds=self.settings.thresholds or default_thresholds(reference.spacing),
-            has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
             pixels=pixels,

@@ -30,7 +30,7 @@ class TiledPair:
     """A reference and an aligned candidate in tiles, with all that the tasks of a candidate have in common.
 
     Attributes:
-        reference: tiles of the reference, with normals if it has any.
+        reference: tiles of the reference, with normals.
         candidate: tiles of the aligned candidate.
         forth: folder for the distances of the candidate's points.
         back: folder for the distances of the reference's points.
@@ -38,7 +38,6 @@ class TiledPair:
         grid: correlation cells of the intervals.
         voxel, corner: side and origin (3,) of the voxels of area weighting.
         thresholds: distance thresholds of the F-score.
-        has_normals: whether distances to planes are measured.
         max_distance: length beyond which no closest point is searched.
         overlap_distance: distance within which a point lies on the other cloud.
         pixels: grid of the overview; None: none is made.
@@ -53,7 +52,6 @@ class TiledPair:
     voxel: float
     corner: FloatArray
     thresholds: tuple[float, ...]
-    has_normals: bool
     max_distance: float
     overlap_distance: float
     pixels: PixelGrid | None
@@ -128,9 +126,7 @@ def measure_candidate_tile(file: Path, key: str, number: int) -> DistanceSums:
     points, rows, inside = _queries(pair, pair.candidate, number)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
-    planes = None
-    if pair.has_normals:
-        planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
+    planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
     return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
@@ -144,11 +140,9 @@ def measure_reference_tile(file: Path, key: str, number: int) -> DistanceSums:
     pair: TiledPair = read_shared(file, key)
     points, rows, inside = _queries(pair, pair.reference, number)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
-    planes = None
-    if pair.has_normals:
-        normals = pair.reference.load(number, "normals")
-        closest = matches.column(pair.candidate, "points")[:, 0]
-        planes = plane_distances(points, closest, normals if inside is None else normals[inside])
+    closest = matches.column(pair.candidate, "points")[:, 0]
+    normals = pair.reference.load(number, "normals")
+    planes = plane_distances(points, closest, normals if inside is None else normals[inside])
     cells = pair.grid.cells_of(points)
     return _store(pair, pair.back, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
 
@@ -160,7 +154,7 @@ class _Distances(NamedTuple):
     rows: IntArray  # (n,)
     cells: IntArray  # (n,) correlation cells
     to_points: FloatArray  # (n,)
-    to_planes: FloatArray | None  # (n,)
+    to_planes: FloatArray  # (n,)
 
 
 def _queries(pair: TiledPair, cloud: TiledCloud, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
@@ -177,17 +171,13 @@ def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, 
     censored = 0
     if pair.max_distance < np.inf:
         censored = int(np.count_nonzero(found.to_points >= pair.max_distance))
-        if found.to_planes is not None:
-            to_planes = np.where(np.isnan(found.to_planes), pair.max_distance, found.to_planes)
-            found = found._replace(to_planes=to_planes)
+        found = found._replace(to_planes=np.where(np.isnan(found.to_planes), pair.max_distance, found.to_planes))
     save_column(folder, number, DISTANCE, found.to_points)
-    if found.to_planes is not None:
-        save_column(folder, number, PLANE_DISTANCE, found.to_planes)
+    save_column(folder, number, PLANE_DISTANCE, found.to_planes)
     if inside is not None:
         save_column(folder, number, MEASURED, inside)
     totals = DirectionTotals.of(*found, thresholds=pair.thresholds, voxel=pair.voxel, corner=pair.corner)
     is_near = found.to_points <= pair.overlap_distance
-    squares = np.zeros(len(is_near)) if found.to_planes is None else np.square(found.to_planes)
-    near = GroupSums.of(None, {"square": squares[is_near]})
+    near = GroupSums.of(None, {"square": np.square(found.to_planes[is_near])})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
     return DistanceSums(totals, censored, near, pixels)
