@@ -355,8 +355,14 @@ class _Run:
         """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
         if reference.complete is not None:
             self.report(f"{name}: registering")
-            sample = windows.complete_cloud(cloud)
-            return assess_samples(reference.complete, sample, name, self.settings, reference.origin, is_complete=True)
+            return assess_samples(
+                reference.complete,
+                windows.complete_cloud(cloud),
+                name,
+                self.settings,
+                reference.origin,
+                is_complete=True,
+            )
         self.report(f"{name}: registering thinned clouds")
         stored, source = reference.stored, cloud.source
         even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
@@ -367,14 +373,22 @@ class _Run:
         if region is not None and (inside := region.contains(places)).any():
             places = places[inside]
         chosen = windows.Windows.of(stored, places, cloud.count)
-        inner = windows.WindowRegion(chosen, region, np.zeros(3))
-        sampled = windows.reference_in_windows(stored, chosen)
-        if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
-            inner = replace(inner, region=None)
         step = windows.thinning_step(cloud, chosen, pose)
         sample = windows.candidate_in_windows(cloud, chosen, pose, step, self.runner, f"{stage}-sample", self.key)
         self.report(f"{name}: registering")
-        settings = replace(refine_settings(self.settings, pose), crop=inner)
+        settings = replace(refine_settings(self.settings, pose), crop="none")
+        if sample is None:  # the candidate has few points, or does not overlap the reference
+            found = assess_samples(
+                Reference.prepare(thinned, settings), even, name, settings, reference.origin, is_complete=False
+            )
+            forth, back = found.floors
+            return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
+        sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
+        # The region may be smaller than a window, and few windows may have no points in their inner parts.
+        for limit in (None, region):
+            inner = windows.WindowRegion(chosen, limit, np.zeros(3))
+            if inner.contains(sampled.points).any() and inner.contains(aligned).any():
+                settings = replace(settings, crop=inner)
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
         if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
