@@ -72,10 +72,10 @@ from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
 from pcbench.measure.tiled.overview import PixelGrid
-from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
+from pcbench.measure.tiled.presets import crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
-from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
 from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
