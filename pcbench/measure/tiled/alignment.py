@@ -75,7 +75,7 @@ class NearFit:
 
 @dataclass(frozen=True, eq=False)
 class SampleResults:
-    """What the samples of a reference and a candidate show.
+    """Registration, sampling floors and deformation, from samples of a reference and a candidate.
 
     Attributes:
         registration: the registration, with `T_local` between coordinates minus the local origin of the reference.

@@ -106,7 +106,7 @@ def compare_on_disk(
         reference: file, folder of tiles, pattern, .vpc index or EPT folder of the reference.
         candidates: the same for each candidate, by name.
         settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
-        tiling: how it is computed.
+        tiling: settings of the tiles, of memory and of workers.
         workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
         maps: folder for the maps of all points, which is created; None: no maps are written.
         on_step: progress callback, called with a short description of each step.
@@ -188,7 +188,18 @@ class _ComparedCandidate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """The steps of one comparison."""
+    """The steps of one comparison.
+
+    Attributes:
+        runner: runs the tasks of all steps.
+        folder: folder of intermediate files, with one folder per cloud.
+        key: identifies the inputs and settings; stored results of another key are not used.
+        settings: settings of the comparison.
+        tiling: settings of the tiles.
+        tile_points: largest number of points of a tile.
+        maps: folder for the maps of all points; None: none are written.
+        report: progress callback.
+    """
 
     runner: TaskRunner
     folder: Path
@@ -536,6 +547,7 @@ class _Run:
         )
 
     def _check_inside(self, inside: int, cloud: StoredCloud, owner: str) -> None:
+        """Raise an InputError if no point of a cloud is inside the region."""
         if inside == 0:
             crop = self.settings.crop
             text = crop if isinstance(crop, str) else crop.text

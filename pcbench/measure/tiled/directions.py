@@ -1,4 +1,4 @@
-"""Distances of the points of one tile to the other cloud, and what they add to the metrics."""
+"""Distances of the points of one tile to the other cloud, and their sums for the metrics."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _COLUMNS = ("points", "order", "normals", "classes")
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """What a run contains.
+    """Number of points of a run, where they lie, and an index of it.
 
     Attributes:
         number: number of the piece.
