@@ -26,7 +26,6 @@ import numpy as np
 from pcbench.errors import InputError, Notice
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
@@ -250,11 +249,10 @@ class _Run:
                 f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
             )
         origin = local_origin_of_box(cloud.low, cloud.high)
-        even = Cloud(cloud.even, crs=cloud.source.crs, unit=cloud.source.unit)
         crop = self.settings.crop
         if isinstance(crop, str) and crop.strip().lower() == "reference":
             crop = Box(cloud.low, cloud.high)
-        given = as_region(crop, even)
+        given = as_region(crop, cloud.thinned)
         region = None if given is None else given.shifted(origin)
         summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
         tiles = TiledCloud.of(self.folder / _REFERENCE / "tiles", summaries)
@@ -366,19 +364,11 @@ class _Run:
         """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
         if reference.complete is not None:
             self.report(f"{name}: registering")
-            return assess_samples(
-                reference.complete,
-                windows.complete_cloud(cloud),
-                name,
-                self.settings,
-                reference.origin,
-                is_complete=True,
-            )
+            complete = windows.complete_cloud(cloud)
+            return assess_samples(reference.complete, complete, name, self.settings, reference.origin, is_complete=True)
         self.report(f"{name}: registering thinned clouds")
-        stored, source = reference.stored, cloud.source
-        even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
-        thinned = Cloud(stored.even, crs=stored.source.crs, unit=stored.source.unit)
-        pose = find_pose(thinned, even, name, self.settings)
+        stored, thinned = reference.stored, cloud.thinned
+        pose = find_pose(stored.thinned, thinned, name, self.settings)
         places = pose.apply(cloud.even)
         region = None if reference.region is None else reference.region.shifted(-reference.origin)
         if region is not None and (inside := region.contains(places)).any():
@@ -389,9 +379,8 @@ class _Run:
         self.report(f"{name}: registering")
         settings = replace(refine_settings(self.settings, pose), crop="none")
         if sample is None:  # the candidate has few points, or does not overlap the reference
-            found = assess_samples(
-                Reference.prepare(thinned, settings), even, name, settings, reference.origin, is_complete=False
-            )
+            prepared = Reference.prepare(stored.thinned, settings)
+            found = assess_samples(prepared, thinned, name, settings, reference.origin, is_complete=False)
             forth, back = found.floors
             return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
         sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
