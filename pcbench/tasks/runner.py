@@ -33,7 +33,7 @@ _MAX_VISIBILITY_CHECKS = 30
 
 @dataclass(frozen=True)
 class Workers:
-    """Where tasks run.
+    """Workers that run tasks: processes of this machine, or those of a Dask cluster.
 
     Attributes:
         count: largest number of tasks that run at the same time. None: the number of CPUs of this machine, or as many

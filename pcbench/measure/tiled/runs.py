@@ -22,7 +22,7 @@ _COLUMNS = ("points", "order", "normals", "classes")
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """What a run contains.
+    """Number of points of a run, where they lie, and an index of it.
 
     Attributes:
         number: number of the piece.
@@ -31,7 +31,7 @@ class RunSummary:
         codes: Morton code of every `stride`-th point.
         last_code: largest code.
         stride: interval between them.
-        even: every n-th point (M, 3) of the cloud, see `scan_piece`.
+        even: every n-th point (M, 3) of the cloud, see `store_piece`.
         notes: what was noticed while reading.
     """
 
@@ -46,7 +46,7 @@ class RunSummary:
     notes: PieceNotes
 
 
-def scan_piece(
+def store_piece(
     cloud: CloudOnDisk, piece: Piece, first_row: int, step: int, lattice: Lattice, folder: Path
 ) -> RunSummary:
     """Read a piece and store it as a run.

@@ -20,7 +20,7 @@ from pcbench.measure.tiled.runs import CloudRuns
 
 @dataclass(frozen=True, eq=False)
 class TileSummary:
-    """What a tile contains.
+    """Number of points of a tile, and where they lie.
 
     Attributes:
         number: number of the tile.
