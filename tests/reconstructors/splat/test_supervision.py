@@ -177,6 +177,7 @@ class InexactMvs:
     """Replaces `mvs`: exact maps, of which three images confirm those of the first images, and inexact points."""
 
     poses: str = "given"
+    memory: float = 4.0
     seed: int = 0
     confirmed: int = 100
 
