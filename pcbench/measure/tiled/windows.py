@@ -49,7 +49,7 @@ class Windows:
             cloud: the reference.
             places: (M, 3) points of interest. Half of the windows are spread over the reference, half over these.
         """
-        leaves, lattice = np.array(leaf_ranges(cloud.runs, _WINDOW_POINTS), np.uint64), cloud.runs.lattice
+        leaves, lattice = leaf_ranges(cloud.runs, _WINDOW_POINTS), cloud.runs.lattice
         wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
         of_interest = np.unique(_range_of(lattice.codes(places), leaves))
         of_interest = of_interest[of_interest >= 0]
