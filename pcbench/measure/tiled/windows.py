@@ -64,7 +64,7 @@ class Windows:
             return cls(cloud.runs.lattice, np.array([[0, 1 << CODE_BITS]], np.uint64))
         enough = _CANDIDATE_POINTS * cloud.count // candidate_count
         points = max(_WINDOW_POINTS, min(enough, MAX_SAMPLE // _MIN_WINDOWS))
-        leaves, lattice = np.array(leaf_ranges(cloud.runs, points), np.uint64), cloud.runs.lattice
+        leaves, lattice = leaf_ranges(cloud.runs, points), cloud.runs.lattice
         wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
         of_interest = np.unique(_range_of(lattice.codes(places), leaves))
         of_interest = of_interest[of_interest >= 0]

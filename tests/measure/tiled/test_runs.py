@@ -4,6 +4,7 @@ import resource
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tiled_clouds import ORIGIN, clouds_of_all_kinds, stored_runs, stored_tiles
@@ -97,6 +98,27 @@ def test_given_normals_have_unit_length_and_zeros_are_unknown(tmp_path):
         rows, found = tiles.load(number, "rows"), tiles.load(number, "given_normals")
         assert np.isnan(found[rows < 20]).all()
         np.testing.assert_allclose(np.linalg.norm(found[rows >= 20], axis=1), 1)
+
+
+@pytest.mark.parametrize("most", [1, 30, 5000])
+def test_the_curve_is_halved_until_parts_have_few_points(tmp_path, most):
+    points = np.random.default_rng(0).random((3000, 3)) * [50, 20, 3]
+    runs, _ = stored_runs(tmp_path / "runs", points)  # of 1,000 points: their index has each code
+    codes = np.sort(runs.lattice.codes(points))
+
+    def count(low, high):
+        return np.searchsorted(codes, np.uint64(high)) - np.searchsorted(codes, np.uint64(low))
+
+    leaves = leaf_ranges(runs, most).tolist()
+    assert leaves == sorted(leaves)
+    assert sum(count(low, high) for low, high in leaves) == len(points)
+    for low, high in leaves:
+        size = high - low
+        assert size.bit_count() == 1 and low % size == 0
+        assert 0 < count(low, high) <= most or size == 1
+        if high - low < 1 << 63:
+            parent = low - low % (2 * size)
+            assert count(parent, parent + 2 * size) > most
 
 
 def test_a_box_of_the_lattice_contains_its_points(tmp_path):
