@@ -80,7 +80,16 @@ def test_large_clouds_are_tiles_of_one_surface(bench, tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_whole_bench_runs(tmp_path):
     import_or_skip("lazrs")
-    command = [sys.executable, BENCH / "tiles.py", "--sizes", "5e3,1e4", "--most-in-memory", "5e3", "--most-of-peers", "0"]
+    command = [
+        sys.executable,
+        BENCH / "tiles.py",
+        "--sizes",
+        "5e3,1e4",
+        "--most-in-memory",
+        "5e3",
+        "--most-of-peers",
+        "0",
+    ]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert "failed" not in output
     for name in ("pcbench in memory, icp", "wall seconds, 1 worker / 2 workers", "CPU seconds grow as points^"):

@@ -125,7 +125,8 @@ class _Search:
         low, high = self.low.min(axis=0, keepdims=True), self.high.max(axis=0, keepdims=True)
         gaps, largest = _squared_ranges(low, high, self.cloud.low[occupied], self.cloud.high[occupied])
         certain = largest[0, self.cloud.counts[occupied] >= self.k].min(initial=np.square(self.reach.max()))
-        return occupied[gaps[0] <= certain * (1 + 1e-12)]
+        near: IntArray = occupied[gaps[0] <= certain * (1 + 1e-12)]
+        return near
 
     def first_tiles(self) -> IntArray:
         """Return the tile (B,) to search first for each block: of the nearest boxes, the one nearest to its centre."""
@@ -196,7 +197,12 @@ class _Search:
         back = np.empty(len(self.order), np.int64)
         back[self.order] = np.arange(len(self.order))
         best = self.best
-        return TileMatches(*(values.take(back, axis=0) for values in best))
+        return TileMatches(
+            best.distances.take(back, axis=0),
+            best.rows.take(back, axis=0),
+            best.tiles.take(back, axis=0),
+            best.places.take(back, axis=0),
+        )
 
 
 def _squared_length(components: Iterable[FloatArray]) -> FloatArray:
