@@ -26,10 +26,23 @@ def test_sparse_points_are_the_same_under_all_conditions(photographs, tmp_path, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["mvs", "splat", "field"])
-def test_dense_points_are_the_same_under_all_conditions(photographs, tmp_path, method):
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("mvs", {}),
+        ("mvs", {"memory": "0.01"}),
+        ("splat", {}),
+        ("splat", {"memory": "0.003"}),
+        ("field", {}),
+    ],
+    ids=["mvs", "mvs in blocks", "splat", "splat in blocks", "field"],
+)
+def test_dense_points_are_the_same_under_all_conditions(photographs, tmp_path, method, settings):
     if method != "mvs":
         import_or_skip("torch")
-    runs = [repeat(method, photographs, tmp_path / str(k), conditions) for k, conditions in enumerate(CONDITIONS)]
+    runs = [
+        repeat(method, photographs, tmp_path / str(k), conditions, **settings)
+        for k, conditions in enumerate(CONDITIONS)
+    ]
     assert runs[0].points > 100
     assert len(set(runs)) == 1

@@ -23,7 +23,7 @@ _COLUMNS = ("points", "order", "normals", "classes")
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """What a run contains.
+    """Number of points of a run, where they lie, and an index of it.
 
     Attributes:
         number: number of the piece.
@@ -32,7 +32,7 @@ class RunSummary:
         codes: Morton code of every `stride`-th point.
         last_code: largest code.
         stride: interval between them.
-        even: every n-th point (M, 3) of the cloud, see `scan_piece`.
+        even: every n-th point (M, 3) of the cloud, see `store_piece`.
         notes: what was noticed while reading.
     """
 
@@ -47,7 +47,7 @@ class RunSummary:
     notes: PieceNotes
 
 
-def scan_piece(
+def store_piece(
     cloud: CloudOnDisk, piece: Piece, first_row: int, step: int, lattice: Lattice, folder: Path
 ) -> RunSummary:
     """Read a piece and store it as a run.
@@ -76,7 +76,7 @@ def scan_piece(
         if values is not None:
             save_column(folder, piece.number, name, values)
     stride = max(1, count // _INDEX_ENTRIES)
-    even = points[-first_row % step :: step] if piece.count == count else points[::step]
+    even = points[-first_row % step :: step]
     last_code = int(codes[order[-1]])
     return RunSummary(
         piece.number, count, *bounds(points), codes[order[::stride]], last_code, stride, even, found.notes
@@ -84,7 +84,7 @@ def scan_piece(
 
 
 @dataclass(frozen=True)
-class Run:
+class StoredRun:
     """A stored run.
 
     Attributes:
@@ -123,7 +123,7 @@ class CloudRuns:
 
     folder: Path
     lattice: Lattice
-    runs: tuple[Run, ...]
+    runs: tuple[StoredRun, ...]
 
     @classmethod
     def of(cls, folder: Path, lattice: Lattice, summaries: Sequence[RunSummary]) -> CloudRuns:
@@ -131,7 +131,7 @@ class CloudRuns:
         runs, first_row = [], 0
         for found in summaries:
             if found.count:
-                runs.append(Run(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
+                runs.append(StoredRun(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
             first_row += found.count
         return cls(folder, lattice, tuple(runs))
 
@@ -178,7 +178,7 @@ class CloudRuns:
         assert points is not None
         return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
-    def _slices(self, run: Run, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    def _slices(self, run: StoredRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for low, high in ranges:
             if not run.overlaps((low, high)):
                 continue
@@ -186,7 +186,7 @@ class CloudRuns:
             if start < stop:
                 yield start, stop
 
-    def _position(self, run: Run, code: int) -> int:
+    def _position(self, run: StoredRun, code: int) -> int:
         """Return the number of points of a run with smaller codes."""
         if code >= 1 << CODE_BITS:
             return run.count

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.tiled.tiles import Tiles
+from pcbench.measure.tiled.tiles import TiledCloud
 
 _BLOCKS_ALONG = 12  # blocks of queries along the longest side of their box
 _TILES_AT_ONCE = 1_024  # whose distances to all blocks are compared
@@ -37,7 +37,7 @@ class TileMatches(NamedTuple):
     tiles: NDArray[np.int32]
     places: NDArray[np.int32]
 
-    def column(self, cloud: Tiles, name: str) -> NDArray[Any]:
+    def column(self, cloud: TiledCloud, name: str) -> NDArray[Any]:
         """Return a column of the cloud's tiles at the nearest points, (M, k, ...); NaN where there is no point."""
         shape = cloud.open(cloud.occupied[0], name).shape[1:]
         found = np.full((*self.tiles.shape, *shape), np.nan)
@@ -49,7 +49,7 @@ class TileMatches(NamedTuple):
         return found
 
 
-def nearest_in_tiles(queries: FloatArray, cloud: Tiles, k: int = 1, max_distance: float = np.inf) -> TileMatches:
+def nearest_in_tiles(queries: FloatArray, cloud: TiledCloud, k: int = 1, max_distance: float = np.inf) -> TileMatches:
     """Find the k nearest points of each query (M, 3) in a cloud of at least k points, up to a maximum distance."""
     if not len(queries):
         empty = np.zeros((0, k))
@@ -75,7 +75,7 @@ class _NearTiles(NamedTuple):
 class _Search:
     """State of a search: the k nearest points of each query so far, with the queries grouped in compact blocks."""
 
-    def __init__(self, queries: FloatArray, cloud: Tiles, k: int, max_distance: float) -> None:
+    def __init__(self, queries: FloatArray, cloud: TiledCloud, k: int, max_distance: float) -> None:
         low, high = bounds(queries)
         cell = float((high - low).max()) / _BLOCKS_ALONG or 1.0
         place = np.minimum((queries - low) / cell, _BLOCKS_ALONG - 1).astype(np.int16)
@@ -197,12 +197,7 @@ class _Search:
         back = np.empty(len(self.order), np.int64)
         back[self.order] = np.arange(len(self.order))
         best = self.best
-        return TileMatches(
-            best.distances.take(back, axis=0),
-            best.rows.take(back, axis=0),
-            best.tiles.take(back, axis=0),
-            best.places.take(back, axis=0),
-        )
+        return TileMatches(best.distances[back], best.rows[back], best.tiles[back], best.places[back])
 
 
 def _squared_length(components: Iterable[FloatArray]) -> FloatArray:

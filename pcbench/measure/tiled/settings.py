@@ -9,6 +9,8 @@ from pcbench.errors import InputError
 from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
+TILED_PRESETS = ("gao2025", "open3d", "pdal")
+"""Presets that are computed in tiles."""
 _SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", re.IGNORECASE)
 _FACTORS = {"": 1, "b": 1}
 _FACTORS |= {f"{letter}b": 1000**power for power, letter in enumerate("kmgt", 1)}

@@ -11,15 +11,15 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
+from pcbench.measure.tiled.even import EVEN_POINTS, even_points
 from pcbench.measure.tiled.lattice import Lattice
-from pcbench.measure.tiled.runs import CloudRuns, scan_piece
+from pcbench.measure.tiled.runs import CloudRuns, store_piece
 from pcbench.tasks import Task, TaskRunner
 
-EVEN_POINTS = 100_000
-"""Points that an evenly thinned cloud has at least, as in `pcbench.geometry.voxels.robust_bounds`."""
 _PROBED_PIECES = 3  # pieces that are read to find out where a cloud lies, if its header does not say so
 
 
@@ -48,6 +48,11 @@ class StoredCloud:
     def count(self) -> int:
         """Number of points."""
         return self.runs.count
+
+    @property
+    def thinned(self) -> Cloud:
+        """The evenly thinned cloud."""
+        return Cloud(self.even, crs=self.source.crs, unit=self.source.unit)
 
 
 def rough_boxes(
@@ -124,18 +129,22 @@ def store_cloud(
         left_out.append(LeftOut(str(piece.file), piece.count, str(error)))
 
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
-    results = runner.run(f"{name}-read", scan_piece, tasks, key=key, title=title, skip=skip)
+    results = runner.run(f"{name}-read", store_piece, tasks, key=key, title=title, skip=skip)
     found = [summary for _, summary in results]
     boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
     if not boxes:
         raise InputError(f"{cloud.path}: expected a point cloud with at least one point, got none")
+    runs = CloudRuns.of(folder, lattice, found)
+    even = np.concatenate([summary.even for summary in found])
+    if step > 1 and runs.count != cloud.count:  # filters and points that are not finite shift the rows
+        even = even_points(runs, np.zeros(3), None, runner, name, key)
     notes = [(pieces[task.name], summary.notes) for task, summary in results]
     return StoredCloud(
         source=cloud,
-        runs=CloudRuns.of(folder, lattice, found),
+        runs=runs,
         low=reduce(np.minimum, [low for low, _ in boxes]),
         high=reduce(np.maximum, [high for _, high in boxes]),
-        even=np.concatenate([summary.even for summary in found]),
+        even=even,
         left_out=tuple(sorted(left_out)),
         warnings=(*cloud.warnings, *reading_warnings(cloud, notes)),
     )

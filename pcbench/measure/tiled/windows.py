@@ -8,6 +8,7 @@ stratified in space.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,6 +27,10 @@ from pcbench.tasks import Task, TaskRunner
 MAX_SAMPLE = 400_000
 """Largest number of points of a sample; clouds that all have fewer are used as they are."""
 _WINDOW_POINTS = 2_000  # 14 m wide for a scan with 10 points per square metre
+MIN_CANDIDATE_POINTS = 25
+"""Smallest mean number of a candidate's points in windows, for which their distances show its density."""
+_CANDIDATE_POINTS = 100  # in a window; in smaller ones, the neighbours of many points lie outside
+_MIN_WINDOWS = 16  # for which windows of a sparse candidate are not enlarged further
 _MARGIN = 0.25  # share of a window's side, at its border, where no point is measured: its neighbours may lie outside
 
 
@@ -41,15 +46,25 @@ class Windows:
     lattice: Lattice
     ranges: Codes
 
+    @property
+    def has_everything(self) -> bool:
+        """Return whether a window contains all points: no neighbour lies outside."""
+        return int(self.ranges[0, 1] - self.ranges[0, 0]) == 1 << CODE_BITS
+
     @classmethod
-    def of(cls, cloud: StoredCloud, places: FloatArray) -> Windows:
-        """Return windows with about `MAX_SAMPLE` points of the reference.
+    def of(cls, cloud: StoredCloud, places: FloatArray, candidate_count: int) -> Windows:
+        """Return windows with about `MAX_SAMPLE` points of the reference; one around all of a smaller reference.
 
         Args:
             cloud: the reference.
             places: (M, 3) points of interest. Half of the windows are spread over the reference, half over these.
+            candidate_count: number of points of the candidate. If it is sparse, windows are fewer and larger.
         """
-        leaves, lattice = leaf_ranges(cloud.runs, _WINDOW_POINTS), cloud.runs.lattice
+        if cloud.count <= MAX_SAMPLE:
+            return cls(cloud.runs.lattice, np.array([[0, 1 << CODE_BITS]], np.uint64))
+        enough = _CANDIDATE_POINTS * cloud.count // candidate_count
+        points = max(_WINDOW_POINTS, min(enough, MAX_SAMPLE // _MIN_WINDOWS))
+        leaves, lattice = leaf_ranges(cloud.runs, points), cloud.runs.lattice
         wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
         of_interest = np.unique(_range_of(lattice.codes(places), leaves))
         of_interest = of_interest[of_interest >= 0]
@@ -76,6 +91,8 @@ class WindowRegion:
     def contains(self, points: FloatArray) -> Mask:
         """Return the mask (N,) of the points inside."""
         moved = points + self.origin
+        if self.windows.has_everything:
+            return np.ones(len(points), bool) if self.region is None else self.region.contains(moved)
         window = _range_of(self.windows.lattice.codes(moved), self.windows.ranges)
         corners = [self.windows.lattice.box((int(low), int(high))) for low, high in self.windows.ranges]
         low, high = (np.array(side) for side in zip(*corners, strict=True))
@@ -115,32 +132,44 @@ def reference_in_windows(cloud: StoredCloud, windows: Windows) -> Cloud:
     return _as_cloud(cloud, [cloud.runs.read([(int(low), int(high)) for low, high in windows.ranges])])
 
 
+def thinning_step(cloud: StoredCloud, windows: Windows, pose: Similarity) -> int:
+    """Return the step at which a candidate is thinned: if it is dense, windows have too many of its points."""
+    share = np.mean(_range_of(windows.lattice.codes(pose.apply(cloud.even)), windows.ranges) >= 0)
+    return max(1, math.ceil(share * cloud.count / (2 * MAX_SAMPLE)))
+
+
 def candidate_in_windows(
-    cloud: StoredCloud, windows: Windows, pose: Similarity, runner: TaskRunner, stage: str, key: str
-) -> Cloud:
-    """Return the points of a candidate inside windows, in its own coordinates.
+    cloud: StoredCloud, windows: Windows, pose: Similarity, step: int, runner: TaskRunner, stage: str, key: str
+) -> Cloud | None:
+    """Return the points of a candidate inside windows, in its own coordinates; None if there are none.
 
     Args:
         cloud: the candidate.
         windows: windows in the reference's coordinates.
         pose: motion to these coordinates.
+        step: only points whose rows are multiples of it are returned.
         runner: runs one task for each run of the cloud.
         stage: name of the stage.
         key: key of the results.
     """
     tasks = [
-        Task(f"{run.number:06d}", (CloudRuns(cloud.runs.folder, cloud.runs.lattice, (run,)), windows, pose), run.count)
+        Task(
+            f"{run.number:06d}",
+            (CloudRuns(cloud.runs.folder, cloud.runs.lattice, (run,)), windows, pose, step),
+            run.count,
+        )
         for run in cloud.runs.runs
     ]
     results = runner.run(stage, points_in_windows, tasks, key=key, title="sampling the candidate")
     found = [stored for _, stored in results if len(stored.points)]
-    return _as_cloud(cloud, found)
+    return _as_cloud(cloud, found) if found else None
 
 
-def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity) -> StoredPoints:
-    """Return the points of runs inside windows, in the order of their rows."""
+def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity, step: int) -> StoredPoints:
+    """Return the points of runs inside windows whose rows are multiples of a step, in the order of their rows."""
     stored = runs.read([(0, 1 << CODE_BITS)])
-    inside = np.flatnonzero(_range_of(windows.lattice.codes(pose.apply(stored.points)), windows.ranges) >= 0)
+    is_inside = _range_of(windows.lattice.codes(pose.apply(stored.points)), windows.ranges) >= 0
+    inside = np.flatnonzero(is_inside & (stored.rows % step == 0))
     normals, classes = stored.normals, stored.classes
     return StoredPoints(
         stored.points[inside],
@@ -161,7 +190,7 @@ def _as_cloud(cloud: StoredCloud, parts: Sequence[StoredPoints]) -> Cloud:
 
     points, classes = column("points"), column("classes")
     return Cloud(
-        np.zeros((0, 3)) if points is None else points,
+        points,
         normals=column("normals"),
         attributes={} if classes is None else {"classification": classes},
         crs=cloud.source.crs,

@@ -2,108 +2,19 @@
 
 import json
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from tiled_clouds import in_this_process
+from tiled_pairs import Pair, check_equal, noisy, surface
 from wording import check_error
 
-from pcbench import read_cloud
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.io import write_cloud
-from pcbench.measure.comparison import compare
-from pcbench.measure.quantities import quantities
-from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.compare import compare_on_disk
-from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.report.comparison import Comparison
 from pcbench.report.document import document
-
-# Sums of other orders round differently; everything else is equal in all bits.
-SUMS = ("mse", "mean", "rms", "bias", "std", "chamfer", "sum_", "area_weighted")
-
-
-def numbers(candidate):
-    """All numbers of a candidate by name, and their intervals."""
-    return {
-        (q.metric, q.direction, q.threshold, q.variant): (q.value, q.interval)
-        for q in quantities(candidate)
-        if q.variant not in ("mpeg", "tnt")
-    }
-
-
-def is_sum(name):
-    return any(part in f"{name[0]}_{name[3]}" for part in SUMS)
-
-
-def check_equal(tiled, memory, *, with_warnings=True):
-    """Check that a comparison in tiles has the numbers of the one in memory."""
-    assert replace(tiled.reference, warnings=()) == replace(memory.reference, warnings=())
-    assert [a.name for a in tiled] == [b.name for b in memory]
-    for ours, theirs in zip(tiled, memory, strict=True):
-        assert (ours.points, ours.points_in_region) == (theirs.points, theirs.points_in_region)
-        np.testing.assert_array_equal(ours.registration.T_local.matrix, theirs.registration.T_local.matrix)
-        found, expected = numbers(ours), numbers(theirs)
-        assert found.keys() == expected.keys()
-        for name, (value, interval) in expected.items():
-            if value is None or isinstance(value, str) or not is_sum(name):
-                assert found[name][0] == value or (value != value and found[name][0] != found[name][0]), name
-            else:
-                assert found[name][0] == pytest.approx(value, rel=1e-12, abs=0), name
-            assert (found[name][1] is None) == (interval is None), name
-            if interval is not None:
-                np.testing.assert_allclose(found[name][1], interval, rtol=1e-8, atol=1e-15, err_msg=str(name))
-        assert ours.deformation == theirs.deformation
-        if with_warnings:  # in memory, those of reading are not in the result
-            assert [w.code for w in ours.warnings] == [w.code for w in theirs.warnings]
-        for map_name in ("deviation", "completeness"):
-            a, b = getattr(ours, map_name), getattr(theirs, map_name)
-            # In memory, the points of the reference are those of its file; in tiles the origin was added again.
-            np.testing.assert_allclose(a.points, b.points, rtol=0, atol=1e-15 * (10 + np.abs(b.points).max()))
-            np.testing.assert_array_equal(a.rows, b.rows)
-            for kind in b.scalars:
-                np.testing.assert_array_equal(a.scalars[kind], b.scalars[kind])
-    for a, b in zip(tiled.differences, memory.differences, strict=True):
-        assert (a.a, a.b, a.metric) == (b.a, b.b, b.metric)
-        assert a.difference == pytest.approx(b.difference, rel=1e-9, abs=1e-12)
-
-
-class Pair:
-    """Files of a reference and of candidates, and their comparison in memory."""
-
-    def __init__(self, folder, reference, *candidates, **settings):
-        folder.mkdir(exist_ok=True)
-        self.folder, self.paths = folder, {}
-        for name, cloud in zip(("ref", "a", "b"), (reference, *candidates), strict=False):
-            self.paths[name] = folder / f"{name}.ply"
-            write_cloud(self.paths[name], cloud if isinstance(cloud, Cloud) else Cloud(np.asarray(cloud, float)))
-        self.settings = Settings(**({"register": "none", "presets": ("gao2025", "open3d", "pdal")} | settings))
-
-    def tiled(self, work="work", maps=None, settings=None, **tiling):
-        workspace = self.folder / work
-        workspace.mkdir(exist_ok=True)
-        how = TilingSettings(**({"tile_points": 500, "workers": 1} | tiling))
-        candidates = {name: path for name, path in self.paths.items() if name != "ref"}
-        return compare_on_disk(
-            self.paths["ref"], candidates, settings or self.settings, how, workspace=workspace, maps=maps
-        )
-
-    def memory(self):
-        options = {"classes": self.settings.classes, "returns": self.settings.returns}
-        clouds = {name: read_cloud(path, on_warning=lambda _: None, **options) for name, path in self.paths.items()}
-        return compare(clouds.pop("ref"), clouds, self.settings)
-
-
-def surface(rng, count, size=10.0):
-    points = rng.random((count, 3)) * size
-    points[:, 2] = np.sin(points[:, 0]) + 0.1 * points[:, 1]
-    return points
-
-
-def noisy(rng, points, sigma=0.02):
-    return points + rng.normal(size=points.shape) * sigma
 
 
 def holes(rng):
@@ -181,6 +92,7 @@ def test_numbers_are_those_in_memory(tmp_path, monkeypatch, kind):
     check_equal(pair.tiled(), pair.memory())
 
 
+HAS_KISS = find_spec("kiss_matcher") is not None
 CROPS = {
     "box": "box:2,2,-5,7,6,9",
     "sphere": "sphere:5,5,0.5,3",
@@ -193,6 +105,8 @@ CASES = [
     {"thresholds": (0.05, 0.3), "seed": 3, "two": True},
     {"register": "icp"},
     {"register": "similarity"},
+    {"register": "points"},
+    pytest.param({"register": "global"}, marks=pytest.mark.skipif(not HAS_KISS, reason="needs kiss_matcher")),
     {"register": "icp", "initial": Similarity(np.eye(3), np.array([0.2, 0.1, 0.0]), 1.0)},
 ]
 
@@ -221,6 +135,11 @@ def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case)
         ring = [[1, 1], [8, 2], [6, 7], [2, 9], [1, 1]]
         file.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
         case = {"crop": f"polygon:{file}"}
+    if case.get("register") == "points":
+        places = surface(np.random.default_rng(1), 6)
+        rows = np.hstack([np.arange(6)[:, None], moved(places), places])
+        np.savetxt(tmp_path / "points.txt", rows, fmt=["p%d", *6 * ["%.6f"]])
+        case = {"register": f"points:{tmp_path / 'points.txt'}"}
     pair = pair_of(tmp_path / "pair", **case)
     check_equal(pair.tiled(tile_points=300), pair.memory())
 
@@ -314,9 +233,8 @@ def test_another_folder_for_the_maps_gets_them_all(tmp_path, monkeypatch):
 def test_a_reference_without_planes_is_refused(tmp_path, monkeypatch, count):
     in_this_process(monkeypatch)
     pair = Pair(tmp_path / "pair", surface(np.random.default_rng(0), count), surface(np.random.default_rng(0), 50))
-    with pytest.raises(InputError) as error:
+    with check_error():
         pair.tiled()
-    check_error(error)
 
 
 def test_a_region_without_points_is_refused(tmp_path, monkeypatch):

@@ -223,6 +223,30 @@ def two_blocks(monkeypatch, first_images, second_images):
     return cells
 
 
+def test_the_number_of_gaussians_is_optimized_in_each_block_with_enough_photographs(train, tmp_path, monkeypatch):
+    names = tuple(f"{k:03}.png" for k in range(9))
+    two_blocks(monkeypatch, names, names[:3])
+    reconstruction = train(density="parsimonious", steps=30, memory=8e-4)
+    check_text(next(note for note in reconstruction.notes if "optimized in each block" in note))
+    first, second = block_folders(tmp_path / "work")
+    assert (first / "curve.csv").is_file() and not (second / "curve.csv").exists()
+    assert not (tmp_path / "work/model/curve.csv").exists()
+
+
+def test_the_merged_model_follows_the_cells(train, tmp_path, monkeypatch):
+    """The same blocks with other cells are not trained again, but merged again."""
+    names = tuple(f"{k:03}.png" for k in range(9))
+    two_blocks(monkeypatch, names, names)
+    first = train().cloud
+    plan = plugin.plan_blocks
+    cells = SPACE.split(0, corner.SIDE / 3)
+    monkeypatch.setattr(
+        plugin, "plan_blocks", lambda *a: [b._replace(cell=c) for b, c in zip(plan(*a), cells, strict=True)]
+    )
+    monkeypatch.setattr(plugin, "run_with_checkpoints", lambda *_: pytest.fail("a block was trained again"))
+    assert len(train().cloud) < len(first)
+
+
 def test_a_block_without_training_photographs_is_left_out(train, tmp_path, monkeypatch):
     names = tuple(f"{k:03}.png" for k in range(9))
     cells = two_blocks(monkeypatch, names[:3], names[3:])
