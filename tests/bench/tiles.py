@@ -49,15 +49,15 @@ class Row(NamedTuple):
         """Line of the table."""
         usage, points = self.usage, 2 * self.size
         return (
-            f"{self.what:36}{self.size:13,}{usage.wall:9.1f}{usage.cpu:9.1f}{usage.cpu / points * 1e6:9.2f}"
-            f"{points / usage.cpu / 1e3:11.0f}{usage.peak / 2**20:10.0f}{usage.peak_main / 2**20:8.0f}"
+            f"{self.what:36}{self.size:13,}{usage.wall:9.1f}{usage.cpu:9.1f}{usage.cpu / points * 1e6:10.2f}"
+            f"{points / usage.cpu / 1e3:13.0f}{usage.peak / 2**20:10.0f}{usage.peak_main / 2**20:8.0f}"
         )
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sizes", type=_sizes, default=[10**6, 10**7, 5 * 10**7])
+    parser.add_argument("--sizes", type=_sizes, default=[10**6, 10**7, 3 * 10**7])
     parser.add_argument("--most-in-memory", type=float, default=1e7, help="largest size that is compared in memory")
     parser.add_argument("--most-of-peers", type=float, default=1e7, help="largest size for the peers")
     parser.add_argument("--memory", default="1GiB", help="memory of the comparisons in tiles")
@@ -65,7 +65,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{setting()}\none run each; pcbench and peers have one thread per process; LAZ is read in all times\n")
     print(
-        f"{'':36}{'points':>13}{'wall s':>9}{'CPU s':>9}{'us/point':>9}{'kpts/s/core':>11}{'peak MiB':>10}{'main':>8}"
+        f"{'':36}{'points':>13}{'wall s':>9}{'CPU s':>9}{'us/point':>10}{'kpts/s/core':>13}{'peak MiB':>10}{'main':>8}"
     )
     rows = list[Row]()
     with tempfile.TemporaryDirectory() as temporary:
