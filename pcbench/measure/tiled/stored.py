@@ -120,7 +120,8 @@ def store_cloud(
 
     def leave_out(task: Task, error: InputError) -> None:
         piece = pieces[task.name]
-        left_out.append(LeftOut(str(piece.file), piece.count, str(error)))
+        reason = str(error).removeprefix(f"{piece.file}: ")
+        left_out.append(LeftOut(str(piece.file), piece.count, reason))
 
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
     results = runner.run(f"{name}-read", scan_piece, tasks, key=key, title=title, skip=skip)

@@ -67,6 +67,7 @@ def test_damaged_files_end_the_comparison_or_are_left_out(pair, tmp_path):
     tiled = pair.tiled("skipping", skip_bad=True)
     assert {left_out.path for left_out in tiled.tiling.left_out} == {str(files[3]), str(files[5])}
     assert all(isinstance(left_out, LeftOut) and left_out.reason for left_out in tiled.tiling.left_out)
+    assert not any(left_out.path in left_out.reason for left_out in tiled.tiling.left_out)
     for file in (files[3], files[5]):
         file.unlink()
     check_equal(tiled, pair.memory(), with_warnings=False)
