@@ -24,6 +24,8 @@ from typing import BinaryIO
 from pcbench.errors import InputError
 from pcbench.systems import NO_FOLLOW, NO_WAIT, close_and_remove, is_owned_by_user, lock, open_folder
 
+PARTIAL_SUFFIX = ".partial"
+"""Suffix of the temporary files of `workspace_file`."""
 _PREFIX = ".pcbench-"
 _LOCK_SUFFIX = ".lock"
 # Exactly the names that this module creates: a user's own .pcbench-notes is never touched.
@@ -77,6 +79,26 @@ def scratch_file(output: Path) -> Iterator[tuple[Path, BinaryIO]]:
                 yield path, file
         finally:
             path.unlink(missing_ok=True)
+
+
+@contextmanager
+def workspace_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file that is renamed to `path` once complete, in a folder that only pcbench writes.
+
+    Such a folder may have many files. So there is no lock and no search for leftovers, as in
+    `pcbench.io.files.atomic_write`: a killed process leaves a file with `PARTIAL_SUFFIX`. Two processes may write the
+    same path at once, because a cluster repeats tasks of workers that it believes lost: the later one stays.
+
+    Raises:
+        OSError: the file cannot be written; the error names `path`.
+    """
+    partial = path.with_name(f".{path.name}-{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
+    try:
+        with attribute_errors_to(path, partial), partial.open("xb") as file:
+            yield file
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -15,6 +15,8 @@ from typing import NamedTuple
 from pcbench.errors import InputError
 from pcbench.systems import cpu_count, memory_limit
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of processes that have one thread each. Libraries read these variables when they are loaded."""
 _MAX_THREADS = 1024  # or the number of CPUs if that is larger
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _BYTES_PER_THREAD = 256 << 20  # of limited address space, for stack, heap and buffers of one thread

@@ -13,7 +13,14 @@ import pytest
 from wording import check_error
 
 from pcbench.io.files import atomic_write
-from pcbench.scratch import attribute_errors_to, lock_output, remove_leftovers, scratch_file, scratch_folder
+from pcbench.scratch import (
+    attribute_errors_to,
+    lock_output,
+    remove_leftovers,
+    scratch_file,
+    scratch_folder,
+    workspace_file,
+)
 
 REPEATED_SCRATCH_SCRIPT = """
 import sys
@@ -141,6 +148,24 @@ def test_nothing_remains_after_an_error(tmp_path):
         file.write(b"half")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
+
+
+def test_two_writers_of_a_workspace_file_do_not_mix(tmp_path):
+    """The slower one neither changes the file that the faster one has finished, nor leaves anything."""
+    path = tmp_path / "000001.points.npy"
+    with workspace_file(path) as slow:
+        slow.write(b"slow")
+        with workspace_file(path) as fast:
+            fast.write(b"fast")
+        slow.write(b"er")
+        slow.flush()
+        assert path.read_bytes() == b"fast"
+    assert path.read_bytes() == b"slower"
+    with pytest.raises(ZeroDivisionError), workspace_file(path) as file:
+        file.write(b"half")
+        raise ZeroDivisionError
+    assert path.read_bytes() == b"slower"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_full_disk_error_names_the_output(tmp_path):

@@ -10,8 +10,8 @@ from pcbench.io import write_cloud
 from pcbench.io.pieces import open_cloud
 from pcbench.measure.tiled import compare
 from pcbench.measure.tiled.lattice import Lattice
-from pcbench.measure.tiled.runs import CloudRuns, scan_piece, tile_ranges
-from pcbench.measure.tiled.tiles import Tiles, make_tile
+from pcbench.measure.tiled.runs import CloudRuns, store_piece, tile_ranges
+from pcbench.measure.tiled.tiles import TiledCloud, make_tile
 
 ORIGIN = np.zeros(3)
 
@@ -25,7 +25,7 @@ def stored_runs(folder, points, *, piece_points=1000, step=7, lattice=None, norm
     lattice = lattice or Lattice.around(points.min(axis=0), points.max(axis=0))
     summaries, first_row = [], 0
     for piece in cloud.pieces:
-        summaries.append(scan_piece(cloud, piece, first_row, step, lattice, folder))
+        summaries.append(store_piece(cloud, piece, first_row, step, lattice, folder))
         first_row += piece.count
     return CloudRuns.of(folder, lattice, summaries), summaries
 
@@ -34,7 +34,7 @@ def stored_tiles(folder, points, most, *, region=None, pose=None, **options):
     """Store points as tiles of about at most so many points; return them."""
     runs, _ = stored_runs(folder / "runs", points, **options)
     (folder / "tiles").mkdir()
-    return Tiles.of(
+    return TiledCloud.of(
         folder / "tiles",
         [
             make_tile(runs.overlapping(codes), number, codes, ORIGIN, pose, region, folder / "tiles")

@@ -22,12 +22,11 @@ from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
 from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.settings import TilingSettings
+from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.report.inputs import InputFile
 from pcbench.report.recorded import record, record_tiling
 from pcbench.report.words import memory_text
 
-_SUPPORTED_PRESETS = ("gao2025", "mpeg", "open3d", "pdal")  # mpeg is always in settings; tiles leave it out
 # Measured peaks of `pcbench compare`: 1 and 3 million points per cloud, and three candidates instead of one.
 _BASE_BYTES = 100_000_000
 _BYTES_PER_POINT = 240  # of the reference and of the largest candidate
@@ -161,7 +160,7 @@ def unsupported_setting(reference: Path, settings: Settings) -> str | None:
     """Return a setting that a tiled comparison does not support, as words; None if it supports all."""
     if settings.maps:
         return f"the map {settings.maps[0]} (--map)"
-    if others := [name for name in settings.presets if name not in _SUPPORTED_PRESETS]:
+    if others := [name for name in settings.presets if name not in (*TILED_PRESETS, "mpeg")]:  # all settings have mpeg
         return f"the preset {others[0]} (--preset)"
     if settings.tolerance is not None:
         return "--tolerance"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from pcbench.progress import Step
 from pcbench.scratch import scratch_folder
 from pcbench.tasks import Task, TaskRunner, Workers
-from pcbench.tasks.results import read_result, write_result
+from pcbench.tasks.results import read_shared, write_result
 
 C = TypeVar("C", contravariant=True)
 R = TypeVar("R", covariant=True)
@@ -87,12 +86,5 @@ class _Steps:
 def _run_cell(file: Path, folder: Path, cell: Any) -> Any:
     """Run a cell in a worker, in the folder of the study's process, because paths may be relative."""
     os.chdir(folder)
-    function, shared = _read_shared(file)
+    function, shared = read_shared(file, "")
     return function(shared, cell, lambda _: None)
-
-
-@lru_cache(maxsize=1)
-def _read_shared(file: Path) -> tuple[Callable[..., Any], Any]:
-    """Return the function and what its cells share; a worker reads it once."""
-    function, shared = read_result(file, "")
-    return function, shared

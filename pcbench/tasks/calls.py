@@ -12,8 +12,6 @@ from typing import IO, Any, NamedTuple
 from pcbench.errors import PcbenchError
 from pcbench.tasks.results import write_result
 
-# Environment of workers: parallelism comes from their number. Libraries read these variables when they are loaded.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _LENGTH = struct.Struct("<Q")
 
 

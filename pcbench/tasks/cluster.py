@@ -17,8 +17,8 @@ from typing import Any
 
 from pcbench.errors import InputError, WorkerError
 from pcbench.extras import installed_versions, require
-from pcbench.tasks.calls import ONE_THREAD, Call, ConnectionLost, WorkerLost, portable
-from pcbench.threads import one_blas_thread
+from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost, portable
+from pcbench.threads import ONE_THREAD, one_blas_thread
 
 _CONNECT_S = 10.0
 _RECONNECT_S = 60.0  # for a scheduler that is started again

@@ -17,7 +17,8 @@ from contextlib import suppress
 
 from pcbench.children import last_line, start_module
 from pcbench.systems import SIGKILL, end_tree, reap, signal_name
-from pcbench.tasks.calls import ONE_THREAD, Call, WorkerLost, receive, send
+from pcbench.tasks.calls import Call, WorkerLost, receive, send
+from pcbench.threads import ONE_THREAD
 
 _GRACE_S = 5.0
 _MAX_ERROR_BYTES = 10_000
@@ -92,7 +93,7 @@ class _WorkerProcess:
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `end`
         self._process = start_module(
             "pcbench.tasks.worker",
-            environment=ONE_THREAD,
+            environment=ONE_THREAD,  # parallelism comes from the number of processes
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,

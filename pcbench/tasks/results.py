@@ -8,18 +8,17 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-import secrets
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
 
 from pcbench.errors import InputError
-from pcbench.scratch import attribute_errors_to
+from pcbench.scratch import workspace_file
 
 T = TypeVar("T")
 
 SUFFIX = ".result"
-PARTIAL_SUFFIX = ".partial"
 _FORMAT = b"pcbench result 1"
 _HEADER_BYTES = len(_FORMAT) + 32
 _BLOCK_BYTES = 1 << 20
@@ -76,19 +75,12 @@ def write_result(path: Path, key: str, result: object) -> int:
     Raises:
         OSError: the file cannot be written; the error names it.
     """
-    # Two workers may run the same task for a moment: a cluster repeats the tasks of a worker that it believes lost.
-    partial = path.with_name(f".{path.name}-{secrets.token_hex(4)}{PARTIAL_SUFFIX}")
-    try:
-        with attribute_errors_to(path, partial), partial.open("xb") as file:
-            hashed = _HashingFile(file)
-            hashed.write(_header(key))
-            pickle.dump(result, hashed, protocol=pickle.HIGHEST_PROTOCOL)
-            file.write(hashed.sha256.digest())
-            size = file.tell()
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return size
+    with workspace_file(path) as file:
+        hashed = _HashingFile(file)
+        hashed.write(_header(key))
+        pickle.dump(result, hashed, protocol=pickle.HIGHEST_PROTOCOL)
+        file.write(hashed.sha256.digest())
+        return file.tell()
 
 
 def is_intact(path: Path, key: str) -> bool:
@@ -114,6 +106,19 @@ def read_result(path: Path, key: str) -> Any:
     except FileNotFoundError:
         pass
     raise InputError(f"{path}: the file was damaged or removed after it had been written: run the same command again")
+
+
+@lru_cache(maxsize=2)
+def read_shared(path: Path, key: str) -> Any:
+    """Read a value that many tasks share; a worker reads it once, so it must not be changed.
+
+    Arguments of tasks travel with each of them. Such a value is stored by `write_result` instead, and only its path and
+    its key travel. The key must identify the value.
+
+    Raises:
+        InputError: see `read_result`.
+    """
+    return read_result(path, key)
 
 
 class _HashingFile:

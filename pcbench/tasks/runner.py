@@ -16,11 +16,12 @@ from types import TracebackType
 from typing import Protocol, TypeVar
 
 from pcbench.errors import InputError, WorkerError
+from pcbench.scratch import PARTIAL_SUFFIX
 from pcbench.systems import cpu_count
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
 from pcbench.tasks.processes import LocalWorkers
 from pcbench.tasks.progress import StageProgress
-from pcbench.tasks.results import PARTIAL_SUFFIX, SUFFIX, StageResults, Task, is_intact
+from pcbench.tasks.results import SUFFIX, StageResults, Task, is_intact
 
 T = TypeVar("T")
 
@@ -32,7 +33,7 @@ _MAX_VISIBILITY_CHECKS = 30
 
 @dataclass(frozen=True)
 class Workers:
-    """Where tasks run.
+    """Workers that run tasks: processes of this machine, or those of a Dask cluster.
 
     Attributes:
         count: largest number of tasks that run at the same time. None: the number of CPUs of this machine, or as many

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
-_TAIL_SHARE = (
-    0.05  # share of the points ignored at each end of an axis when its extent is measured, because of outliers
-)
+_TAIL_SHARE = 0.05  # of the points at each end of an axis, left out of its extent because of outliers
 
 
 @dataclass(frozen=True, eq=False)

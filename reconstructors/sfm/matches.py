@@ -16,12 +16,11 @@ from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
 from pcbench.systems import cpu_count
+from pcbench.threads import ONE_THREAD
 from reconstructors.sfm.features import DATABASE, LensGroup, NoPointsError, shared_intrinsics
 
 _MIN_INLIERS = 15  # inliers of a usable pair: COLMAP's default
 _MIN_PAIRS_PER_PROCESS = 25  # a process takes 0.3 s to start, a pair 0.01 to 0.2 s
-# COLMAP's libraries would otherwise use one thread per CPU, whatever COLMAP's own number of threads.
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _MAX_PROCESSES = 8  # each has a copy of the database: about 1.3 MB per image
 
 
@@ -59,7 +58,8 @@ def _match_in_processes(folder: Path, parts: Sequence[Sequence[tuple[int, int]]]
         copy = folder / f"part-{number}.db"
         shutil.copyfile(folder / DATABASE, copy)
         listed = _write_list(folder / f"pairs-{number}", parts[number])
-        process = run_module("reconstructors.sfm.match_child", str(copy), str(listed), environment=_ONE_THREAD)
+        # COLMAP's libraries would otherwise use one thread per CPU, whatever COLMAP's own number of threads.
+        process = run_module("reconstructors.sfm.match_child", str(copy), str(listed), environment=ONE_THREAD)
         if process.code != 0:
             print(process.errors, file=sys.stderr)  # into the run's log, as the last line alone is not informative
             raise ReconstructionError(f"COLMAP's matching failed with exit code {process.code}")

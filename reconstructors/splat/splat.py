@@ -250,20 +250,7 @@ class GaussianSplatting:
             shutil.rmtree(workspace / BLOCKS, ignore_errors=True)  # of an earlier run with less memory
             model_folder = self._model_stage(whole, workspace, workspace, "model")
         model = load_model(model_folder / PARAMETERS, device)
-        if (model_folder / CURVE).is_file():
-            notes.append(f"{Curve.read(model_folder / CURVE).sentence}; all models tried: {model_folder / CURVE}")
-        elif self.density == "parsimonious" and not blocks:
-            known = " with depths that three images confirm" if self.select == "surface" else ""
-            notes.append(
-                f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
-                f" images{known}"
-            )
-        if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
-            notes.append(
-                f"no Gaussian was added: density={self.density} starts at step {rules.refine_start:,} and stops after"
-                f" {rules.refine_stop_share:.0%} of the steps; set more steps"
-            )
-        notes += self._few_points_note(len(initial.cloud))
+        notes += self._density_notes(model_folder, len(initial.cloud), in_blocks=bool(blocks))
         last_step = int((model_folder / FINAL_STEP).read_text(encoding="utf-8"))
         early = f" of {self.steps:,}: training converged" if last_step < self.steps else ""
         notes.append(
@@ -532,6 +519,29 @@ class GaussianSplatting:
             fixed = sum(not (folder / CURVE).is_file() for _, _, folder in trained)
             kept = f", except in {fixed} blocks with too few photographs" if fixed else ""
             yield f"the number of Gaussians was optimized in each block{kept}: {workspace / BLOCKS}/*/{CURVE}"
+
+    def _density_notes(self, folder: Path, points: int, *, in_blocks: bool) -> Iterator[str]:
+        """Yield how the number of Gaussians was chosen, and why it may be too small.
+
+        Args:
+            folder: stage of the model.
+            points: number of points at which training started.
+            in_blocks: whether the scene was trained in blocks, whose numbers `_blocks_notes` describes.
+        """
+        if (folder / CURVE).is_file():
+            yield f"{Curve.read(folder / CURVE).sentence}; all models tried: {folder / CURVE}"
+        elif self.density == "parsimonious" and not in_blocks:
+            known = " with depths that three images confirm" if self.select == "surface" else ""
+            yield (
+                f"the number of Gaussians was not optimized: this needs at least {_MIN_SELECTION_IMAGES} training"
+                f" images{known}"
+            )
+        if (rules := self._densification) is not None and rules.refine_start > rules.refine_stop_share * self.steps:
+            yield (
+                f"no Gaussian was added: density={self.density} starts at step {rules.refine_start:,} and stops after"
+                f" {rules.refine_stop_share:.0%} of the steps; set more steps"
+            )
+        yield from self._few_points_note(points)
 
     def _few_points_note(self, points: int) -> Iterator[str]:
         """Yield a note if training starts at far fewer points than `gaussians`, and adds none."""

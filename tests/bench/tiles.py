@@ -22,7 +22,9 @@ from process_tree import CommandFailed, Usage, measure
 
 _M3C2_RADIUS = 2.0 / math.sqrt(DENSITY)  # holds about 12 points, for normals and cylinders alike
 _M3C2 = f"""
-import sys, numpy, py4dgeo
+import os, sys, numpy
+os.chdir(os.path.dirname(sys.argv[1]))  # py4dgeo writes a log there
+import py4dgeo
 from pcbench import read_cloud
 reference, candidate = (read_cloud(path).points for path in sys.argv[1:])
 origin = reference.mean(axis=0)
@@ -95,7 +97,7 @@ def _commands(folder: Path, size: int, arguments: argparse.Namespace) -> Iterato
     """Yield the name and the command of each run with clouds of this size."""
     from pcbench.measure.tiled.settings import TilingSettings, parse_bytes
 
-    clouds = [str(folder / "reference"), str(folder / "candidate")]
+    clouds = [str(folder.absolute() / kind) for kind in ("reference", "candidate")]
     compare = [sys.executable, "-m", "pcbench.cli", "compare", *clouds, "--json", str(folder / "comparison.json")]
     memory = parse_bytes(arguments.memory)
 

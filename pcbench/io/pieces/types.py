@@ -135,7 +135,7 @@ class Part(NamedTuple):
 
 
 class PieceNotes(NamedTuple):
-    """What was noticed while reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
+    """Counts and warnings from reading one piece. `reading_warnings` turns those of all pieces into lines for the user.
 
     Attributes:
         finite: points that passed the filters and are finite.

@@ -55,9 +55,9 @@ class NearFit:
         return cls(float(np.mean(near)), rms)
 
     @classmethod
-    def of_sums(cls, near: GroupSums, count: int, *, has_normals: bool) -> NearFit:
+    def of_sums(cls, near: GroupSums, count: int) -> NearFit:
         """Return the fit of `count` queries from the sums over those within the overlap distance."""
-        rms = math.sqrt(near.mean("square")) if has_normals and near.count else None
+        rms = math.sqrt(near.mean("square")) if near.count else None
         return cls(near.count / count, rms)
 
     def warning(self, of_all: NearFit) -> Notice | None:
@@ -75,7 +75,7 @@ class NearFit:
 
 @dataclass(frozen=True, eq=False)
 class SampleResults:
-    """What the samples of a reference and a candidate show.
+    """Registration, sampling floors and deformation, from samples of a reference and a candidate.
 
     Attributes:
         registration: the registration, with `T_local` between coordinates minus the local origin of the reference.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.scratch import attribute_errors_to
+from pcbench.scratch import workspace_file
 
 
 def column_file(folder: Path, number: int, column: str) -> Path:
@@ -24,8 +24,5 @@ def load_column(folder: Path, number: int, column: str) -> NDArray[Any]:
 
 def save_column(folder: Path, number: int, column: str, values: NDArray[Any]) -> None:
     """Store a column of a part of a cloud; a killed task leaves no partial file under this name."""
-    file = column_file(folder, number, column)
-    temporary = file.with_suffix(".partial")
-    with attribute_errors_to(file, temporary), temporary.open("wb") as stream:
-        np.save(stream, values)
-    temporary.replace(file)
+    with workspace_file(column_file(folder, number, column)) as file:
+        np.save(file, values)

@@ -16,17 +16,16 @@ import hashlib
 import itertools
 import json
 import pickle
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from pcbench.errors import InputError, Notice
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
@@ -61,8 +60,8 @@ from pcbench.measure.tiled.alignment import (
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
+    DistanceSums,
     MeasuredDirection,
-    TileDistances,
     TiledPair,
     measure_candidate_tile,
     measure_reference_tile,
@@ -72,18 +71,17 @@ from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.normals import add_normals
 from pcbench.measure.tiled.overview import PixelGrid
-from pcbench.measure.tiled.presets import TILED_PRESETS, crop_tile, presets_of
+from pcbench.measure.tiled.presets import crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
-from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.measure.tiled.shared import share
+from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.spreads import spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.tiles import Tiles, TileSummary, make_tile
-from pcbench.measure.tiled.totals import DirectionTotals
+from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
+from pcbench.tasks.results import write_result
 
 T = TypeVar("T")
 
@@ -107,7 +105,7 @@ def compare_on_disk(
         reference: file, folder of tiles, pattern, .vpc index or EPT folder of the reference.
         candidates: the same for each candidate, by name.
         settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
-        tiling: how it is computed.
+        tiling: settings of the tiles, of memory and of workers.
         workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
         maps: folder for the maps of all points, which is created; None: no maps are written.
         on_step: progress callback, called with a short description of each step.
@@ -152,10 +150,22 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
 
 @dataclass(frozen=True, eq=False)
 class _TiledReference:
-    """The reference in tiles, with all that its candidates share."""
+    """The reference in tiles, with all that its candidates share.
+
+    Attributes:
+        stored: the reference as sorted runs.
+        tiles: its tiles, with normals.
+        origin: (3,) local origin, which is subtracted from all coordinates.
+        region: measured region in local coordinates; None: everything.
+        inside: number of its points inside the region.
+        spacing: median point spacing.
+        grid: correlation cells of the intervals.
+        voxel, corner: side and origin (3,) of the voxels of area weighting.
+        complete: the reference in memory if all clouds are small: no samples are needed. None otherwise.
+    """
 
     stored: StoredCloud
-    tiles: Tiles
+    tiles: TiledCloud
     origin: FloatArray
     region: Region | None
     inside: int
@@ -163,12 +173,32 @@ class _TiledReference:
     grid: CorrelationGrid
     voxel: float
     corner: FloatArray
-    complete: Reference | None  # in memory, if all clouds are small
+    complete: Reference | None
+
+
+class _ComparedCandidate(NamedTuple):
+    """A candidate with the results of its comparison, the reference's sample in short, and the number of its tiles."""
+
+    candidate: Candidate
+    measurement: Measurement
+    sample: ReferenceSummary
+    tiles: int
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """The steps of one comparison."""
+    """The steps of one comparison.
+
+    Attributes:
+        runner: runs the tasks of all steps.
+        folder: folder of intermediate files, with one folder per cloud.
+        key: identifies the inputs and settings; stored results of another key are not used.
+        settings: settings of the comparison.
+        tiling: settings of the tiles.
+        tile_points: largest number of points of a tile.
+        maps: folder for the maps of all points; None: none are written.
+        report: progress callback.
+    """
 
     runner: TaskRunner
     folder: Path
@@ -190,20 +220,23 @@ class _Run:
         timings: dict[str, float] = {}
         with record_time(timings, "reference"):
             reference = self._prepare(stored[_REFERENCE], are_small=are_small)
-        samples, results, measured, tiles = list[ReferenceSummary](), [], [], len(reference.tiles)
-        for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True):
-            sample, result, measurement, count = self._compare_one(reference, stage, name, cloud)
-            samples.append(sample)
-            results.append(replace(result, timings_s={**result.timings_s, **timings}))
-            measured.append(measurement)
-            tiles += count
-        left_out = [file for cloud in stored.values() for file in cloud.left_out]
-        sampled = None if reference.complete is not None else max(sample.points for sample in samples)
-        tiling = Tiling(self.tile_points, tiles, sampled, self.tiling.max_distance, tuple(left_out))
-        apart = differences(_cells(reference.grid), results, measured)
-        return CandidateComparisons(
-            self.settings, self._summary(reference, samples[0]), tuple(results), tuple(apart), tiling
+        compared = [
+            self._compare_one(reference, stage, name, cloud)
+            for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True)
+        ]
+        candidates = [
+            replace(found.candidate, timings_s={**found.candidate.timings_s, **timings}) for found in compared
+        ]
+        apart = differences(_cells(reference.grid), candidates, [found.measurement for found in compared])
+        tiling = Tiling(
+            self.tile_points,
+            len(reference.tiles) + sum(found.tiles for found in compared),
+            None if reference.complete is not None else max(found.sample.points for found in compared),
+            self.tiling.max_distance,
+            tuple(file for cloud in stored.values() for file in cloud.left_out),
         )
+        summary = self._summary(reference, compared[0].sample)
+        return CandidateComparisons(self.settings, summary, tuple(candidates), tuple(apart), tiling)
 
     def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
         skip_bad = self.tiling.skip_bad
@@ -216,14 +249,13 @@ class _Run:
                 f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
             )
         origin = local_origin_of_box(cloud.low, cloud.high)
-        even = Cloud(cloud.even, crs=cloud.source.crs, unit=cloud.source.unit)
         crop = self.settings.crop
         if isinstance(crop, str) and crop.strip().lower() == "reference":
             crop = Box(cloud.low, cloud.high)
-        given = as_region(crop, even)
+        given = as_region(crop, cloud.thinned)
         region = None if given is None else given.shifted(origin)
         summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
-        tiles = Tiles.of(self.folder / _REFERENCE / "tiles", summaries)
+        tiles = TiledCloud.of(self.folder / _REFERENCE / "tiles", summaries)
         inside = sum(summary.inside for summary in summaries)
         self._check_inside(inside, cloud, "the reference's")
         local = cloud.even - origin
@@ -258,24 +290,20 @@ class _Run:
         for number, codes in enumerate(tile_ranges(cloud.runs, self.tile_points)):
             arguments = (cloud.runs.overlapping(codes), number, codes, origin, pose, region, folder)
             tasks.append(Task(f"{number:06d}", arguments, self.tile_points))
-        return self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles")
+        return list(self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles"))
 
-    def _add_normals(self, tiles: Tiles) -> float:
+    def _add_normals(self, tiles: TiledCloud) -> float:
         """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
         file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
-        share(tiles, file)
-        tasks = [
-            Task(f"{number:06d}", (file, self.key, number, k), int(tiles.counts[number])) for number in tiles.occupied
-        ]
+        write_result(file, self.key, tiles)
+        tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
         found = self._results("normals", add_normals, tasks, "computing normals of the reference")
         histogram = BitHistogram.merge(found)
         files = [tiles.file(number, "spacings") for number in tiles.occupied]
         return median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
 
-    def _compare_one(
-        self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud
-    ) -> tuple[ReferenceSummary, Candidate, Measurement, int]:
-        """Register and measure a candidate; return also the summary of the sample, and the number of tiles."""
+    def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
+        """Register and measure a candidate."""
         timings: dict[str, float] = {}
         with record_time(timings, "registration"):
             sample = self._register(reference, stage, name, cloud)
@@ -283,34 +311,29 @@ class _Run:
             summaries = self._make_tiles(stage, cloud, reference.origin, sample.registration, reference.region)
             inside = sum(summary.inside for summary in summaries)
             self._check_inside(inside, cloud, f"{name}'s")
-            pair = self._pair(reference, stage, Tiles.of(self.folder / stage / "tiles", summaries), sample.registration)
-            forth, back = self._measure_tiles(pair, stage, name)
+            pair = self._pair(
+                reference, stage, TiledCloud.of(self.folder / stage / "tiles", summaries), sample.registration
+            )
+            directions = forth, back = self._measure_tiles(pair, stage, name)
         with record_time(timings, "metrics"):
-            spreads = [
-                self._spreads(f"{stage}-{way}", found.totals, _distance_files(tiles, folder))
-                for way, found, tiles, folder in (
-                    ("forth", forth, pair.candidate, pair.forth),
-                    ("back", back, pair.reference, pair.back),
-                )
-            ]
+            spreads = [self._spreads(direction) for direction in directions]
             to_reference, to_candidate = (
-                found.totals.summary(cells=pair.grid.number, floors=floors, spreads=spread, origin=reference.origin)
-                for found, floors, spread in zip((forth, back), sample.floors, spreads, strict=True)
+                found.sums.totals.summary(
+                    cells=pair.grid.number, floors=floors, spreads=spread, origin=reference.origin
+                )
+                for found, floors, spread in zip(directions, sample.floors, spreads, strict=True)
             )
             measurement = measure(to_reference, to_candidate, pair.thresholds, cells=_cells(pair.grid))
         with record_time(timings, "maps"):
-            deviation, completeness = (
-                self._map(f"{stage}-{way}", tiles, folder, found, spread, reference.origin, with_planes=with_planes)
-                for way, tiles, folder, found, spread, with_planes in (
-                    ("forth", pair.candidate, pair.forth, forth, spreads[0], True),
-                    ("back", pair.reference, pair.back, back, spreads[1], False),
-                )
-            )
+            deviation = self._map(forth, spreads[0], reference.origin, with_planes=True)
+            completeness = self._map(back, spreads[1], reference.origin, with_planes=False)
             if self.maps is not None:
-                self._write_maps(self.maps, reference, stage, name, pair, forth, back)
+                self.maps.mkdir(parents=True, exist_ok=True)
+                self._write_map(self.maps, name, "distance", forth, reference, pair.pixels)
+                self._write_map(self.maps, name, "completeness", back, reference, pair.pixels)
         with record_time(timings, "presets"):
-            quoted = self._presets(reference, pair, stage, name, (forth.totals, back.totals))
-        near = NearFit.of_sums(forth.near, inside, has_normals=pair.has_normals)
+            quoted = self._presets(reference, pair, stage, name, directions)
+        near = NearFit.of_sums(forth.sums.near, inside)
         warnings = [
             *crs_warnings(reference.stored.source.crs, cloud.source.crs),
             *measurement.warnings,
@@ -318,8 +341,8 @@ class _Run:
             *(Notice("reader", text) for text in cloud.warnings[len(cloud.source.warnings) :]),
         ]
         censored = {
-            CANDIDATE_TO_REFERENCE: forth.censored / inside,
-            REFERENCE_TO_CANDIDATE: back.censored / reference.inside,
+            CANDIDATE_TO_REFERENCE: forth.sums.censored / inside,
+            REFERENCE_TO_CANDIDATE: back.sums.censored / reference.inside,
         }
         candidate = Candidate(
             name=name,
@@ -335,32 +358,37 @@ class _Run:
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
-        return sample.reference, candidate, measurement, len(summaries)
+        return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
 
     def _register(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> SampleResults:
         """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
         if reference.complete is not None:
             self.report(f"{name}: registering")
-            sample = windows.complete_cloud(cloud)
-            return assess_samples(reference.complete, sample, name, self.settings, reference.origin, is_complete=True)
+            complete = windows.complete_cloud(cloud)
+            return assess_samples(reference.complete, complete, name, self.settings, reference.origin, is_complete=True)
         self.report(f"{name}: registering thinned clouds")
-        stored, source = reference.stored, cloud.source
-        even = Cloud(cloud.even, crs=source.crs, unit=source.unit)
-        thinned = Cloud(stored.even, crs=stored.source.crs, unit=stored.source.unit)
-        pose = find_pose(thinned, even, name, self.settings)
+        stored, thinned = reference.stored, cloud.thinned
+        pose = find_pose(stored.thinned, thinned, name, self.settings)
         places = pose.apply(cloud.even)
         region = None if reference.region is None else reference.region.shifted(-reference.origin)
         if region is not None and (inside := region.contains(places)).any():
             places = places[inside]
         chosen = windows.Windows.of(stored, places, cloud.count)
-        inner = windows.WindowRegion(chosen, region, np.zeros(3))
-        sampled = windows.reference_in_windows(stored, chosen)
-        if region is not None and not inner.contains(sampled.points).any():  # the region is smaller than a window
-            inner = replace(inner, region=None)
         step = windows.thinning_step(cloud, chosen, pose)
         sample = windows.candidate_in_windows(cloud, chosen, pose, step, self.runner, f"{stage}-sample", self.key)
         self.report(f"{name}: registering")
-        settings = replace(refine_settings(self.settings, pose), crop=inner)
+        settings = replace(refine_settings(self.settings, pose), crop="none")
+        if sample is None:  # the candidate has few points, or does not overlap the reference
+            prepared = Reference.prepare(stored.thinned, settings)
+            found = assess_samples(prepared, thinned, name, settings, reference.origin, is_complete=False)
+            forth, back = found.floors
+            return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
+        sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
+        # The region may be smaller than a window, and few windows may have no points in their inner parts.
+        for limit in (None, region):
+            inner = windows.WindowRegion(chosen, limit, np.zeros(3))
+            if inner.contains(sampled.points).any() and inner.contains(aligned).any():
+                settings = replace(settings, crop=inner)
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
         if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
@@ -368,7 +396,9 @@ class _Run:
             found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
         return found
 
-    def _pair(self, reference: _TiledReference, stage: str, candidate: Tiles, registration: Registration) -> TiledPair:
+    def _pair(
+        self, reference: _TiledReference, stage: str, candidate: TiledCloud, registration: Registration
+    ) -> TiledPair:
         stored, origin, pixels = reference.stored, reference.origin, None
         if self.maps is not None:
             corners = stored.low - origin, stored.high - origin
@@ -383,30 +413,27 @@ class _Run:
             voxel=reference.voxel,
             corner=reference.corner,
             thresholds=self.settings.thresholds or default_thresholds(reference.spacing),
-            has_normals=True,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
             pixels=pixels,
         )
 
     def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
-        """Measure both directions, tile by tile."""
-        for folder in (pair.forth, pair.back):
-            folder.mkdir(parents=True, exist_ok=True)
-        file = self.folder / f"{stage}.pair"
-        share(pair, file)
+        """Measure both directions, c→r and r→c, tile by tile."""
+        file, key = self.folder / f"{stage}.pair", f"{self.key}{stage}"
+        write_result(file, key, pair)
 
-        def measured(way: str, function: Callable[..., TileDistances], tiles: Tiles, title: str) -> MeasuredDirection:
-            tasks = [
-                Task(f"{number:06d}", (file, f"{self.key}{stage}", number), int(tiles.counts[number]))
-                for number in tiles.occupied
-            ]
-            results = self.runner.run(f"{stage}-{way}", function, tasks, key=self.key, title=title)
-            return MeasuredDirection.of(found for _, found in results)
+        def measured(
+            way: str, function: Callable[..., DistanceSums], queries: TiledCloud, folder: Path, title: str
+        ) -> MeasuredDirection:
+            folder.mkdir(parents=True, exist_ok=True)
+            tasks = _tile_tasks(queries, lambda number: (file, key, number))
+            found = self._results(f"{stage}-{way}", function, tasks, title)
+            return MeasuredDirection(f"{stage}-{way}", queries, folder, DistanceSums.merge(found))
 
         return (
-            measured("forth", measure_candidate_tile, pair.candidate, f"{name}: measuring c→r"),
-            measured("back", measure_reference_tile, pair.reference, f"{name}: measuring r→c"),
+            measured("forth", measure_candidate_tile, pair.candidate, pair.forth, f"{name}: measuring c→r"),
+            measured("back", measure_reference_tile, pair.reference, pair.back, f"{name}: measuring r→c"),
         )
 
     def _presets(
@@ -415,7 +442,7 @@ class _Run:
         pair: TiledPair,
         stage: str,
         name: str,
-        totals: tuple[DirectionTotals, DirectionTotals],
+        directions: tuple[MeasuredDirection, MeasuredDirection],
     ) -> dict[str, Preset]:
         """Return the presets, measured again between clouds cut at the region if there is one."""
         names = [preset for preset in self.settings.presets if preset in TILED_PRESETS]
@@ -429,82 +456,65 @@ class _Run:
                 region=None,
                 pixels=None,
             )
-            forth, back = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
-            totals = forth.totals, back.totals
-        return dict(presets_of(*totals, pair.thresholds, names))
+            directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+        forth, back = (direction.sums.totals for direction in directions)
+        return dict(presets_of(forth, back, pair.thresholds, names))
 
-    def _crop(self, stage: str, tiles: Tiles, region: Region) -> Tiles:
+    def _crop(self, stage: str, tiles: TiledCloud, region: Region) -> TiledCloud:
         """Cut tiles at the region."""
         folder = self.folder / stage / "cropped"
         folder.mkdir(parents=True, exist_ok=True)
-        tasks = [
-            Task(f"{number:06d}", (tiles.folder, number, region, folder), int(tiles.counts[number]))
-            for number in tiles.occupied
-        ]
-        found = {
-            tile.number: tile for tile in self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
-        }
-        return Tiles.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
+        tasks = _tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
+        summaries = self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+        found = {tile.number: tile for tile in summaries}
+        return TiledCloud.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
 
-    def _spreads(self, stage: str, totals: DirectionTotals, files: Mapping[str, list[Path]]) -> dict[str, Spread]:
+    def _spreads(self, direction: MeasuredDirection) -> dict[str, Spread]:
+        """Return the summary statistics of the distances to points and to planes, by the names of their columns."""
+        totals = direction.sums.totals
         distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}
         return {
-            name: spread_of(files[name], found, map_files=self._file_map(f"{stage}-{name}"))
+            name: spread_of(direction.files(name), found, map_files=self._file_map(f"{direction.stage}-{name}"))
             for name, found in distributions.items()
             if found is not None
         }
 
     def _map(
-        self,
-        stage: str,
-        tiles: Tiles,
-        folder: Path,
-        found: MeasuredDirection,
-        spreads: Mapping[str, Spread],
-        origin: FloatArray,
-        *,
-        with_planes: bool,
+        self, direction: MeasuredDirection, spreads: Mapping[str, Spread], origin: FloatArray, *, with_planes: bool
     ) -> DeviationMap:
         """Return a map of sampled points, for pages and pictures."""
-        count = found.totals.distances.count
+        distances, tiles = direction.sums.totals.distances, direction.queries
+        count = distances.count
         step = -(-count // MAP_SAMPLE)
         share_shown = min(LARGEST_SHARE, MAP_SAMPLE / count)
-        least = found.totals.distances.histogram.approximate_percentile(100 * (1 - share_shown)) if step > 1 else 0.0
-        tasks = [
-            Task(f"{number:06d}", (tiles.folder, folder, number, step, least), int(tiles.counts[number]))
-            for number in tiles.occupied
-        ]
-        parts = self._results(f"{stage}-map", sample_map, tasks, "sampling the map")
+        least = distances.histogram.approximate_percentile(100 * (1 - share_shown)) if step > 1 else 0.0
+        tasks = _tile_tasks(tiles, lambda number: (tiles.folder, direction.folder, number, step, least))
+        parts = self._results(f"{direction.stage}-map", sample_map, tasks, "sampling the map")
         return deviation_map(parts, count, step, spreads, origin, with_planes=with_planes)
 
-    def _write_maps(
+    def _write_map(
         self,
         maps: Path,
-        reference: _TiledReference,
-        stage: str,
         name: str,
-        pair: TiledPair,
-        forth: MeasuredDirection,
-        back: MeasuredDirection,
+        kind: str,
+        direction: MeasuredDirection,
+        reference: _TiledReference,
+        pixels: PixelGrid | None,
     ) -> None:
-        """Write the maps of all points, their indexes and overviews."""
-        maps.mkdir(parents=True, exist_ok=True)
-        crs = reference.stored.source.crs
-        for way, kind, tiles, distances, found in (
-            ("forth", "distance", pair.candidate, pair.forth, forth),
-            ("back", "completeness", pair.reference, pair.back, back),
-        ):
-            folder = maps / f"{name}_{kind}"
-            folder.mkdir(exist_ok=True)
-            tasks = []
-            for number in tiles.occupied:
-                path = folder / f"tile_{number:04d}{map_tile_extension()}"
-                arguments = (tiles.folder, distances, number, reference.origin, crs, path)
-                tasks.append(Task(f"{number:06d}", arguments, int(tiles.counts[number])))
-            self._results(f"{stage}-{way}-files", write_tile_of_map, tasks, f"{name}: writing maps")
-            write_tile_index(folder, crs)
-            if pair.pixels is not None and found.pixels is not None:
-                write_overview(maps, name, found.pixels.overview(pair.pixels, reference.origin), kind=kind, crs=crs)
+        """Write a map of all points, its index and its overview; see `write_overview` for its name and kind."""
+        folder, tiles, crs = maps / f"{name}_{kind}", direction.queries, reference.stored.source.crs
+        folder.mkdir(exist_ok=True)
+
+        def arguments(number: int) -> tuple[Any, ...]:
+            path = folder / f"tile_{number:04d}{map_tile_extension()}"
+            return tiles.folder, direction.folder, number, reference.origin, crs, path
+
+        tasks = _tile_tasks(tiles, arguments)
+        self._results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
+        write_tile_index(folder, crs)
+        if pixels is not None and direction.sums.pixels is not None:
+            overview = direction.sums.pixels.overview(pixels, reference.origin)
+            write_overview(maps, name, overview, kind=kind, crs=crs)
 
     def _summary(self, reference: _TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
         source = reference.stored.source
@@ -526,6 +536,7 @@ class _Run:
         )
 
     def _check_inside(self, inside: int, cloud: StoredCloud, owner: str) -> None:
+        """Raise an InputError if no point of a cloud is inside the region."""
         if inside == 0:
             crop = self.settings.crop
             text = crop if isinstance(crop, str) else crop.text
@@ -536,8 +547,10 @@ class _Run:
                 " coordinate system and the unit"
             )
 
-    def _results(self, stage: str, function: Callable[..., T], tasks: Sequence[Task], title: str) -> list[T]:
-        return [found for _, found in self.runner.run(stage, function, tasks, key=self.key, title=title)]
+    def _results(self, stage: str, function: Callable[..., T], tasks: Sequence[Task], title: str) -> Iterator[T]:
+        """Run tasks, and return an iterator that loads their results one at a time."""
+        results = self.runner.run(stage, function, tasks, key=self.key, title=title)
+        return (found for _, found in results)
 
     def _file_map(self, stage: str) -> FileMap:
         """Return a function that distributes calls for many files as tasks, and repeats none of them."""
@@ -555,9 +568,9 @@ class _Run:
         return map_files
 
 
-def _distance_files(tiles: Tiles, folder: Path) -> dict[str, list[Path]]:
-    distances = replace(tiles, folder=folder)
-    return {name: [distances.file(number, name) for number in tiles.occupied] for name in (DISTANCE, PLANE_DISTANCE)}
+def _tile_tasks(tiles: TiledCloud, arguments: Callable[[int], tuple[Any, ...]]) -> list[Task]:
+    """Return a task for each tile with points; `arguments` returns those of the tile with a number."""
+    return [Task(f"{number:06d}", arguments(number), int(tiles.counts[number])) for number in tiles.occupied]
 
 
 def _cells(grid: CorrelationGrid) -> CorrelationCells:

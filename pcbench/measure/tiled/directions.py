@@ -1,4 +1,4 @@
-"""Distances of the points of one tile to the other cloud, and what they add to the metrics."""
+"""Distances of the points of one tile to the other cloud, and their sums for the metrics."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
-from pcbench.measure.tiled.columns import save_column
+from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
-from pcbench.measure.tiled.shared import load_shared
 from pcbench.measure.tiled.sums import GroupSums
-from pcbench.measure.tiled.tiles import Tiles
+from pcbench.measure.tiled.tiles import TiledCloud
 from pcbench.measure.tiled.totals import DirectionTotals
+from pcbench.tasks.results import read_shared
 
 DISTANCE, PLANE_DISTANCE, MEASURED = "distance", "plane_distance", "measured"
 _MERGED_AT_ONCE = 32  # tiles whose sums are in memory
@@ -30,7 +30,7 @@ class TiledPair:
     """A reference and an aligned candidate in tiles, with all that the tasks of a candidate have in common.
 
     Attributes:
-        reference: tiles of the reference, with normals if it has any.
+        reference: tiles of the reference, with normals.
         candidate: tiles of the aligned candidate.
         forth: folder for the distances of the candidate's points.
         back: folder for the distances of the reference's points.
@@ -38,14 +38,13 @@ class TiledPair:
         grid: correlation cells of the intervals.
         voxel, corner: side and origin (3,) of the voxels of area weighting.
         thresholds: distance thresholds of the F-score.
-        has_normals: whether distances to planes are measured.
         max_distance: length beyond which no closest point is searched.
         overlap_distance: distance within which a point lies on the other cloud.
         pixels: grid of the overview; None: none is made.
     """
 
-    reference: Tiles
-    candidate: Tiles
+    reference: TiledCloud
+    candidate: TiledCloud
     forth: Path
     back: Path
     region: Region | None
@@ -53,17 +52,16 @@ class TiledPair:
     voxel: float
     corner: FloatArray
     thresholds: tuple[float, ...]
-    has_normals: bool
     max_distance: float
     overlap_distance: float
     pixels: PixelGrid | None
 
 
-class TileDistances(NamedTuple):
-    """What the distances of a tile add up to.
+class DistanceSums(NamedTuple):
+    """Sums over the distances of one tile or of several.
 
     Attributes:
-        totals: counts and sums.
+        totals: counts and sums for the metrics.
         censored: number of distances that reach the maximum distance.
         near: sums over the points within the overlap distance of squared distances to planes, as `square`.
         pixels: sums per pixel of the overview, if one is made.
@@ -74,30 +72,41 @@ class TileDistances(NamedTuple):
     near: GroupSums
     pixels: PixelSums | None
 
-
-@dataclass(frozen=True, eq=False)
-class MeasuredDirection:
-    """What the distances of all tiles of one direction add up to; see `TileDistances`."""
-
-    totals: DirectionTotals
-    censored: int
-    near: GroupSums
-    pixels: PixelSums | None
-
     @classmethod
-    def of(cls, parts: Iterable[TileDistances]) -> MeasuredDirection:
-        """Merge the tiles, some at a time to limit memory."""
-        merged: list[TileDistances] = []
+    def merge(cls, parts: Iterable[DistanceSums]) -> DistanceSums:
+        """Return the sums over all tiles of one or several parts, which are merged some at a time to limit memory."""
+        merged: list[DistanceSums] = []
         for part in parts:
             merged.append(part)
             if len(merged) == _MERGED_AT_ONCE:
                 merged = [_merge(merged)]
-        return cls(*_merge(merged))
+        return _merge(merged)
 
 
-def _merge(parts: Sequence[TileDistances]) -> TileDistances:
+@dataclass(frozen=True, eq=False)
+class MeasuredDirection:
+    """The measured distances of one direction.
+
+    Attributes:
+        stage: start of the names of its stages.
+        queries: tiles of the points from which distances were measured.
+        folder: folder of the distances.
+        sums: sums over all of them.
+    """
+
+    stage: str
+    queries: TiledCloud
+    folder: Path
+    sums: DistanceSums
+
+    def files(self, column: str) -> list[Path]:
+        """Return the files of a column of the distances, such as `DISTANCE`, of all tiles with points."""
+        return [column_file(self.folder, number, column) for number in self.queries.occupied]
+
+
+def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
     pixels = [part.pixels for part in parts if part.pixels is not None]
-    return TileDistances(
+    return DistanceSums(
         DirectionTotals.merge([part.totals for part in parts]),
         sum(part.censored for part in parts),
         GroupSums.merge([part.near for part in parts]),
@@ -105,7 +114,7 @@ def _merge(parts: Sequence[TileDistances]) -> TileDistances:
     )
 
 
-def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:
+def measure_candidate_tile(file: Path, key: str, number: int) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the candidate to the reference.
 
     Args:
@@ -113,31 +122,27 @@ def measure_candidate_tile(file: Path, key: str, number: int) -> TileDistances:
         key: identifies its content.
         number: number of the tile.
     """
-    pair: TiledPair = load_shared(file, key)
+    pair: TiledPair = read_shared(file, key)
     points, rows, inside = _queries(pair, pair.candidate, number)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
-    planes = None
-    if pair.has_normals:
-        planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
+    planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
     return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
 
 
-def measure_reference_tile(file: Path, key: str, number: int) -> TileDistances:
+def measure_reference_tile(file: Path, key: str, number: int) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the reference to the candidate.
 
     Arguments are as for `measure_candidate_tile`.
     """
-    pair: TiledPair = load_shared(file, key)
+    pair: TiledPair = read_shared(file, key)
     points, rows, inside = _queries(pair, pair.reference, number)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
-    planes = None
-    if pair.has_normals:
-        normals = pair.reference.load(number, "normals")
-        closest = matches.column(pair.candidate, "points")[:, 0]
-        planes = plane_distances(points, closest, normals if inside is None else normals[inside])
+    closest = matches.column(pair.candidate, "points")[:, 0]
+    normals = pair.reference.load(number, "normals")
+    planes = plane_distances(points, closest, normals if inside is None else normals[inside])
     cells = pair.grid.cells_of(points)
     return _store(pair, pair.back, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
 
@@ -149,10 +154,10 @@ class _Distances(NamedTuple):
     rows: IntArray  # (n,)
     cells: IntArray  # (n,) correlation cells
     to_points: FloatArray  # (n,)
-    to_planes: FloatArray | None  # (n,)
+    to_planes: FloatArray  # (n,)
 
 
-def _queries(pair: TiledPair, cloud: Tiles, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
+def _queries(pair: TiledPair, cloud: TiledCloud, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
     """Return the points of a tile inside the region, their rows, and their positions in the tile; None: all."""
     points, rows = cloud.load(number, "points"), cloud.load(number, "rows")
     if pair.region is None:
@@ -161,22 +166,18 @@ def _queries(pair: TiledPair, cloud: Tiles, number: int) -> tuple[FloatArray, In
     return points[inside], rows[inside], inside
 
 
-def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> TileDistances:
+def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> DistanceSums:
     """Store the distances of a tile and add them up."""
     censored = 0
     if pair.max_distance < np.inf:
         censored = int(np.count_nonzero(found.to_points >= pair.max_distance))
-        if found.to_planes is not None:
-            to_planes = np.where(np.isnan(found.to_planes), pair.max_distance, found.to_planes)
-            found = found._replace(to_planes=to_planes)
+        found = found._replace(to_planes=np.where(np.isnan(found.to_planes), pair.max_distance, found.to_planes))
     save_column(folder, number, DISTANCE, found.to_points)
-    if found.to_planes is not None:
-        save_column(folder, number, PLANE_DISTANCE, found.to_planes)
+    save_column(folder, number, PLANE_DISTANCE, found.to_planes)
     if inside is not None:
         save_column(folder, number, MEASURED, inside)
     totals = DirectionTotals.of(*found, thresholds=pair.thresholds, voxel=pair.voxel, corner=pair.corner)
     is_near = found.to_points <= pair.overlap_distance
-    squares = np.zeros(len(is_near)) if found.to_planes is None else np.square(found.to_planes)
-    near = GroupSums.of(None, {"square": squares[is_near]})
+    near = GroupSums.of(None, {"square": np.square(found.to_planes[is_near])})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
-    return TileDistances(totals, censored, near, pixels)
+    return DistanceSums(totals, censored, near, pixels)

@@ -21,12 +21,12 @@ LARGEST_SHARE = 1e-4
 
 
 class MapPoints(NamedTuple):
-    """Points of a map: (N, 3) in local coordinates, their rows (N,), and their distances (N,)."""
+    """Points of a map: (N, 3) in local coordinates, their rows (N,), and their distances (N,) to points and planes."""
 
     points: FloatArray
     rows: IntArray
     distances: FloatArray
-    plane_distances: FloatArray | None
+    plane_distances: FloatArray
 
 
 def sample_map(tiles: Path, folder: Path, number: int, step: int, least: float) -> MapPoints:
@@ -41,8 +41,7 @@ def sample_map(tiles: Path, folder: Path, number: int, step: int, least: float) 
     """
     found = _map_points(tiles, folder, number)
     kept = np.flatnonzero((found.rows % step == 0) | (found.distances >= least))
-    planes = None if found.plane_distances is None else found.plane_distances[kept]
-    return MapPoints(found.points[kept], found.rows[kept], found.distances[kept], planes)
+    return MapPoints(found.points[kept], found.rows[kept], found.distances[kept], found.plane_distances[kept])
 
 
 def write_tile_of_map(tiles: Path, folder: Path, number: int, origin: FloatArray, crs: str | None, path: Path) -> bool:
@@ -59,9 +58,7 @@ def _map_points(tiles: Path, folder: Path, number: int) -> MapPoints:
     if column_file(folder, number, MEASURED).exists():
         inside = load_column(folder, number, MEASURED)
         points, rows = points[inside], rows[inside]
-    has_planes = column_file(folder, number, PLANE_DISTANCE).exists()
-    planes = load_column(folder, number, PLANE_DISTANCE) if has_planes else None
-    return MapPoints(points, rows, load_column(folder, number, DISTANCE), planes)
+    return MapPoints(points, rows, load_column(folder, number, DISTANCE), load_column(folder, number, PLANE_DISTANCE))
 
 
 def deviation_map(
@@ -87,9 +84,8 @@ def deviation_map(
     rows = np.concatenate([part.rows for part in found])
     order = np.argsort(rows, kind="stable")
     scalars = {DISTANCE: np.concatenate([part.distances for part in found])[order]}
-    planes = [part.plane_distances for part in found if part.plane_distances is not None]
-    if with_planes and planes:
-        scalars[PLANE_DISTANCE] = np.concatenate(planes)[order]
+    if with_planes:
+        scalars[PLANE_DISTANCE] = np.concatenate([part.plane_distances for part in found])[order]
     is_sample = len(rows) < count
     return DeviationMap(
         np.concatenate([part.points for part in found])[order] + origin,

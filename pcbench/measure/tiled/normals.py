@@ -13,11 +13,11 @@ from pcbench.geometry.neighbors import Index
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
-from pcbench.measure.tiled.shared import load_shared
-from pcbench.measure.tiled.tiles import Tiles
+from pcbench.measure.tiled.tiles import TiledCloud
+from pcbench.tasks.results import read_shared
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
-_MAX_HALO = 4  # points around a tile, in multiples of its own: strewn points have a wide halo, and dense neighbours
+_MAX_HALO = 4  # points around a tile, in multiples of its own: scattered points have a wide halo, and dense neighbours
 _FEW_POINTS = 20_000  # which any halo may have
 _SEARCHED_AT_ONCE = 50_000  # points whose neighbours are searched in tiles
 _SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
@@ -31,7 +31,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     of points that occur more than seven times.
 
     Args:
-        file: the shared `Tiles` of the cloud, with at least k points.
+        file: the shared `TiledCloud` of the cloud, with at least k points.
         key: identifies its content.
         number: number of the tile.
         k: number of neighbours, the point itself included, at least 3.
@@ -39,7 +39,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     Returns:
         The histogram of the spacings.
     """
-    cloud: Tiles = load_shared(file, key)
+    cloud: TiledCloud = read_shared(file, key)
     points = cloud.load(number, "points")
     distances, directions = _local_planes(cloud, number, points, k)
     if cloud.file(number, "given_normals").exists():
@@ -56,7 +56,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     return BitHistogram.of(spacings)
 
 
-def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+def _local_planes(cloud: TiledCloud, number: int, points: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
     """Return the distance (N,) of each point to the nearest other one, and the normal (N, 3) of k nearest points."""
     width = _halo_width(cloud, number, k)
     low, high = cloud.low[number] - width, cloud.high[number] + width
@@ -76,7 +76,7 @@ def _local_planes(cloud: Tiles, number: int, points: FloatArray, k: int) -> tupl
     return distances, normals
 
 
-def _searched_planes(cloud: Tiles, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
+def _searched_planes(cloud: TiledCloud, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:
     """Return the same for points (N, 3) with these rows (N,) of the cloud, from a search in all tiles."""
     found = nearest_in_tiles(points, cloud, k)
     # The same planes as in the complete cloud: of these points and their neighbours, in the order of rows.
@@ -85,14 +85,14 @@ def _searched_planes(cloud: Tiles, points: FloatArray, rows: IntArray, k: int) -
     return found.distances[:, 1], Index(near).local_planes(k, np.searchsorted(every, rows)).normals
 
 
-def _halo_width(cloud: Tiles, number: int, k: int) -> float:
+def _halo_width(cloud: TiledCloud, number: int, k: int) -> float:
     """Return the width around a tile beyond which few points have neighbours, if its points form a surface."""
     sides = np.sort(cloud.high[number] - cloud.low[number])
     area = float(sides[1] * sides[2])
     return _HALO_SPACINGS * math.sqrt(k * area / (math.pi * int(cloud.counts[number])))
 
 
-def _points_in_box(cloud: Tiles, low: FloatArray, high: FloatArray, most: int) -> tuple[FloatArray, IntArray]:
+def _points_in_box(cloud: TiledCloud, low: FloatArray, high: FloatArray, most: int) -> tuple[FloatArray, IntArray]:
     """Return the points (N, 3) of a cloud in a box and their rows (N,), ascending; none if they exceed `most`."""
     points, rows, count = [np.zeros((0, 3))], [np.zeros(0, np.int64)], 0
     overlaps = (cloud.counts > 0) & (cloud.low <= high).all(axis=1) & (cloud.high >= low).all(axis=1)

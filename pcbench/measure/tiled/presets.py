@@ -15,8 +15,6 @@ from pcbench.measure.tiled.columns import column_file, load_column, save_column
 from pcbench.measure.tiled.tiles import TileSummary
 from pcbench.measure.tiled.totals import DirectionTotals
 
-TILED_PRESETS = ("gao2025", "open3d", "pdal")
-
 
 def crop_tile(tiles: Path, number: int, region: Region, folder: Path) -> TileSummary:
     """Store the points of a tile inside a region as another tile, with their rows and normals.

@@ -102,7 +102,7 @@ class BitHistogram:
 
 
 class Wanted(NamedTuple):
-    """What a pass over the files counts.
+    """The values that a pass over the files counts, and how finely.
 
     Attributes:
         center: number whose distances from the values are counted; None: the values themselves.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ _COLUMNS = ("points", "order", "normals", "classes")
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """What a run contains.
+    """Number of points of a run, where they lie, and an index of it.
 
     Attributes:
         number: number of the piece.
@@ -31,7 +32,7 @@ class RunSummary:
         codes: Morton code of every `stride`-th point.
         last_code: largest code.
         stride: interval between them.
-        even: every n-th point (M, 3) of the cloud, see `scan_piece`.
+        even: every n-th point (M, 3) of the cloud, see `store_piece`.
         notes: what was noticed while reading.
     """
 
@@ -46,7 +47,7 @@ class RunSummary:
     notes: PieceNotes
 
 
-def scan_piece(
+def store_piece(
     cloud: CloudOnDisk, piece: Piece, first_row: int, step: int, lattice: Lattice, folder: Path
 ) -> RunSummary:
     """Read a piece and store it as a run.
@@ -83,7 +84,7 @@ def scan_piece(
 
 
 @dataclass(frozen=True)
-class Run:
+class StoredRun:
     """A stored run.
 
     Attributes:
@@ -122,7 +123,7 @@ class CloudRuns:
 
     folder: Path
     lattice: Lattice
-    runs: tuple[Run, ...]
+    runs: tuple[StoredRun, ...]
 
     @classmethod
     def of(cls, folder: Path, lattice: Lattice, summaries: Sequence[RunSummary]) -> CloudRuns:
@@ -130,7 +131,7 @@ class CloudRuns:
         runs, first_row = [], 0
         for found in summaries:
             if found.count:
-                runs.append(Run(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
+                runs.append(StoredRun(found.number, found.count, first_row, found.codes, found.last_code, found.stride))
             first_row += found.count
         return cls(folder, lattice, tuple(runs))
 
@@ -141,7 +142,15 @@ class CloudRuns:
 
     def overlapping(self, code_range: tuple[int, int]) -> CloudRuns:
         """Return the runs that may have points in a half-open range of codes."""
-        return replace(self, runs=tuple(run for run in self.runs if run.overlaps(code_range)))
+        first, last = self._code_ends
+        found = np.flatnonzero((first < np.uint64(code_range[1])) & (last >= np.uint64(code_range[0])))
+        return replace(self, runs=tuple(self.runs[number] for number in found))
+
+    @cached_property
+    def _code_ends(self) -> tuple[Codes, Codes]:
+        """Smallest and largest code (R,) of each run."""
+        first, last = ([run.codes[0] for run in self.runs], [run.last_code for run in self.runs])
+        return np.array(first, np.uint64), np.array(last, np.uint64)
 
     def read(self, ranges: Sequence[tuple[int, int]]) -> StoredPoints:
         """Read the points whose codes lie in one of these half-open ranges, in the order of their rows."""
@@ -169,7 +178,7 @@ class CloudRuns:
         assert points is not None
         return StoredPoints(points, np.concatenate(parts["order"]), column("normals"), column("classes"))
 
-    def _slices(self, run: Run, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    def _slices(self, run: StoredRun, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for low, high in ranges:
             if not run.overlaps((low, high)):
                 continue
@@ -177,7 +186,7 @@ class CloudRuns:
             if start < stop:
                 yield start, stop
 
-    def _position(self, run: Run, code: int) -> int:
+    def _position(self, run: StoredRun, code: int) -> int:
         """Return the number of points of a run with smaller codes."""
         if code >= 1 << CODE_BITS:
             return run.count
@@ -204,8 +213,8 @@ def _ascending(numbers: NDArray[np.uint32], end: int) -> IntArray:
     return table[table >= 0]
 
 
-def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
-    """Return half-open ranges of the Morton curve with about at most `most` points each, in ascending order.
+def leaf_ranges(runs: CloudRuns, most: int) -> Codes:
+    """Return half-open ranges (L, 2) of the Morton curve with about at most `most` points each, in ascending order.
 
     The curve is halved until each part has few enough points, so that each is a box of the lattice; empty parts are
     left out. Points of equal codes stay together.
@@ -214,21 +223,21 @@ def leaf_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
     weights = np.concatenate([np.full(len(run.codes), run.count / len(run.codes)) for run in runs.runs])
     order = np.argsort(codes, kind="stable")
     codes, total = codes[order], np.concatenate([[0.0], np.cumsum(weights[order])])
-    found: list[tuple[int, int]] = []
-    todo = [(0, 1 << CODE_BITS)]
-    while todo:
-        low, high = todo.pop()
-        first = int(np.searchsorted(codes, np.uint64(low)))
-        last = int(np.searchsorted(codes, np.uint64(high - 1), side="right"))
-        if high - low > 1 and total[last] - total[first] > most:
-            middle = (low + high) // 2
-            todo += [(middle, high), (low, middle)]
-        elif last > first:
-            found.append((low, high))
-    return found
+    found = list[Codes]()
+    low = np.zeros(1, np.uint64)
+    for bits in range(CODE_BITS, -1, -1):  # ranges of 2^bits codes
+        high = low + np.uint64(1 << bits)
+        first = np.searchsorted(codes, low)
+        last = np.searchsorted(codes, high - np.uint64(1), side="right")
+        is_split = (total[last] - total[first] > most) & (bits > 0)
+        is_leaf = ~is_split & (last > first)
+        found.append(np.column_stack([low, high])[is_leaf])
+        low = (low[is_split, None] + np.array([0, (1 << bits) // 2], np.uint64)).ravel()
+    every = np.concatenate(found)
+    return every[np.argsort(every[:, 0])]
 
 
 def tile_ranges(runs: CloudRuns, most: int) -> list[tuple[int, int]]:
     """Cut the complete Morton curve into half-open ranges of about at most `most` points each."""
-    starts = [low for low, _ in leaf_ranges(runs, most)]
+    starts = leaf_ranges(runs, most)[:, 0].tolist()
     return list(zip([0, *starts[1:]], [*starts[1:], 1 << CODE_BITS], strict=True))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.tiled.tiles import Tiles
+from pcbench.measure.tiled.tiles import TiledCloud
 
 _BLOCKS_ALONG = 12  # blocks of queries along the longest side of their box
 _TILES_AT_ONCE = 1_024  # whose distances to all blocks are compared
@@ -37,7 +37,7 @@ class TileMatches(NamedTuple):
     tiles: NDArray[np.int32]
     places: NDArray[np.int32]
 
-    def column(self, cloud: Tiles, name: str) -> NDArray[Any]:
+    def column(self, cloud: TiledCloud, name: str) -> NDArray[Any]:
         """Return a column of the cloud's tiles at the nearest points, (M, k, ...); NaN where there is no point."""
         shape = cloud.open(cloud.occupied[0], name).shape[1:]
         found = np.full((*self.tiles.shape, *shape), np.nan)
@@ -49,7 +49,7 @@ class TileMatches(NamedTuple):
         return found
 
 
-def nearest_in_tiles(queries: FloatArray, cloud: Tiles, k: int = 1, max_distance: float = np.inf) -> TileMatches:
+def nearest_in_tiles(queries: FloatArray, cloud: TiledCloud, k: int = 1, max_distance: float = np.inf) -> TileMatches:
     """Find the k nearest points of each query (M, 3) in a cloud of at least k points, up to a maximum distance."""
     if not len(queries):
         empty = np.zeros((0, k))
@@ -75,7 +75,7 @@ class _NearTiles(NamedTuple):
 class _Search:
     """State of a search: the k nearest points of each query so far, with the queries grouped in compact blocks."""
 
-    def __init__(self, queries: FloatArray, cloud: Tiles, k: int, max_distance: float) -> None:
+    def __init__(self, queries: FloatArray, cloud: TiledCloud, k: int, max_distance: float) -> None:
         low, high = bounds(queries)
         cell = float((high - low).max()) / _BLOCKS_ALONG or 1.0
         place = np.minimum((queries - low) / cell, _BLOCKS_ALONG - 1).astype(np.int16)
@@ -98,16 +98,12 @@ class _Search:
 
     def _near_tiles(self) -> _NearTiles:
         """Return the tiles that may contain results of each block: no other tile certainly contains nearer ones."""
-        occupied = np.array(self.cloud.occupied)
+        near_all = self._near_box()
         upper = np.square(self.reach)
         found = list[_NearTiles]()
-        for start in range(0, len(occupied), _TILES_AT_ONCE):
-            some = occupied[start : start + _TILES_AT_ONCE]
-            low, high = self.cloud.low[some], self.cloud.high[some]
-            below = [self.low[:, axis, None] - high[:, axis] for axis in range(3)]
-            above = [low[:, axis] - self.high[:, axis, None] for axis in range(3)]
-            gaps = _squared_length(np.maximum(0, np.maximum(a, b)) for a, b in zip(above, below, strict=True))
-            largest = _squared_length(np.minimum(a, b) for a, b in zip(above, below, strict=True))
+        for start in range(0, len(near_all), _TILES_AT_ONCE):
+            some = near_all[start : start + _TILES_AT_ONCE]
+            gaps, largest = _squared_ranges(self.low, self.high, self.cloud.low[some], self.cloud.high[some])
             enough = self.cloud.counts[some] >= self.k
             if enough.any():
                 upper = np.minimum(upper, largest[:, enough].min(axis=1))
@@ -122,6 +118,14 @@ class _Search:
         kept = np.flatnonzero(every.squared_gaps <= upper[every.blocks] * (1 + 1e-12))
         order = kept[np.lexsort((every.blocks[kept], every.tiles[kept]))]
         return _NearTiles(every.blocks[order], every.tiles[order], every.squared_gaps[order])
+
+    def _near_box(self) -> IntArray:
+        """Return the tiles (T,) that may contain results of any query, from the box of all queries."""
+        occupied = np.array(self.cloud.occupied)
+        low, high = self.low.min(axis=0, keepdims=True), self.high.max(axis=0, keepdims=True)
+        gaps, largest = _squared_ranges(low, high, self.cloud.low[occupied], self.cloud.high[occupied])
+        certain = largest[0, self.cloud.counts[occupied] >= self.k].min(initial=np.square(self.reach.max()))
+        return occupied[gaps[0] <= certain * (1 + 1e-12)]
 
     def first_tiles(self) -> IntArray:
         """Return the tile (B,) to search first for each block: of the nearest boxes, the one nearest to its centre."""
@@ -192,7 +196,7 @@ class _Search:
         back = np.empty(len(self.order), np.int64)
         back[self.order] = np.arange(len(self.order))
         best = self.best
-        return TileMatches(*(values.take(back, axis=0) for values in best))
+        return TileMatches(best.distances[back], best.rows[back], best.tiles[back], best.places[back])
 
 
 def _squared_length(components: Iterable[FloatArray]) -> FloatArray:
@@ -200,6 +204,16 @@ def _squared_length(components: Iterable[FloatArray]) -> FloatArray:
     x, y, z = components
     squared: FloatArray = np.square(x) + np.square(y) + np.square(z)
     return squared
+
+
+def _squared_ranges(
+    low: FloatArray, high: FloatArray, tile_low: FloatArray, tile_high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Squares (B, T) of the smallest and the largest distance between points of boxes (B, 3) and of tiles (T, 3)."""
+    below = [low[:, axis, None] - tile_high[:, axis] for axis in range(3)]
+    above = [tile_low[:, axis] - high[:, axis, None] for axis in range(3)]
+    gaps = _squared_length(np.maximum(0, np.maximum(a, b)) for a, b in zip(above, below, strict=True))
+    return gaps, _squared_length(np.minimum(a, b) for a, b in zip(above, below, strict=True))
 
 
 def _squared_gaps(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

@@ -11,13 +11,14 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, bounds
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.las_records import LasFilters
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
 from pcbench.measure.tiled.even import EVEN_POINTS, even_points
 from pcbench.measure.tiled.lattice import Lattice
-from pcbench.measure.tiled.runs import CloudRuns, scan_piece
+from pcbench.measure.tiled.runs import CloudRuns, store_piece
 from pcbench.tasks import Task, TaskRunner
 
 _PROBED_PIECES = 3  # pieces that are read to find out where a cloud lies, if its header does not say so
@@ -48,6 +49,11 @@ class StoredCloud:
     def count(self) -> int:
         """Number of points."""
         return self.runs.count
+
+    @property
+    def thinned(self) -> Cloud:
+        """The evenly thinned cloud."""
+        return Cloud(self.even, crs=self.source.crs, unit=self.source.unit)
 
 
 def rough_boxes(
@@ -131,7 +137,7 @@ def store_cloud(
         left_out.append(LeftOut(str(piece.file), piece.count, reason))
 
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
-    results = runner.run(f"{name}-read", scan_piece, tasks, key=key, title=title, skip=skip)
+    results = runner.run(f"{name}-read", store_piece, tasks, key=key, title=title, skip=skip)
     found = [summary for _, summary in results]
     boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
     if not boxes:

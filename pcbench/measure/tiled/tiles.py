@@ -20,7 +20,7 @@ from pcbench.measure.tiled.runs import CloudRuns
 
 @dataclass(frozen=True, eq=False)
 class TileSummary:
-    """What a tile contains.
+    """Number of points of a tile, and where they lie.
 
     Attributes:
         number: number of the tile.
@@ -50,7 +50,7 @@ class TileSummary:
 
 
 @dataclass(frozen=True)
-class Tiles:
+class TiledCloud:
     """The tiles of a cloud, stored in a folder, one array per tile and column.
 
     Columns are `points` (N, 3), minus the local origin and aligned; `rows` (N,) in the cloud, ascending; and what later
@@ -68,7 +68,7 @@ class Tiles:
     high: FloatArray
 
     @classmethod
-    def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> Tiles:
+    def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> TiledCloud:
         """Return the tiles with these contents, in their order."""
         found = list(summaries)
         counts = np.array([tile.count for tile in found], np.int64)

@@ -1,4 +1,4 @@
-"""What the tiles of one direction add up to: its counts and sums, from which its metrics are computed."""
+"""Counts and sums of the distances of one direction, from which its metrics are computed."""
 
 from __future__ import annotations
 

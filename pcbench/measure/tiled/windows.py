@@ -64,7 +64,7 @@ class Windows:
             return cls(cloud.runs.lattice, np.array([[0, 1 << CODE_BITS]], np.uint64))
         enough = _CANDIDATE_POINTS * cloud.count // candidate_count
         points = max(_WINDOW_POINTS, min(enough, MAX_SAMPLE // _MIN_WINDOWS))
-        leaves, lattice = np.array(leaf_ranges(cloud.runs, points), np.uint64), cloud.runs.lattice
+        leaves, lattice = leaf_ranges(cloud.runs, points), cloud.runs.lattice
         wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
         of_interest = np.unique(_range_of(lattice.codes(places), leaves))
         of_interest = of_interest[of_interest >= 0]
@@ -140,8 +140,8 @@ def thinning_step(cloud: StoredCloud, windows: Windows, pose: Similarity) -> int
 
 def candidate_in_windows(
     cloud: StoredCloud, windows: Windows, pose: Similarity, step: int, runner: TaskRunner, stage: str, key: str
-) -> Cloud:
-    """Return the points of a candidate inside windows, in its own coordinates.
+) -> Cloud | None:
+    """Return the points of a candidate inside windows, in its own coordinates; None if there are none.
 
     Args:
         cloud: the candidate.
@@ -162,7 +162,7 @@ def candidate_in_windows(
     ]
     results = runner.run(stage, points_in_windows, tasks, key=key, title="sampling the candidate")
     found = [stored for _, stored in results if len(stored.points)]
-    return _as_cloud(cloud, found)
+    return _as_cloud(cloud, found) if found else None
 
 
 def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity, step: int) -> StoredPoints:
@@ -190,7 +190,7 @@ def _as_cloud(cloud: StoredCloud, parts: Sequence[StoredPoints]) -> Cloud:
 
     points, classes = column("points"), column("classes")
     return Cloud(
-        np.zeros((0, 3)) if points is None else points,
+        points,
         normals=column("normals"),
         attributes={} if classes is None else {"classification": classes},
         crs=cloud.source.crs,

@@ -273,7 +273,7 @@ def _named_files(rules: Rules) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Shared:
-    """What all runs of a bench share.
+    """Arguments that all runs of a bench share.
 
     Args:
         job: the bench.

@@ -35,6 +35,7 @@ from pcbench.studies.stress.results import (
 )
 from pcbench.systems import cpu_count, signal_name
 from pcbench.tasks import Task, TaskRunner, Workers
+from pcbench.threads import ONE_THREAD
 
 RECORDS, WORK = "runs", "work"  # folders of records and of temporary files
 _CHILD = "pcbench.studies.stress.child"
@@ -43,7 +44,6 @@ _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run 
 # Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
 _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
 _OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BATCH_RUNS = (16, 40)  # fewest and most runs of a child process, whose start takes seconds
 _ALL_CPUS = Workers()
 
@@ -172,7 +172,7 @@ def _run_batch(
         values = {"given": given, "time_limit_s": settings.time_limit_s, "runs": rows}
         file.write_text(json.dumps(values), encoding="utf-8")
         at.unlink(missing_ok=True)
-        ended = run_module(_CHILD, str(file.absolute()), environment=_ONE_THREAD)
+        ended = run_module(_CHILD, str(file.absolute()), environment=ONE_THREAD)
         if ended.code == 0:
             break
         if ended.code == MISSING_LIBRARY:

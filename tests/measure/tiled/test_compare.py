@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -91,6 +92,7 @@ def test_numbers_are_those_in_memory(tmp_path, monkeypatch, kind):
     check_equal(pair.tiled(), pair.memory())
 
 
+HAS_KISS = find_spec("kiss_matcher") is not None
 CROPS = {
     "box": "box:2,2,-5,7,6,9",
     "sphere": "sphere:5,5,0.5,3",
@@ -103,6 +105,8 @@ CASES = [
     {"thresholds": (0.05, 0.3), "seed": 3, "two": True},
     {"register": "icp"},
     {"register": "similarity"},
+    {"register": "points"},
+    pytest.param({"register": "global"}, marks=pytest.mark.skipif(not HAS_KISS, reason="needs kiss_matcher")),
     {"register": "icp", "initial": Similarity(np.eye(3), np.array([0.2, 0.1, 0.0]), 1.0)},
 ]
 
@@ -131,6 +135,11 @@ def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case)
         ring = [[1, 1], [8, 2], [6, 7], [2, 9], [1, 1]]
         file.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
         case = {"crop": f"polygon:{file}"}
+    if case.get("register") == "points":
+        places = surface(np.random.default_rng(1), 6)
+        rows = np.hstack([np.arange(6)[:, None], moved(places), places])
+        np.savetxt(tmp_path / "points.txt", rows, fmt=["p%d", *6 * ["%.6f"]])
+        case = {"register": f"points:{tmp_path / 'points.txt'}"}
     pair = pair_of(tmp_path / "pair", **case)
     check_equal(pair.tiled(tile_points=300), pair.memory())
 

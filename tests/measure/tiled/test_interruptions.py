@@ -13,7 +13,7 @@ from processes import has_ended
 from tiled_pairs import Pair, noisy, surface
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")]
-SIZE = {"tile_points": 100, "workers": 2}
+SIZE = {"tile_points": 200, "workers": 2}
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_a_cluster_whose_worker_is_killed(files, expected, tmp_path):
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
     ) as cluster:
         work = tmp_path / "work"
-        options = {"tile_points": 100, "cluster": cluster.scheduler_address}
+        options = {"tile_points": 500, "cluster": cluster.scheduler_address}
         process = tiled_runs.start(*files, work, tmp_path / "out.json", **options)
         tiled_runs.wait_for_results(work, "candidate-1-forth", 3, process)
         tiled_runs.kill(next(iter(cluster.workers.values())).pid)

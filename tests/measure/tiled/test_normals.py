@@ -10,13 +10,13 @@ from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.measure.tiled import normals as tiled_normals
 from pcbench.measure.tiled.normals import add_normals
-from pcbench.measure.tiled.shared import share
+from pcbench.tasks.results import write_result
 
 
 def computed(folder, points, most, k, given_normals=None):
     """Normals (N, 3) and all spacings of a cloud in tiles."""
     tiles = stored_tiles(folder, points, most, piece_points=max(1, len(points) // 3), normals=given_normals)
-    share(tiles, folder / "shared")
+    write_result(folder / "shared", str(folder), tiles)
     found, spacings = np.full((len(points), 3), 7.0), []
     for number in tiles.occupied:
         histogram = add_normals(folder / "shared", str(folder), number, k)
@@ -26,10 +26,10 @@ def computed(folder, points, most, k, given_normals=None):
     return found, np.concatenate(spacings)
 
 
-@settings(max_examples=25, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     seed=st.integers(0, 2**32),
-    count=st.integers(3, 900),
+    count=st.integers(3, 500),
     kind=st.integers(0, 8),
     most=st.sampled_from([20, 100, 1000]),
     with_given=st.booleans(),
@@ -52,9 +52,9 @@ def test_normals_and_spacings_are_those_in_memory(tmp_path_factory, seed, count,
 
 
 def test_tiles_of_one_point_have_normals(tmp_path):
-    points = np.random.default_rng(0).random((15, 3))
-    found, _ = computed(tmp_path, points, 1, 15)
-    np.testing.assert_array_equal(found, Surface(Index(points), 15).compute_normals(None))
+    points = np.random.default_rng(0).random((6, 3))
+    found, _ = computed(tmp_path, points, 1, 6)
+    np.testing.assert_array_equal(found, Surface(Index(points), 6).compute_normals(None))
 
 
 @pytest.fixture

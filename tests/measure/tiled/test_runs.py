@@ -4,6 +4,7 @@ import resource
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tiled_clouds import ORIGIN, clouds_of_all_kinds, stored_runs, stored_tiles
@@ -12,7 +13,7 @@ from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.lattice import CODE_BITS, Lattice
 from pcbench.measure.tiled.runs import CloudRuns, leaf_ranges, tile_ranges
-from pcbench.measure.tiled.tiles import Tiles, make_tile
+from pcbench.measure.tiled.tiles import TiledCloud, make_tile
 
 WHOLE = (0, 1 << CODE_BITS)
 
@@ -22,7 +23,7 @@ WHOLE = (0, 1 << CODE_BITS)
     seed=st.integers(0, 2**32),
     count=st.integers(2, 1500),
     kind=st.integers(0, 8),
-    most=st.sampled_from([1, 20, 500]),
+    most=st.sampled_from([20, 500]),
     piece_points=st.sampled_from([50, 2500]),
     step=st.integers(1, 9),
 )
@@ -73,7 +74,7 @@ def test_an_empty_tile_has_no_files(tmp_path):
     runs, _ = stored_runs(tmp_path / "runs", np.array([[0.0, 0, 0], [1, 1, 1]]))
     summary = make_tile(runs.overlapping((5, 9)), 0, (5, 9), ORIGIN, None, None, tmp_path)
     assert summary.count == 0 and summary.inside == 0
-    tiles = Tiles.of(tmp_path, [summary])
+    tiles = TiledCloud.of(tmp_path, [summary])
     assert len(tiles) == 1 and tiles.occupied == []
 
 
@@ -97,6 +98,27 @@ def test_given_normals_have_unit_length_and_zeros_are_unknown(tmp_path):
         rows, found = tiles.load(number, "rows"), tiles.load(number, "given_normals")
         assert np.isnan(found[rows < 20]).all()
         np.testing.assert_allclose(np.linalg.norm(found[rows >= 20], axis=1), 1)
+
+
+@pytest.mark.parametrize("most", [1, 30, 5000])
+def test_the_curve_is_halved_until_parts_have_few_points(tmp_path, most):
+    points = np.random.default_rng(0).random((3000, 3)) * [50, 20, 3]
+    runs, _ = stored_runs(tmp_path / "runs", points)  # of 1,000 points: their index has each code
+    codes = np.sort(runs.lattice.codes(points))
+
+    def count(low, high):
+        return np.searchsorted(codes, np.uint64(high)) - np.searchsorted(codes, np.uint64(low))
+
+    leaves = leaf_ranges(runs, most).tolist()
+    assert leaves == sorted(leaves)
+    assert sum(count(low, high) for low, high in leaves) == len(points)
+    for low, high in leaves:
+        size = high - low
+        assert size.bit_count() == 1 and low % size == 0
+        assert 0 < count(low, high) <= most or size == 1
+        if high - low < 1 << 63:
+            parent = low - low % (2 * size)
+            assert count(parent, parent + 2 * size) > most
 
 
 def test_a_box_of_the_lattice_contains_its_points(tmp_path):

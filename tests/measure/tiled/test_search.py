@@ -23,12 +23,12 @@ def check(queries, points, tiles, k=1, max_distance=np.inf):
     assert np.isnan(at[~near]).all()
 
 
-@settings(max_examples=30, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     seed=st.integers(0, 2**32),
-    count=st.integers(1, 600),
+    count=st.integers(1, 400),
     kind=st.integers(0, 8),
-    most=st.sampled_from([1, 20, 100, 1000]),
+    most=st.sampled_from([20, 100, 1000]),
     piece_points=st.sampled_from([50, 300, 1000]),
     k=st.sampled_from([1, 2, 20]),
     reach=st.sampled_from([np.inf, 0.3, 0.0]),

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from data_folder import data_folder
 from tiled_clouds import in_this_process
 
+from pcbench.errors import RegistrationError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud, write_cloud
@@ -19,15 +21,16 @@ from pcbench.scenes.synthetic import demo
 WAYS = CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 
 
-def in_windows(folder, reference, candidates, settings=None):
+def in_windows(folder, reference, candidates, settings=None, *, with_memory=True):
     """Compare clouds in tiles and in windows, and in memory."""
     folder.mkdir(exist_ok=True)
     paths = {name: folder / f"{name}.ply" for name in ("ref", *candidates)}
     for name, cloud in {"ref": reference, **candidates}.items():
-        write_cloud(paths[name], cloud if isinstance(cloud, Cloud) else Cloud(cloud))
+        write_cloud(paths[name], cloud if isinstance(cloud, Cloud) else Cloud(np.asarray(cloud)))
     read = {name: read_cloud(path) for name, path in paths.items()}
     settings = settings or Settings(presets=())
-    memory = compare(read.pop("ref"), read, settings)
+    first_cloud = read.pop("ref")
+    memory = compare(first_cloud, read, settings) if with_memory else None
     first = paths.pop("ref")
     return compare_on_disk(first, paths, settings, TilingSettings(20_000, workers=1), workspace=folder), memory
 
@@ -152,6 +155,25 @@ def test_a_candidate_of_another_density(tmp_path, small_windows, ratio):
     assert tiled["a"].metrics.directed["mean_distance"][WAYS[0]].floor == pytest.approx(theirs_forth(memory), rel=0.3)
 
 
+def test_a_candidate_of_one_point(tmp_path, small_windows):
+    points = surface(np.random.default_rng(3), 30_000)
+    tiled, memory = in_windows(tmp_path, points, {"a": [[30.0, 30.0, 1.0]]}, Settings(presets=(), register="none"))
+    for way in WAYS:
+        ours, theirs = (result["a"].metrics.directed["mean_distance"][way].value for result in (tiled, memory))
+        assert ours == pytest.approx(theirs, rel=1e-12)
+
+
+def test_clouds_that_do_not_overlap_are_refused(tmp_path, small_windows):
+    points = surface(np.random.default_rng(3), 30_000)
+    paths = {name: tmp_path / f"{name}.ply" for name in ("ref", "a")}
+    for name, cloud in (("ref", points), ("a", points[::2] + 1000.0)):
+        write_cloud(paths[name], Cloud(cloud))
+    with pytest.raises(RegistrationError, match="does not overlap"):
+        compare_on_disk(
+            paths["ref"], {"a": paths["a"]}, Settings(register="none"), TilingSettings(5000), workspace=tmp_path
+        )
+
+
 def theirs_forth(memory):
     return memory["a"].metrics.directed["mean_distance"][WAYS[0]].floor
 
@@ -178,5 +200,20 @@ def test_halves_of_one_cloud_are_not_deformed_in_windows(tmp_path, small_windows
     rng = np.random.default_rng(4)
     points = noisy(rng, surface(rng, 80_000), 0.05)
     order = rng.permutation(len(points))
-    tiled, _ = in_windows(tmp_path, points[order[::2]], {"a": points[order[1::2]]})
+    tiled, _ = in_windows(tmp_path, points[order[::2]], {"a": points[order[1::2]]}, with_memory=False)
+    assert tiled["a"].deformation.verdict in ("none", "undecided")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("folder", "file"),
+    [("wild", "MixedConifer.laz"), ("wild", "Topography.laz"), ("scans", "webots1.xyz"), ("scans", "vehicle0.xyz")],
+)
+def test_halves_of_real_clouds_are_not_deformed_in_windows(tmp_path, monkeypatch, folder, file):
+    in_this_process(monkeypatch)
+    cloud = read_cloud(data_folder(folder) / file, on_warning=lambda _: None).points
+    order = np.random.default_rng(0).permutation(len(cloud))[:300_000]
+    monkeypatch.setattr(windows, "MAX_SAMPLE", len(order) // 8)
+    tiled, _ = in_windows(tmp_path, cloud[order[::2]], {"a": cloud[order[1::2]]}, with_memory=False)
+    assert tiled.tiling.sampled_points < len(order) / 4
     assert tiled["a"].deformation.verdict in ("none", "undecided")

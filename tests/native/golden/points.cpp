@@ -76,10 +76,11 @@ void golden::points() {
     const pcbench::Block<double> memory = pcbench::allocate<double>(stride * threads);
     std::vector<double*> scratch;
     for (size_t t = 0; t < threads; ++t) scratch.push_back(memory.get() + t * stride);
+    std::vector<double> reach(kCount);
     normals.resize(3 * kCount), variation.resize(kCount), distances.resize(kCount), rows.resize(kCount);
     kernels.planes(tree, tree.leaves, tree.leaf_count, nullptr, 16, normals.data(), variation.data(), distances.data(),
-                   rows.data(), scratch.data(), interrupt);
-    Hash("planes").add(normals).add(variation).add(distances).add(rows);
+                   rows.data(), reach.data(), scratch.data(), interrupt);
+    Hash("planes").add(normals).add(variation).add(distances).add(rows).add(reach);
 
     const double lower[3] = {400000, 400000, 400000};
     const pcbench::OccupiedCells occupied =
