@@ -202,12 +202,12 @@ def digest(path: Path) -> str:
 
 
 def input_files(path: Path) -> list[Path]:
-    """Return the files of a pattern or a `.vpc` index, including the index; a folder is returned itself.
+    """Return the files of a pattern or a `.vpc` index, including the index; a folder or file is returned itself.
 
     Raises:
         InputError: the index is damaged, or no file matches. The message starts with the path.
     """
-    if path.is_dir():
+    if path.is_dir() or not is_tiled(path):
         return [path]
     try:
         return [*([] if is_pattern(path) else [path]), *find_tiles(path, ()).paths]
@@ -256,7 +256,7 @@ def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()
         InputError: the folder does not exist, or an input or another result would be replaced.
     """
     target = path.resolve()
-    for input_path in (file for named in inputs for file in (input_files(named) if is_tiled(named) else [named])):
+    for input_path in (file for named in inputs for file in input_files(named)):
         if target == input_path.resolve() or (path.exists() and target.is_relative_to(input_path.resolve())):
             raise InputError(f"{path}: the result would replace an input: choose another name")
     if any(target == other.resolve() for other in others):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Collection
 from glob import glob, has_magic
 from pathlib import Path
@@ -92,7 +93,10 @@ def _index_files(path: Path) -> list[Path]:
         raise InputError("expected a .vpc file with features and assets, got something else: create it again") from None
     if not hrefs or not all(isinstance(href, str) and href for href in hrefs):
         raise InputError("expected a .vpc file that names point clouds, got none: create it again")
-    return [_local(path.parent, href) for href in hrefs]
+    files = [_local(path.parent, href) for href in hrefs]
+    if repeated := [file for file, count in Counter(files).items() if count > 1]:
+        raise InputError(f"expected each file once, got {repeated[0]} more than once: create the index again")
+    return files
 
 
 def _is_data(asset: Any) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pcbench.errors import InputError
-from pcbench.io.files import estimate_reading_seconds, file_in_setting
+from pcbench.io.files import estimate_reading_seconds, file_in_setting, input_files
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.progress import ProgressPlan
@@ -176,7 +176,7 @@ def _workspace(
         return
     key = clouds.key(settings, job.tiles.settings)
     folder = job.tiles.workspace or default_workspace(out, key)
-    for path in job.inputs:
+    for path in (file for named in job.inputs for file in input_files(named)):
         if path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{folder}: the workspace would replace the input {path}: choose another folder")
     with locked_workspace(folder, key, on_notice) as workspace:

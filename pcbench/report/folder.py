@@ -17,7 +17,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
-from pcbench.io.files import read_json
+from pcbench.io.files import input_files, read_json
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, ranges, robust_maximum
@@ -45,13 +45,13 @@ def report_folder(out: Path, keep: Sequence[Path] = ()) -> Iterator[Path]:
 
     Args:
         out: the report folder.
-        keep: input files that must not be replaced.
+        keep: input files, and patterns of them, that must not be replaced.
 
     Raises:
         InputError: `out` is a file, has files but no report, or has a file of `keep`; its `figures` is a link; a file
             that no report wrote has the name of a new one; or another run writes to it.
     """
-    for path in keep:
+    for path in (file for named in keep for file in input_files(named)):
         if path.resolve().is_relative_to(out.resolve()):
             raise InputError(f"{out}: the report would replace its input {path}: choose another folder")
     if out.exists() and not out.is_dir():

@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -95,7 +95,8 @@ class CloudsOnDisk:
         }
         named = [_status(path) for path in map(file_in_setting, (settings.register, settings.crop)) if path is not None]
         size = tiling.memory, tiling.workers  # they determine the size of tiles
-        parts = [pcbench.__version__, record(settings), record_tiling(tiling), size, clouds, named]
+        how = record_tiling(replace(tiling, skip_bad=False))  # a run that met a damaged file continues without it
+        parts = [pcbench.__version__, record(settings), how, size, clouds, named]
         return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 

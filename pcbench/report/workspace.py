@@ -69,7 +69,7 @@ def _prepared(folder: Path, key: str, on_notice: Callable[[str], None]) -> Itera
     try:
         yield folder
     except BaseException:
-        if any(path.name != _MARKER for path in folder.iterdir()):
+        if any(path.is_file() and path.name != _MARKER for path in folder.rglob("*")):
             on_notice(f"the finished parts are kept in {folder}: the same command continues; remove it to start again")
         else:
             _remove(folder, keep_folder)

@@ -13,6 +13,7 @@ from optional import import_or_skip
 from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.errors import InputError
 from pcbench.io.pieces import CloudFile, CloudOnDisk
 from pcbench.report import on_disk, workspace
 
@@ -173,6 +174,7 @@ def test_a_mesh_as_the_reference_is_refused(run):
         ("--tiles", "10"),
         ("--memory", "lots"),
         ("--memory", "0"),
+        ("--memory", "4"),
         ("--workers", "0"),
         ("--max-distance", "0"),
         ("--max-distance", "nan"),
@@ -203,8 +205,6 @@ def test_numbers_of_points(text, points):
 
 
 def test_a_failed_run_keeps_its_workspace_and_the_same_command_continues(files, run, monkeypatch):
-    from pcbench.errors import InputError
-
     seen = []
 
     def compare_on_disk(*arguments, workspace, **others):
@@ -248,6 +248,46 @@ def test_other_settings_or_files_start_again(files, run, monkeypatch):
     assert run(*arguments, "--seed", 3)[0] == 2
     assert run(*arguments, "--seed", 3, "--workers", 2)[0] == 2
     assert calls == [False, False, False, True, False]
+
+
+def test_a_run_that_met_a_damaged_file_continues_without_it(run, monkeypatch):
+    calls = []
+
+    def compare_on_disk(*arguments, workspace, **others):
+        calls.append((workspace / "tile_1").exists())
+        (workspace / "tile_1").write_text("finished")
+        raise InputError("tiles/b.laz: damaged")
+
+    tiled_fake.install(monkeypatch, compare_on_disk)
+    arguments = ("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report")
+    assert run(*arguments)[0] == 2
+    assert run(*arguments, "--skip-bad")[0] == 2
+    assert calls == [False, True]
+
+
+def test_a_run_that_finished_nothing_leaves_no_workspace(run, monkeypatch):
+    def compare_on_disk(*arguments, workspace, **others):
+        (workspace / "results/read").mkdir(parents=True)
+        raise InputError("expected the address of a running Dask scheduler")
+
+    tiled_fake.install(monkeypatch, compare_on_disk)
+    code, _, err = run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report")
+    assert code == 2
+    assert is_one_line(err)
+    assert not hidden(".")
+
+
+@pytest.mark.parametrize(
+    "options", [("--out",), ("--tiles", "2k", "--out"), ("--tiles", "2k", "--workspace")], ids=" ".join
+)
+def test_a_pattern_may_not_match_files_of_the_report_or_the_workspace(options, run):
+    Path("area/report").mkdir(parents=True)
+    for name in ("area/a.ply", "area/report/a_deviation.ply"):
+        write_cloud(name, read_cloud("a.ply"))
+    code, _, err = run("compare", "ref.ply", "area/**/*.ply", *options, "area/report")
+    assert code == 2
+    check_text(err)
+    assert [path.name for path in Path("area/report").iterdir()] == ["a_deviation.ply"]
 
 
 def test_without_a_report_the_workspace_is_temporary(files, run, monkeypatch):

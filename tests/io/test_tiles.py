@@ -127,6 +127,19 @@ def test_damaged_vpc(tmp_path, text):
         open_cloud(tmp_path / "a.vpc")
 
 
+def test_vpc_that_names_a_file_twice(tiles):
+    index = write_vpc(tiles.parent / "area.vpc", ["tiles/tile_10.las", "./tiles/tile_10.las"])
+    for read in (read_cloud, open_cloud):
+        with check_error():
+            read(index)
+
+
+@pytest.mark.parametrize("skip_bad", [False, True])
+def test_a_path_that_does_not_exist(tmp_path, skip_bad):
+    with check_error():
+        open_cloud(tmp_path / "tils", skip_bad=skip_bad)
+
+
 def test_vpc_of_remote_files(tmp_path):
     with check_error():
         read_cloud(write_vpc(tmp_path / "a.vpc", ["https://example.org/a.laz"]))

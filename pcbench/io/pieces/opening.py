@@ -53,7 +53,11 @@ def open_cloud(
     path = cloud_file(as_path(path))
     filters = parse_filters(classes, returns)
     with errors_named(path):
-        tiles = find_tiles(path, CLOUDS) if is_tiled(path) else TileFiles((path,))
+        if is_tiled(path):
+            tiles = find_tiles(path, CLOUDS)
+        else:
+            check_readable(path)
+            tiles = TileFiles((path,))
     lines = [(path, line) for line in tiles.warnings]
 
     def warn(line: str) -> None:

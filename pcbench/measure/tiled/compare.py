@@ -140,7 +140,7 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
-    how = tiling.tile_points, tiling.max_distance, tiling.skip_bad
+    how = tiling.tile_points, tiling.max_distance
     pose, crop = known_pose(settings), file_in_setting(settings.crop)
     region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
     read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()

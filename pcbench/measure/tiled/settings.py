@@ -9,6 +9,7 @@ from pcbench.errors import InputError
 from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
+_MIN_MEMORY = 1_000_000  # less is a number without its unit
 TILED_PRESETS = ("gao2025", "open3d", "pdal")
 """Presets that are computed in tiles."""
 _SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", re.IGNORECASE)
@@ -73,12 +74,12 @@ def parse_bytes(text: str) -> int:
     """Return the number of bytes that a text such as `4GiB` or `500MB` states.
 
     Raises:
-        InputError: the text is not a size.
+        InputError: the text is not a size, or less than a megabyte.
     """
     found = _SIZE.fullmatch(text)
     size = 0.0
     if found is not None:
         size = float(found[1]) * _FACTORS[(found[2] or "").lower()]
-    if not 1 <= size < 1 << 60:
-        raise InputError(f"expected an amount of memory such as 4GiB or 500MB, got {text!r}")
+    if not _MIN_MEMORY <= size < 1 << 60:
+        raise InputError(f"expected an amount of memory such as 4GiB or 500MB, at least 1MB, got {text!r}")
     return int(size)

@@ -13,6 +13,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
+from pcbench.io.las_records import LasFilters
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
 from pcbench.measure.tiled.even import EVEN_POINTS, even_points
@@ -70,10 +71,16 @@ def rough_boxes(
             results = runner.run(f"{name}-extent", piece_bounds, tasks, key=key, title="finding the extent", skip=skip)
             boxes = [box for _, box in results if box is not None]
         if not boxes:
-            raise InputError(f"{cloud.path}: expected a point cloud with at least one point, got none")
+            raise _no_points_error(cloud)
         low = reduce(np.minimum, [low for low, _ in boxes])
         found[name] = low, reduce(np.maximum, [high for _, high in boxes])
     return found
+
+
+def _no_points_error(cloud: CloudOnDisk) -> InputError:
+    filters = str(LasFilters(cloud.classes, cloud.returns))
+    wanted = f"points with {filters}" if filters else "a point cloud with at least one point"
+    return InputError(f"{cloud.path}: expected {wanted}, got none")
 
 
 def piece_bounds(cloud: CloudOnDisk, piece: Piece) -> tuple[FloatArray, FloatArray] | None:
@@ -126,14 +133,15 @@ def store_cloud(
 
     def leave_out(task: Task, error: InputError) -> None:
         piece = pieces[task.name]
-        left_out.append(LeftOut(str(piece.file), piece.count, str(error)))
+        reason = str(error).removeprefix(f"{piece.file}: ")
+        left_out.append(LeftOut(str(piece.file), piece.count, reason))
 
     title, skip = f"reading {cloud.path}", leave_out if skip_bad else None
     results = runner.run(f"{name}-read", store_piece, tasks, key=key, title=title, skip=skip)
     found = [summary for _, summary in results]
     boxes = [(run.low, run.high) for run in found if run.low is not None and run.high is not None]
     if not boxes:
-        raise InputError(f"{cloud.path}: expected a point cloud with at least one point, got none")
+        raise _no_points_error(cloud)
     runs = CloudRuns.of(folder, lattice, found)
     even = np.concatenate([summary.even for summary in found])
     if step > 1 and runs.count != cloud.count:  # filters and points that are not finite shift the rows

@@ -48,6 +48,18 @@ def test_filters_of_las_files(tmp_path, monkeypatch):
     check_equal(tiled, pair.memory())
 
 
+def test_filters_that_no_point_passes_are_named(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    rng = np.random.default_rng(0)
+    points = surface(rng, 500)
+    pair = Pair(tmp_path / "pair", np.zeros((3, 3)), classes=(9,), returns="last")
+    for name in ("ref", "a"):
+        pair.paths[name] = tmp_path / f"{name}.las"
+        write_cloud(pair.paths[name], Cloud(points, attributes={"classification": np.full(500, 2, np.uint8)}))
+    with check_error():
+        pair.tiled()
+
+
 def damage(path):
     """Change bytes in the middle of a file."""
     data = bytearray(path.read_bytes())
@@ -65,6 +77,7 @@ def test_damaged_files_end_the_comparison_or_are_left_out(pair, tmp_path):
     tiled = pair.tiled("skipping", skip_bad=True)
     assert {left_out.path for left_out in tiled.tiling.left_out} == {str(files[3]), str(files[5])}
     assert all(isinstance(left_out, LeftOut) and left_out.reason for left_out in tiled.tiling.left_out)
+    assert not any(left_out.path in left_out.reason for left_out in tiled.tiling.left_out)
     for file in (files[3], files[5]):
         file.unlink()
     check_equal(tiled, pair.memory(), with_warnings=False)
