@@ -5,7 +5,7 @@ import struct
 
 from las_bytes import OFFSETS, SCALES, UTM, integers, las, values
 
-# Nodes in the order of their keys. The hierarchy of the last two is in a file of its own.
+# Nodes in the order of their keys. The hierarchy of the last two is in a separate file.
 NODES = ("0-0-0-0", "1-0-0-0", "1-1-0-0", "1-1-1-1", "2-2-0-0", "2-3-1-0")
 _PAGE = "1-1-0-0"
 _DIMENSIONS = {  # name: type, bytes

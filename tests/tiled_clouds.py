@@ -31,7 +31,7 @@ def stored_runs(folder, points, *, piece_points=1000, step=7, lattice=None, norm
 
 
 def stored_tiles(folder, points, most, *, region=None, pose=None, **options):
-    """Store points as tiles of about at most so many points; return them."""
+    """Store points as tiles with about at most that many points; return them."""
     runs, _ = stored_runs(folder / "runs", points, **options)
     (folder / "tiles").mkdir()
     return TiledCloud.of(

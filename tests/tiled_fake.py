@@ -47,7 +47,7 @@ def without_mpeg(presets):
 
 
 def sampled(map_, step):
-    """Return every so many points of a map, and those that deviate most."""
+    """Return every n-th point of a map, and those that deviate most."""
     distances = map_.scalars["distance"]
     keep = map_.rows % step == 0
     keep[np.argsort(-distances)[: len(distances) // 20]] = True

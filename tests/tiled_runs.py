@@ -46,7 +46,7 @@ def as_document(comparison):
 
 
 def start(reference, candidate, workspace, output, **options):
-    """Start a comparison in a process of its own."""
+    """Start a comparison in a separate process."""
     workspace.mkdir(exist_ok=True)
     arguments = [*map(str, (reference, candidate, workspace, output)), json.dumps(options)]
     path = os.pathsep.join([str(ROOT), str(TESTS), os.environ.get("PYTHONPATH", "")])
@@ -54,7 +54,7 @@ def start(reference, candidate, workspace, output, **options):
 
 
 def wait_for_results(workspace, stage, count, process):
-    """Wait until a stage has stored so many results; the process must be running then."""
+    """Wait until a stage has stored that many results; the process must be running then."""
     while len(list(workspace.rglob(f"results/{stage}/*.result"))) < count:
         assert process.poll() is None, "the comparison ended before this stage"
         time.sleep(0.005)

@@ -102,7 +102,7 @@ def write_geotiff(path: Path, raster: Raster) -> None:
         _ROWS_PER_STRIP: (_LONG, [rows]),
         _STRIP_SIZES: (_LONG, sizes),
         284: (_SHORT, [_PLANES]),
-        **({338: (_SHORT, [0] * (count - 1))} if count > 1 else {}),  # further bands have no meaning of their own
+        **({338: (_SHORT, [0] * (count - 1))} if count > 1 else {}),  # further bands have no colours
         339: (_SHORT, [_FLOAT] * count),
         _PIXEL_SCALE: (_DOUBLE, [raster.pixel, raster.pixel, 0.0]),
         _TIEPOINT: (_DOUBLE, [0.0, 0.0, 0.0, raster.west, raster.north, 0.0]),

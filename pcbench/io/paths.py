@@ -1,4 +1,4 @@
-"""Which files make up a cloud: one file, a folder of tiles, a pattern, a `.vpc` index, or the folder of a format."""
+"""Find the files of a cloud: one file, a folder of tiles, a pattern, a `.vpc` index, or the folder of a format."""
 
 from __future__ import annotations
 

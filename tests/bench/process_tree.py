@@ -22,7 +22,7 @@ _POLL_S = 0.1
 
 
 class Usage(NamedTuple):
-    """What a command needed.
+    """Time and memory that a command needed.
 
     Attributes:
         wall: wall seconds.

@@ -38,7 +38,7 @@ print(numpy.nanmedian(numpy.abs(distances)))
 
 
 class Row(NamedTuple):
-    """What one command needed for a reference and a candidate of this size each."""
+    """Time and memory that one command needed for a reference and a candidate of this size each."""
 
     what: str
     size: int

@@ -116,7 +116,7 @@ def test_no_scheduler(folder, monkeypatch):
 
 
 def test_dask_is_missing(tmp_path):
-    """In a process of its own, because modules of distributed cannot be loaded a second time."""
+    """In a separate process, because modules of distributed cannot be loaded a second time."""
     (tmp_path / "distributed.py").write_text("raise ModuleNotFoundError(name='distributed')")
     code = (
         "import task_functions\n"

@@ -86,7 +86,7 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
 
 
 def _las_header(path: Path) -> LasHeader | None:
-    """Return the header of a LAS file; None for Entwine Point Tiles, whose nodes have headers of their own."""
+    """Return the header of a LAS file; None for Entwine Point Tiles, whose nodes have separate headers."""
     if path.name == EPT:
         return None
     with errors_named(path), path.open("rb") as file:

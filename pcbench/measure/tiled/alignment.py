@@ -39,7 +39,7 @@ UNREPRESENTATIVE_SAMPLE = "sample-differs"
 
 @dataclass(frozen=True)
 class NearFit:
-    """How well points fit the reference: share within the overlap distance, and RMS distance of these to planes."""
+    """Fit of points to the reference: share within the overlap distance, and RMS distance of these to planes."""
 
     share: float
     plane_rms: float | None

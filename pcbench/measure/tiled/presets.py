@@ -1,4 +1,4 @@
-"""Presets of a tiled comparison. They cut both clouds at the region, so they are measured in tiles of their own."""
+"""Presets of a tiled comparison. They cut both clouds at the region, so they are measured in cropped tiles."""
 
 from __future__ import annotations
 

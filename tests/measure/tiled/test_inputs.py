@@ -122,7 +122,7 @@ def test_a_full_disk_names_the_file(pair, monkeypatch):
 
 @pytest.mark.long
 def test_thinned_clouds_are_those_in_memory(tmp_path, monkeypatch):
-    """Of large clouds, cells and voxels come from every n-th point that passes the filters and lies in the region."""
+    """Large clouds: cells and voxels come from every n-th point that passes the filters and lies in the region."""
     in_this_process(monkeypatch)
     monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 60_000)
     monkeypatch.setattr("pcbench.measure.tiled.windows.MAX_SAMPLE", 10**6)

@@ -24,7 +24,7 @@ VOXEL, CORNER = 0.9, np.array([0.1, -0.2, 0.3])
 def direction(seed, *, planes=True, count=5000):
     rng = np.random.default_rng(seed)
     points = 10 * rng.random((count, 3))
-    points[:3] = [[3e7, 0, 0], [3e7, 5, 0], [-2e12, 0, 0]]  # far outliers have voxels of their own
+    points[:3] = [[3e7, 0, 0], [3e7, 5, 0], [-2e12, 0, 0]]  # far outliers have separate voxels
     cells = intervals.partition(points)
     to_points = np.abs(rng.normal(size=count))
     to_points[rng.choice(count, 4, replace=False)] = 7.5  # several farthest queries

@@ -90,7 +90,7 @@ def random_model(count):
 
 
 def test_models_of_blocks_are_merged_without_duplicates_and_losses():
-    """Two blocks that found the same Gaussians, in frames of their own, give these Gaussians."""
+    """Two blocks that found the same Gaussians, in different frames, give these Gaussians."""
     model = random_model(200)
     frame = LocalFrame(np.array([10.0, 20, 30]), 2.0)
     world = frame.to_world(model.means.numpy())
@@ -162,7 +162,7 @@ def test_a_scene_that_needs_more_memory_is_trained_in_blocks(train, tmp_path):
     folders = block_folders(tmp_path / "work")
     assert f"trained in {len(folders)} blocks of at most 9 photographs" in check_text(note)
     assert len(folders) > 1
-    # The model has the Gaussians of all blocks, each in the cell of its own.
+    # The model has the Gaussians of all blocks, each in the cell of its block.
     merged, frame = read_model(tmp_path / "work/model/point_cloud.ply")
     counts = [len(load_model(folder / "model.pt")) for folder in folders]
     assert len(reconstruction.cloud) == len(merged) < sum(counts)
