@@ -17,7 +17,7 @@ from pcbench.measure.tiled.tiles import TiledCloud
 from pcbench.tasks.results import read_shared
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
-_MAX_HALO = 4  # points around a tile, as a multiple of its points: scattered points have a wide halo, and dense neighbours
+_MAX_HALO = 4  # points around a tile per point of it: scattered points have a wide halo, and dense neighbours
 _FEW_POINTS = 20_000  # which any halo may have
 _SEARCHED_AT_ONCE = 50_000  # points whose neighbours are searched in tiles
 _SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
