@@ -144,8 +144,8 @@ def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
     limit = length(comparison.tiling.max_distance, comparison.reference.unit)
     parts = join_words([f"{_percentage(share)} of the distances {arrow}" for arrow, share in shares])
     return (
-        f"{parts} reach --max-distance and count as {limit}, also as distances to planes: mean distances, high percentiles"
-        " and Hausdorff distances are too small, and D2 may be too large; raise --max-distance"
+        f"{parts} reach --max-distance and count as {limit}, also as distances to planes: mean distances, high"
+        " percentiles and Hausdorff distances are too small, and D2 may be too large; raise --max-distance"
     )
 
 
