@@ -5,6 +5,7 @@ import re
 import struct
 
 import e57_bytes
+import ept_bytes
 import mesh_bytes
 import numpy as np
 import pytest
@@ -56,6 +57,7 @@ UNWRITABLE_FORMATS = {
     "points3D.txt": (make_colmap_text(), 20),
     "mesh.ply": (mesh_bytes.ply_mesh(), CUBE_VERTICES),
     "tile.copc.laz": (None, 12),
+    "ept.json": (None, 60),
 }
 ALL_FORMATS = sorted({*CLOUDS, *MESHES, *UNWRITABLE_FORMATS})
 
@@ -70,6 +72,8 @@ def example(request, tmp_path, monkeypatch):
     file = tmp_path / (f"a{extension}" if extension.startswith(".") else extension)
     if extension == "tile.copc.laz":
         file.write_bytes(las(7, 12, compress="variable"))
+    elif extension == "ept.json":
+        ept_bytes.write(tmp_path, 60, "binary")
     elif extension == ".e57":
         e57_bytes.write(file, [dict(zip(e57_bytes.XYZ, POINTS.T, strict=True))])
     elif extension in UNWRITABLE_FORMATS:

@@ -10,6 +10,7 @@ from wording import check_error
 
 from pcbench.errors import ReconstructionError
 from pcbench.scenes import read_scene
+from pcbench.threads import ONE_THREAD
 from reconstructors.sfm import matches
 from reconstructors.sfm.features import DATABASE, extract_features
 from reconstructors.sfm.match_child import match
@@ -71,7 +72,7 @@ def test_colmap_matches_with_one_thread(features, scene, tmp_path, monkeypatch):
 
     monkeypatch.setattr(matches, "run_module", record_environment)
     _match_and_read(features, scene, tmp_path)
-    assert environments == [{"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}]
+    assert environments == [ONE_THREAD]
     monkeypatch.setattr(
         pycolmap,
         "match_image_pairs",
