@@ -5,9 +5,22 @@ from functools import cache
 import numpy as np
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
+from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.plugins import Reconstruction
 
 SIDE = 4.0  # side of each plane, from the corner at the origin
+
+
+class RandomPointsSfm:
+    """Replaces the plugin `sfm`: random points in the corner."""
+
+    def __init__(self, **_):
+        pass
+
+    def reconstruct(self, scene, workspace):
+        points = np.random.default_rng(4).uniform(0, SIDE, (400, 3))
+        return Reconstruction(Cloud(points, colors=np.full((400, 3), 128, np.uint8)), "georeferenced", scene.cameras)
 
 
 @cache

@@ -204,7 +204,10 @@ def tiling_options(command: _Command) -> _Command:
         ),
         "--memory": ("SIZE", "Memory that may be used, such as 4GiB or 500MB.  [default: 4GiB]"),
         "--workers": ("N", "Worker processes that compute tiles.  [default: the CPUs, as far as the memory allows]"),
-        "--cluster": ("ADDRESS", "Compute tiles on a Dask cluster: tcp://HOST:PORT of its scheduler."),
+        "--cluster": (
+            "ADDRESS",
+            "Compute tiles on a Dask cluster: tcp://HOST:PORT of its scheduler, or its scheduler file.",
+        ),
         "--max-distance": (
             "LENGTH",
             "Compute in tiles, and search no closest point beyond this length: larger distances count as this one, and"
@@ -241,8 +244,11 @@ def tiling_choice(
     from pcbench.measure.tiled.settings import DEFAULT_MEMORY, TilingSettings, parse_bytes
     from pcbench.report.on_disk import TilingChoice
 
-    if cluster is not None and not _CLUSTER.fullmatch(cluster):
-        raise InputError(f"expected --cluster as the address of a Dask scheduler, tcp://HOST:PORT, got {cluster!r}")
+    if cluster is not None and not _CLUSTER.fullmatch(cluster) and not Path(cluster).is_file():
+        raise InputError(
+            "expected --cluster as the address of a Dask scheduler, tcp://HOST:PORT, or its scheduler file, got"
+            f" {cluster!r}"
+        )
     points = None if tiles in (None, "auto") else point_number("--tiles", str(tiles))
     size = DEFAULT_MEMORY if memory is None else parse_bytes(memory)
     settings = TilingSettings(points, size, workers, cluster, max_distance, skip_bad)

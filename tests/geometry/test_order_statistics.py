@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from number_cases import finite_numbers, infinite_numbers
 
 from pcbench.geometry import order_statistics
 from pcbench.native import _core
@@ -9,24 +10,7 @@ from pcbench.native import _core
 RANKS = (0.0, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 99.99, 100.0)
 
 
-def _inputs():
-    rng = np.random.default_rng(5)
-    for count in (1, 2, 3, 4, 5, 100, 30_001):
-        normal = rng.normal(size=count)
-        yield f"normal {count}", normal
-        yield f"distances {count}", np.abs(normal)
-        yield f"ties {count}", np.round(normal)
-        yield f"equal {count}", np.full(count, -2.5)
-        yield f"far from zero {count}", normal + 4e6
-        yield f"many magnitudes {count}", np.sign(normal) * 10.0 ** rng.uniform(-300, 300, count)
-        yield f"subnormal {count}", normal * 5e-324 * 1000
-        infinite = normal.copy()
-        infinite[:: max(1, count // 3)] = np.inf
-        infinite[1 :: max(1, count // 4)] = -np.inf
-        yield f"infinite {count}", infinite
-
-
-INPUTS = dict(_inputs())
+INPUTS = dict(finite_numbers()) | dict(infinite_numbers())
 
 
 @pytest.fixture(autouse=True)

@@ -86,7 +86,6 @@ from pcbench.tasks.results import write_result
 T = TypeVar("T")
 
 _REFERENCE = "reference"
-_PIECE_POINTS = 1_000_000
 
 
 def compare_on_disk(
@@ -131,7 +130,7 @@ def compare_on_disk(
 def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
     """Describe a cloud; classes and returns select points where files have them, as in memory."""
     classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    return open_cloud(path, classes=classes, returns=returns, piece_points=_PIECE_POINTS, skip_bad=skip_bad)
+    return open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:

@@ -2,19 +2,20 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from tiled_clouds import in_this_process
 from tiled_pairs import Pair, check_equal, noisy, surface
+from tiled_runs import as_document
 from wording import check_error
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.report.comparison import Comparison
-from pcbench.report.document import document
+from pcbench.io.pieces import open_cloud
 
 
 def holes(rng):
@@ -144,27 +145,15 @@ def test_settings_have_the_same_effect_as_in_memory(tmp_path, monkeypatch, case)
     check_equal(pair.tiled(tile_points=300), pair.memory())
 
 
-def as_document(comparison):
-    """comparison.json without what depends on the tiles and the machine, and the points of the maps."""
-    values = document(Comparison.of(comparison, None))
-    values["provenance"] = values["tiling"] = None
-    for candidate in values["candidates"]:
-        candidate["timings_s"] = candidate["peak_rss_bytes"] = None
-    maps = [
-        (way.points.tobytes(), way.rows.tobytes(), *(scalars.tobytes() for scalars in way.scalars.values()))
-        for candidate in comparison
-        for way in (candidate.deviation, candidate.completeness)
-    ]
-    return json.dumps(values), maps
-
-
 @pytest.mark.long
 def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypatch):
     pair = pair_of(tmp_path / "pair", two=True, crop="sphere:5,5,0.5,4")
     found = []
-    for seed, size in enumerate((100, 350, 1200, None)):
+    for seed, size in enumerate((100, 350, 1200, None)):  # of clouds in three pieces
         in_this_process(monkeypatch, seed)
-        monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 700)  # of three pieces
+        monkeypatch.setattr(
+            "pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=700)
+        )  # of three pieces
         found.append(pair.tiled(f"work-{size}", tmp_path / f"maps-{size}", tile_points=size))
     assert len({comparison.tiling.tiles for comparison in found}) == 4
     documents = [as_document(comparison) for comparison in found]
@@ -248,7 +237,7 @@ def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
 
 def test_points_that_are_not_finite_are_left_out_as_in_memory(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
-    monkeypatch.setattr("pcbench.measure.tiled.compare._PIECE_POINTS", 400)
+    monkeypatch.setattr("pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=400))
     rng = np.random.default_rng(0)
     points = surface(rng, 2000)
     pair = Pair(tmp_path / "pair", points, noisy(rng, points[::2]))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from number_cases import finite_numbers
 
 from pcbench.errors import InputError
 from pcbench.geometry import order_statistics
@@ -15,23 +16,7 @@ from pcbench.measure.tiled.ranks import BitHistogram, Wanted, count_values
 PERCENTS = (0.0, 1.0, 5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0, 99.99, 100.0)
 
 
-def _inputs():
-    rng = np.random.default_rng(5)
-    for count in (1, 2, 3, 4, 5, 100, 30_001):
-        normal = rng.normal(size=count)
-        yield f"normal {count}", normal
-        yield f"distances {count}", np.abs(normal)
-        yield f"ties {count}", np.round(normal)
-        yield f"equal {count}", np.full(count, -2.5)
-        yield f"zeros {count}", np.where(normal < 0, -0.0, 0.0)
-        yield f"mostly zeros {count}", np.maximum(normal, 0)
-        yield f"far from zero {count}", normal + 4e6
-        yield f"many magnitudes {count}", np.sign(normal) * 10.0 ** rng.uniform(-300, 300, count)
-        yield f"subnormal {count}", normal * 5e-324 * 1000
-        yield f"last bits {count}", 1 + rng.integers(0, 5, count) * np.finfo(float).eps
-
-
-INPUTS = dict(_inputs())
+INPUTS = dict(finite_numbers())
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ def truncated(value):
 
 
 def same(a, b):
-    """Whether two sums are equal in all bits."""
+    """Return whether two sums are equal in all bits."""
     return (
         np.array_equal(a.keys, b.keys)
         and np.array_equal(a.counts, b.counts)

@@ -14,7 +14,6 @@ from pcbench.errors import ReconstructionError
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.visibility import in_frame
-from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
 
 torch = import_or_skip("torch")
@@ -124,21 +123,10 @@ def test_models_of_blocks_are_merged_without_duplicates_and_losses():
         merge_models([block._replace(cell=SPACE.split(0, -1e9)[0]) for block in blocks], frame)
 
 
-class CornerPointsSfm:
-    """Replaces `sfm`: random points in the corner."""
-
-    def __init__(self, **_):
-        pass
-
-    def reconstruct(self, scene, workspace):
-        points = np.random.default_rng(4).uniform(0, corner.SIDE, (400, 3))
-        return Reconstruction(Cloud(points, colors=np.full((400, 3), 128, np.uint8)), "georeferenced", scene.cameras)
-
-
 @pytest.fixture
 def train(tmp_path, monkeypatch):
     """Train with settings on nine photographs, with memory for less than all Gaussians."""
-    monkeypatch.setattr(plugin, "ColmapSfm", CornerPointsSfm)
+    monkeypatch.setattr(plugin, "ColmapSfm", corner.RandomPointsSfm)
     (tmp_path / "corner").mkdir()
     corner.write_scene(tmp_path / "corner", corner.cameras(9, corner.standard_intrinsics(64, 48)))
 

@@ -9,8 +9,6 @@ from optional import import_or_skip
 from PIL import Image
 from wording import check_error, check_text
 
-from pcbench.geometry.cloud import Cloud
-from pcbench.plugins import Reconstruction
 from pcbench.scenes import read_scene
 from pcbench.scenes.views import read_views
 
@@ -23,21 +21,10 @@ from reconstructors.splat.train import Schedule  # noqa: E402
 QUICK_SETTINGS = {"supervision": "none", "steps": 12, "gaussians": 400, "sh_degree": 0, "cloud": "means"}
 
 
-class RandomPointsSfm:
-    """Replaces `sfm`: random points."""
-
-    def __init__(self, **_):
-        pass
-
-    def reconstruct(self, scene, workspace):
-        points = np.random.default_rng(4).uniform(0, corner.SIDE, (400, 3))
-        return Reconstruction(Cloud(points, colors=np.full((400, 3), 128, np.uint8)), "georeferenced", scene.cameras)
-
-
 @pytest.fixture
 def train(tmp_path, monkeypatch):
     """Train with settings on eight photographs, some of which are completely hidden by masks."""
-    monkeypatch.setattr(plugin, "ColmapSfm", RandomPointsSfm)
+    monkeypatch.setattr(plugin, "ColmapSfm", corner.RandomPointsSfm)
     folder = tmp_path / "corner"
     folder.mkdir()
     corner.write_scene(folder, corner.cameras(8, corner.standard_intrinsics(64, 48)))
@@ -94,7 +81,7 @@ def test_wrong_settings_are_refused_before_any_work(train, monkeypatch):
     for settings in ({"start": "sfm"}, {"start": "mvs", "density": "fixed"}):
         with check_error(ValueError):
             train(select="surface", **settings)
-    monkeypatch.setattr(RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
+    monkeypatch.setattr(corner.RandomPointsSfm, "reconstruct", lambda *_: pytest.fail("work was started"))
     with check_error():
         train(hold_out="every")
 
