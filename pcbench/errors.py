@@ -8,9 +8,17 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
+_MAX_MESSAGE_LENGTH = 1000  # characters; longer messages quote their input at length
+
 
 class PcbenchError(Exception):
-    """Base class of all errors that a user can resolve: the message says what was expected, what came, what to do."""
+    """Base class of all errors that a user can resolve: the message says what was expected, what came, what to do.
+
+    The message is one printable line of at most 1,000 characters, whatever the input that it quotes.
+    """
+
+    def __str__(self) -> str:
+        return one_line(super().__str__(), _MAX_MESSAGE_LENGTH)
 
 
 class InputError(PcbenchError, ValueError):
@@ -62,8 +70,29 @@ class Notice:
     code: str
     text: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", one_line(self.text, _MAX_MESSAGE_LENGTH))
+
     def __str__(self) -> str:
         return self.text
+
+
+def one_line(text: str, max_length: int | None = None) -> str:
+    """Return a text on one line, with a question mark for each character that controls a terminal.
+
+    Bytes of file names that are no Unicode stay.
+
+    Args:
+        text: the text.
+        max_length: number of characters above which the middle is left out; the end has the remedy.
+    """
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() or "\udc80" <= c <= "\udcff" else "?" for c in line)
+    if max_length is None or len(line) <= max_length:
+        return line
+    tail = max_length // 3
+    return f"{line[: max_length - tail - 5]} ... {line[-tail:]}"
 
 
 def reason_of(error: BaseException) -> str:

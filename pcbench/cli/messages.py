@@ -13,6 +13,7 @@ from typing import NoReturn, Protocol
 import click
 
 from pcbench.cli.log import LOGGER
+from pcbench.errors import one_line
 from pcbench.progress import TimeEstimate, duration
 
 _MESSAGE_INTERVAL_S = 9.0  # between progress lines in a pipe or a file
@@ -20,7 +21,7 @@ _MESSAGE_INTERVAL_S = 9.0  # between progress lines in a pipe or a file
 
 def warn(text: object) -> None:
     """Print a warning as one line on stderr."""
-    line = _one_line(str(text))
+    line = one_line(str(text))
     LOGGER.warning("%s", line)
     click.echo(f"warning: {line}", err=True)
 
@@ -52,7 +53,7 @@ def notice_unless(quiet: bool) -> Callable[[str], None]:
     """Return a function that prints a line on stderr, or only logs it if `quiet`."""
 
     def notice(text: str) -> None:
-        line = _one_line(text)
+        line = one_line(text)
         LOGGER.info("%s", line)
         if not quiet:
             with suppress(OSError):  # stderr has no reader
@@ -72,19 +73,10 @@ def name_files(kind: str, out: Path, *files: str) -> str:
 
 def report_error(message: str) -> None:
     """Print an error as one line on stderr."""
-    line = _one_line(message)
+    line = one_line(message)
     LOGGER.error("%s", line, exc_info=sys.exc_info()[0] is not None)
     with suppress(OSError):  # stderr has no reader
         click.echo(f"error: {line}", err=True)
-
-
-def _one_line(text: str) -> str:
-    """Return a text on one line, with a question mark for each character that controls a terminal.
-
-    Bytes of file names that are no Unicode stay.
-    """
-    line = " ".join(text.split())
-    return "".join(c if c.isprintable() or "\udc80" <= c <= "\udcff" else "?" for c in line)
 
 
 def fail(message: str) -> NoReturn:

@@ -37,9 +37,10 @@ class Break(NamedTuple):
         """Return a warning that names the line and the offset."""
         x, y = (self.place + origin)[:2]
         return (
-            f"two parts are displaced by {float(np.linalg.norm(self.offset)):.2g} against each other, across a line"
-            f" through ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x: strips or blocks that were aligned"
-            " separately cause this, a smooth deformation does not"
+            f"two parts displaced by {float(np.linalg.norm(self.offset)):.2g} against each other, across a line through"
+            f" ({x:.1f}, {y:.1f}) at {self.azimuth:.0f} degrees from x, explain the differences better than a cubic"
+            " deformation: look there for the border of strips or blocks that were aligned separately, or for a"
+            " bend with more turns than a cubic model has"
         )
 
 

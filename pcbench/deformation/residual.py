@@ -118,12 +118,12 @@ def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:
     """Return the finding as undecided if the pose behind it is wrong or may be."""
     if registration.doubtful:
-        text = "the registration is doubtful: see its warnings"
+        text = f"the registration is doubtful: {registration.doubts[0]}"
         return finding.as_conditional(Notice(_DOUBTFUL, text))
     if pairs.inliers < _MIN_INLIER_SHARE and pairs.distance > _MAX_DISTANCE_SPACINGS * pairs.spacing:
         text = (
             f"{1 - pairs.inliers:.0%} of the closest points do not correspond, and clouds of this spacing should lie"
-            " closer: they are not registered (use --register icp), or much has changed"
+            f" closer: {_cause_of_distance(registration)}"
         )
         return finding.as_undecided(Notice("not-registered", text))
     if finding.verdict != "undecided" and UNOBSERVABLE in {notice.code for notice in registration.warnings}:
@@ -136,6 +136,18 @@ def _with_registration(finding: Finding, registration: Registration, pairs: Pair
         notice = Notice(POSE_NOT_FIXED, "as far as the geometry determines the pose")
         return finding._replace(warnings=(notice, *finding.warnings))
     return finding
+
+
+def _cause_of_distance(registration: Registration) -> str:
+    """Return why the clouds may lie far from each other, and what to do about it."""
+    if registration.method == "none":
+        return "they are not registered (use --register icp), or much has changed"
+    if registration.method.startswith(("matrix:", "points:")):
+        return f"the pose of {registration.method} is inaccurate (refine it by --register icp), or much has changed"
+    return (
+        f"much has changed, or {registration.method} found a wrong pose (--register points:FILE or matrix:FILE gives"
+        " another one)"
+    )
 
 
 def _without_map_projection(

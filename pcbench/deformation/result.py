@@ -386,7 +386,7 @@ class Deformation:
         return replace(self, verdict=self.conditional_verdict, conditional_verdict=None)
 
     def _limit_in_words(self, unit: str) -> str:
-        """Return the size below which a deformation would not be stated, and kinds that have to be much larger."""
+        """Return the size above which a deformation would have been stated, and kinds that have to be much larger."""
         limit = self.size_limit
         if limit is None:
             return f"; {self.limit_problem}" if self.limit_problem else ""
@@ -397,12 +397,12 @@ class Deformation:
             if not math.isclose(limit, of_noise, rel_tol=1e-4):
                 of_what = f"{RESOLUTION_SHARE:.2%} of the point spacing"
             share = f" ({of_what})"
-        text = f"; a deformation below {limit:.3g}{unit} RMS{share} would not be stated"
+        text = f"; a smooth deformation above {limit:.3g}{unit} RMS{share} would have been detected"
         known = [size for size in self.detectable if size.displacement is not None]
         large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
         if large:
-            parts = [f"{_in_words(size.kind)} below {size.displacement:.3g}{unit}" for size in large]
-            text += f", nor would {' or '.join(parts)}"
+            parts = [f"{_in_words(size.kind)} above {size.displacement:.3g}{unit}" for size in large]
+            text += f", and so would {' or '.join(parts)}"
         if hidden := [_in_words(size.kind) for size in self.detectable if size.displacement is None]:
             text += f"; the surfaces do not show {' or '.join(hidden)}, however large"
         return text

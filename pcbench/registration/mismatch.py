@@ -85,7 +85,7 @@ def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float
     if suspected is None or abs(abs(np.log(ratio)) - np.log(suspected.factor)) > _MAX_LOG_RATIO:
         return ()
     units = (suspected.smaller, suspected.larger)[:: 1 if ratio > 1 else -1]
-    text = f"the candidate's extent is {ratio:.4g} times the reference's: {' against '.join(units)}?"
+    text = f"the candidate's extent is {ratio:.4g} times the reference's, which suggests {' against '.join(units)}"
     return (Notice(UNIT_MISMATCH, text),)
 
 

@@ -174,15 +174,16 @@ def with_doubt(
         turned = closest_turned_pose(target, random_sample, T, with_scale=with_scale)
         if turned is not None and turned.distance_ratio < _MAX_TURNED_RATIO:
             text = (
-                f"{name} may be wrong: another one, rotated by {turned.angle_deg:.0f} degrees, reduces the candidate's"
-                f" mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
+                f"{name} may be wrong, because another one, rotated by {turned.angle_deg:.0f} degrees, reduces the"
+                f" candidate's mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if source == "search":
         unmatched = unmatched_share(target, T.apply(random_sample))
         if unmatched > MAX_UNMATCHED_SHARE:
             text = (
-                f"{name} may be wrong: {unmatched:.1%} of the points inside the other cloud have no counterpart in it"
+                f"{name} may be wrong, because {unmatched:.1%} of the points inside the other cloud have no"
+                " counterpart in it"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
     if share >= SURE_CONTRAST and not is_weak:
@@ -192,8 +193,8 @@ def with_doubt(
         at_noise = _contrast_at_noise(target, random_sample, T, quality, with_scale=with_scale)
     low_contrast = Notice(
         DOUBTFUL_POSE,
-        f"{name} may be wrong: displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the same"
-        " displacement costs the reference itself",
+        f"{name} may be wrong, because displacing the candidate worsens its fit by {max(at_noise, 0):.0%} of what the"
+        " same displacement costs the reference itself",
     )
     is_low = share < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST
     if is_low and (source == "search" or is_weak or not is_determined):
@@ -205,7 +206,7 @@ def with_doubt(
     returned = returned_share(target, random_sample, T, tolerance=tolerance, with_scale=with_scale, required=required)
     quality = quality._replace(returned=returned)
     if returned < required:
-        text = f"{name} may be wrong: only {returned:.0%} of the registrations that start nearby return to it"
+        text = f"{name} may be wrong, because only {returned:.0%} of the registrations that start nearby return to it"
         return _with_notice(quality, low_contrast if is_low else Notice(DOUBTFUL_POSE, text))
     if share < BLURRED_CONTRAST:
         text = (

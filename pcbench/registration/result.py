@@ -87,16 +87,21 @@ class Registration:
 
     @property
     def doubtful(self) -> bool:
-        """Return whether any warning says that the pose may be wrong: then no later score can be trusted.
+        """Return whether any warning says that the pose may be wrong: then no later score can be trusted."""
+        return bool(self.doubts)
+
+    @property
+    def doubts(self) -> tuple[Notice, ...]:
+        """Warnings that the pose may be wrong.
 
         Unobservable motions, a missing scale and a small overlap do not make a pose doubtful: they limit how accurately
         a right pose is known. Neither do points beside the surface: outliers and changes cause them under a right pose,
         and a wrong pose causes other warnings too.
         """
-        codes = {notice.code for notice in self.warnings}
-        if UNOBSERVABLE in codes:
-            codes.discard(NO_CONVERGENCE)  # the iteration drifts along unobservable motions
-        return bool(codes & _DOUBT_CODES)
+        codes = _DOUBT_CODES
+        if any(notice.code == UNOBSERVABLE for notice in self.warnings):
+            codes = codes - {NO_CONVERGENCE}  # the iteration drifts along unobservable motions
+        return tuple(notice for notice in self.warnings if notice.code in codes)
 
     def __repr__(self) -> str:
         state = {True: "converged", False: "NOT converged", None: "not iterated"}[self.converged]

@@ -8,6 +8,14 @@ from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
+from pcbench.registration.result import (
+    AMBIGUOUS,
+    DOUBTFUL_POSE,
+    FAR_OFF,
+    FEW_POINTS,
+    NO_CONVERGENCE,
+    UNIT_MISMATCH,
+)
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
@@ -21,6 +29,15 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "global": "global (from any pose), global-similarity (also at any scale)",
     "points": "points:FILE (control points)",
     "matrix": "matrix:FILE (a known pose)",
+}
+
+_DOUBTS = {  # why poses are doubtful, by the code of the warning
+    FEW_POINTS: "too few points overlap",
+    UNIT_MISMATCH: "the sizes suggest different units",
+    FAR_OFF: "far from the reference",
+    NO_CONVERGENCE: "ICP did not converge",
+    AMBIGUOUS: "another pose fits about as well",
+    DOUBTFUL_POSE: "the fit does not single out one pose",
 }
 
 
@@ -107,14 +124,23 @@ class _Writer:
         return [f"{'. '.join(parts)}."] if parts else []
 
     def _doubt(self, doubtful: Sequence[Candidate]) -> str:
-        several = len(doubtful) > 1
-        whose = (
-            f"registrations of {self.name_list(doubtful)} are"
-            if several
-            else f"registration of {self.name_list(doubtful)} is"
+        """Return which registrations are doubtful and why: one in the words of its warning, several in short."""
+        first = [c.registration.doubts[0] for c in doubtful]
+        if len(doubtful) == 1:
+            why = first[0].text.partition("; ")[0]  # what follows is a remedy
+            return (
+                f"The registration of {self.name_list(doubtful)} is doubtful: {why}. Its numbers describe a pose that"
+                " may be wrong"
+            )
+        clauses = []
+        for code in dict.fromkeys(notice.code for notice in first):
+            whose = [c for c, notice in zip(doubtful, first, strict=True) if notice.code == code]
+            subject = "" if len(whose) == len(doubtful) else f"{self.name_list(whose)}: "
+            clauses.append(f"{subject}{_DOUBTS[code]}")
+        return (
+            f"The registrations of {self.name_list(doubtful)} are doubtful ({'; '.join(clauses)}): their numbers"
+            " describe poses that may be wrong"
         )
-        numbers = "their numbers describe poses that" if several else "its numbers describe a pose that"
-        return f"The {whose} doubtful (see the warnings): {numbers} may be wrong"
 
     def of_one(self, candidate: Candidate) -> list[str]:
         """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
@@ -276,7 +302,7 @@ class _Writer:
             limits = [c.deformation.size_limit for c in chosen]
             limit = max((limit for limit in limits if limit is not None), default=None)
             if verdict == "none" and limit is not None:
-                text += f"; a deformation below {self.length(limit)} RMS would not be stated"
+                text += f"; a smooth deformation above {self.length(limit)} RMS would have been detected"
             problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict == "none")
             for problem in filter(None, problems):
                 whose = [c for c in chosen if c.deformation.limit_problem == problem]

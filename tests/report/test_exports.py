@@ -10,7 +10,7 @@ from wording import check_text
 
 from pcbench import Settings, compare
 from pcbench.report.exports import TABLES
-from pcbench.report.markup import latex
+from pcbench.report.markup import csv_text, latex
 
 HOSTILE = r"50%_a&b\{c}#$~^"
 
@@ -55,3 +55,18 @@ def test_a_data_frame_has_the_rows_of_metrics_csv(comparison):
     assert len(frame) == len(expected)
     d1 = frame[(frame.candidate == "a") & (frame.metric == "d1_mse") & (frame.direction == "candidate_to_reference")]
     assert d1.value.item() == comparison["a"].metrics.d1_mse.accuracy.value
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        ("=cmd|calc!A1", "'=cmd|calc!A1"),
+        ("+1+1", "'+1+1"),
+        ("-a", "'-a"),
+        ("@sum", "'@sum"),
+        ("-0.5", "-0.5"),
+        (-2, "-2"),
+    ],
+)
+def test_a_spreadsheet_runs_no_text_of_a_table(cell, expected):
+    assert list(csv.reader(io.StringIO(csv_text(["name"], [[cell]])))) == [["name"], [expected]]

@@ -6,8 +6,6 @@ by those of other libraries. Wrong with confidence and withheld although right a
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -22,6 +20,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write, digest
 from pcbench.report import to_json
 from pcbench.report.document import provenance
+from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.plot import Drawn
 from pcbench.studies.folder import (
     StudyKind,
@@ -273,14 +272,12 @@ def csv_text(study: StressStudy) -> str:
         RECONSTRUCTION: ReconstructionCell,
     }
     names = list(dict.fromkeys(field.name for kind in kinds.values() for field in fields(kind)))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, ["subject", *names], restval="", lineterminator="\n")
-    writer.writeheader()
+    rows = []
     for subject in kinds:
         for cell in study.cells(subject):
             values = {field.name: _csv_value(getattr(cell, field.name)) for field in fields(cell)}
-            writer.writerow({"subject": subject, **values})
-    return text.getvalue()
+            rows.append([subject, *(values.get(name) for name in names)])
+    return csv_of(["subject", *names], rows)
 
 
 def _csv_value(value: Any) -> str:
