@@ -106,6 +106,15 @@ def reason_of(error: BaseException) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+def describe_damage(error: BaseException) -> str:
+    """Return what is wrong with a file of pcbench, from the error of the code that interprets its values."""
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    if isinstance(error, ValueError):  # its text says what was expected, as that of InputError does
+        return str(error)
+    return "a value has another form than pcbench writes"
+
+
 def record_error(error: BaseException) -> str:
     """Log an error that becomes part of a result instead of ending the run, and return its message.
 

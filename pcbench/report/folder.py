@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError, describe_damage, reason_of
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
@@ -148,8 +148,7 @@ def read_settings(path: Path) -> tuple[Settings, Inputs]:
         tiling = None if values.get("tiling") is None else restore_tiling(values["tiling"])
         return settings, Inputs(_input_file("the reference", values["reference"]), candidates, files, scene, tiling)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else error
-        raise InputError(f"{path}: settings are incomplete or damaged: {what}") from error
+        raise InputError(f"{path}: settings are incomplete or damaged: {describe_damage(error)}") from error
 
 
 def _input_file(owner: str, row: Any) -> InputFile:

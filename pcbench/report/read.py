@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.deformation import Deformation
-from pcbench.errors import InputError, PcbenchError
+from pcbench.errors import InputError, PcbenchError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
@@ -24,6 +24,7 @@ from pcbench.report.manifest import complete_replacement
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
 
 UNKNOWN_UNIT = "units of the file"
+_REPAIR = "copy the folder again, or repeat the command that wrote it"
 MESH_SAMPLES = 1_500_000  # points on a mesh that are drawn, without gaps
 
 
@@ -178,9 +179,9 @@ def damage_in_one_line(folder: Path) -> Iterator[None]:
     except InputError as error:
         if str(error).startswith(str(folder)):
             raise
-        raise InputError(f"{folder}: the report is damaged: {error}") from error
+        raise InputError(f"{folder}: the report is damaged: {error}: {_REPAIR}") from error
     except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-        raise InputError(f"{folder}: the report is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{folder}: the report is damaged: {describe_damage(error)}: {_REPAIR}") from error
 
 
 def _read(path: Path) -> Cloud:

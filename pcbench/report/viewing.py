@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, describe_damage
 from pcbench.geometry.arrays import FloatArray, as_rows, even_rows, random_rows
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity
@@ -149,8 +149,7 @@ class ViewingCameras:
             centers, directions = (as_rows(name, values[name]) for name in ("centers", "directions"))
             up = None if values["up"] is None else as_rows("up", [values["up"]])
         except (InputError, LookupError, TypeError) as error:
-            what = f"{error} is missing" if isinstance(error, KeyError) else error
-            raise InputError(f"{path}: expected cameras written by pcbench: {what}") from error
+            raise InputError(f"{path}: expected cameras written by pcbench: {describe_damage(error)}") from error
         vectors = directions if up is None else np.concatenate([directions, up])
         is_unit = np.abs(np.linalg.norm(vectors, axis=1) - 1) < 1e-6
         if not len(centers) or len(centers) != len(directions) or not np.isfinite(centers).all() or not is_unit.all():

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, describe_damage
 from pcbench.extras import require
 from pcbench.io.files import atomic_write, read_json
 from pcbench.io.image_header import read_image_header
@@ -164,7 +164,7 @@ def read_views(folder: Path) -> RenderedViews:
         raise InputError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path}: expected a file written by pcbench, got {error!r}: render the views again"
+            f"{path}: expected a file written by pcbench: {describe_damage(error)}: render the views again"
         ) from error
     if not views:
         raise InputError(f"{path}: expected at least one view, got none: render the views again")

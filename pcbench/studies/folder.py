@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcbench.errors import InputError, PcbenchError, record_error
+from pcbench.errors import InputError, PcbenchError, describe_damage, record_error
 from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.report import to_json
 from pcbench.report.article import Article, markdown
@@ -110,7 +110,7 @@ def study_document(path: Path, schema: str) -> Iterator[dict[str, Any]]:
     try:
         yield values
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{path}: the file is damaged: {describe_damage(error)}: run the study again") from error
 
 
 def read_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, rgb
@@ -83,7 +83,7 @@ def read_clouds(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
         with np.load(path) as arrays:
             reference, found, true = (np.asarray(arrays[name], np.float64) for name in ("reference", "found", "true"))
     except (KeyError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"{path}: the file is damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{path}: the file is damaged: {describe_damage(error)}") from error
     if found.shape != true.shape:
         raise InputError(f"{path}: the file is damaged: {len(found)} found and {len(true)} true points")
     return reference, found, true
