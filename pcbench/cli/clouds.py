@@ -13,6 +13,7 @@ from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import report_error, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
+    color_depth_option,
     las_options,
     las_returns,
     numbers,
@@ -31,8 +32,9 @@ if TYPE_CHECKING:
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @required_crop_option
+@color_depth_option
 @quiet_option
-def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
+def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
     from pcbench.io import read_cloud, write_cloud
@@ -48,14 +50,14 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, 0.5 * reading, reading])
         step(f"reading {cloud}")
-        data = read_cloud(cloud, on_warning=warn_unless(quiet))
+        data = read_cloud(cloud, on_warning=warn_unless(quiet), color_depth=color_depth)
         step("cropping")
         try:
             inside = crop_cloud(data, crop)
         except InputError as error:
             raise InputError(f"{cloud}: {error}") from error
         step(f"writing {out}")
-        write_cloud(out, inside)
+        write_cloud(out, inside, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
@@ -118,7 +120,7 @@ def register(
             warn_unless(quiet)(
                 f"{out}: removed {len(lost)} attributes that are invalid in the new frame, such as {min(lost)!r}"
             )
-        write_cloud(out, aligned)
+        write_cloud(out, aligned, on_warning=warn_unless(quiet))
     if matrix is not None:
         with atomic_write(matrix) as file:
             file.write(text.encode())
@@ -163,6 +165,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
 @splat_options
+@color_depth_option
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
@@ -172,6 +175,7 @@ def convert(
     returns: str | None,
     min_opacity: float | None,
     max_axis: float | None,
+    color_depth: int | None,
     sample: int | None,
     quiet: bool,
 ) -> None:
@@ -193,12 +197,13 @@ def convert(
         "returns": las_returns(returns),
         "min_opacity": min_opacity,
         "max_axis": max_axis,
+        "color_depth": color_depth,
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     is_mesh = sample is not None or is_mesh_only(cloud)
     if is_mesh and any(value is not None for value in filters.values()):
-        raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+        raise InputError(f"{cloud}: a mesh has no classes, returns, splats or 16-bit colours")
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
@@ -209,7 +214,7 @@ def convert(
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
         step(f"writing {out}")
-        write_cloud(out, data)
+        write_cloud(out, data, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
 
@@ -277,7 +282,9 @@ def _print_info(path: Path) -> None:
     if spacing is not None:
         click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
-    click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
+    depth = cloud.stored and cloud.stored.color_depth
+    colours = "no" if cloud.colors is None else f"yes (stored with {depth} bits)" if depth else "yes"
+    click.echo(f", colours {colours}", nl=False)
     click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
     attributes = list(cloud.attributes)
     if (splats := splat_model(cloud)) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,12 @@ from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import fit_similarity
 
+METRES_PER_DEGREE = 111_320.0  # of latitude, and of longitude at the equator
 _MAX_LABEL_LENGTH = 100
+_GEOGRAPHIC_TEXT = re.compile(
+    r"\s*(GEOGCS|GEOGCRS|GEOGRAPHICCRS)\s*\[|\s*(EPSG:4326|EPSG:4979|OGC:CRS84h?)\s*$", re.IGNORECASE
+)
+_DEGREE_UNITS = ("deg", "degree", "degrees", "°")
 
 
 def same_crs(first: str, second: str) -> bool:
@@ -59,6 +65,19 @@ def is_projected_crs(text: str | None) -> bool:
     if crs is None:
         return False
     return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
+
+
+def is_geographic_crs(text: str | None) -> bool:
+    """Return whether x and y of the CRS are angles. Without pyproj, this is read from the start of the text."""
+    crs = None if text is None else _parse_crs(text)
+    if crs is None:
+        return text is not None and _GEOGRAPHIC_TEXT.match(text) is not None
+    return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_geographic)
+
+
+def is_in_degrees(crs: str | None, unit: str | None) -> bool:
+    """Return whether a cloud with this CRS and this unit has longitudes and latitudes as x and y."""
+    return (unit or "").strip().lower() in _DEGREE_UNITS or is_geographic_crs(crs)
 
 
 def epsg_code(text: str) -> tuple[int, bool] | None:
@@ -128,9 +147,16 @@ def _known(text: str) -> Any:
 
 def _parse_crs(text: str) -> Any | None:
     try:
-        pyproj = require("pyproj")
+        require("pyproj")
     except MissingExtra:
         return None
+    return _parse_known(text)
+
+
+@lru_cache(maxsize=64)  # pyproj takes milliseconds, and the tiles of a cloud have the same system
+def _parse_known(text: str) -> Any | None:
+    import pyproj
+
     try:
         return pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError:

@@ -9,6 +9,7 @@ from typing import Any
 
 from pcbench.errors import InputError
 from pcbench.io.colmap import model_file
+from pcbench.io.color_depth import apply_depth
 from pcbench.io.files import Fields, Warn, errors_named, read_named
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, CloudFormat, format_of
 from pcbench.io.las_records import parse_filters
@@ -24,7 +25,11 @@ def cloud_file(path: Path) -> Path:
 
 
 def read_fields(
-    path: Path, warn: Warn, classes: Collection[int] | None = None, returns: str | Collection[int] | None = None
+    path: Path,
+    warn: Warn,
+    classes: Collection[int] | None = None,
+    returns: str | Collection[int] | None = None,
+    color_depth: int | None = None,
 ) -> Fields:
     """Read the fields of a cloud from a file, or one after the other from its tiles.
 
@@ -33,6 +38,7 @@ def read_fields(
         warn: callback for warnings, which start with the path of a file.
         classes: class numbers to keep.
         returns: returns to keep.
+        color_depth: significant bits of colours in LAS files and the like, 8 or 16; None: decided for the whole cloud.
 
     Raises:
         InputError: as `pcbench.read_cloud`. The message names the file.
@@ -48,7 +54,10 @@ def read_fields(
         return form.read(file, warn, **filters, allow_empty=True) if form.filtered else form.read(file, warn)
 
     if not is_tiled(path):
-        return read_named(path, read_file, warn)
+        fields = read_named(path, read_file, warn)
+        with errors_named(path):
+            apply_depth([(path, fields)], color_depth, lambda line: warn(f"{path}: {line}"))
+        return fields
     with errors_named(path):
         tiles = find_tiles(path, CLOUDS)
     lines = [(path, line) for line in tiles.warnings]
@@ -59,6 +68,8 @@ def read_fields(
     parts = [read_named(tile, read_tile, partial(_keep, lines, tile)) for tile in tiles.paths]
     stated = [StatedCrs(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
     crs, unit = common_crs(stated, warn_of_all)
+    with errors_named(path):
+        apply_depth(list(zip(tiles.paths, parts, strict=True)), color_depth, warn_of_all)
     fields = concatenate(parts, warn_of_all)
     if not len(fields["points"]):
         wanted = f"points with {parse_filters(classes, returns)}" if filters else "at least one point"

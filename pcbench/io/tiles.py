@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Storage
 from pcbench.geometry.crs import crs_name, same_crs
 from pcbench.io.files import Fields, Warn
 
@@ -102,7 +103,15 @@ def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
     joined = {name: np.concatenate([others[name] for others in columns]) for name in everywhere}
     points, normals, colors = joined.pop("points"), joined.pop("normals", None), joined.pop("colors", None)
     attributes = {name.removeprefix(_ATTRIBUTE): column for name, column in joined.items()}
-    return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
+    return Fields(points=points, normals=normals, colors=colors, attributes=attributes, stored=_common_storage(parts))
+
+
+def _common_storage(parts: Sequence[Fields]) -> Storage | None:
+    """Return the storage of all files if they have equal steps, with the offsets of the first file."""
+    found = [part.get("stored") for part in parts]
+    first = found[0]
+    same = first is not None and all(each is not None and each.steps == first.steps for each in found)
+    return first if same else None
 
 
 def normals_warning(count: int, files: int) -> str:
