@@ -329,7 +329,6 @@ DAMAGED_HEADERS = {
     "scale": patch(FORMAT_0, 131, "d", 0.0),
     "scale nan": patch(FORMAT_0, 139, "d", float("nan")),
     "offset": patch(FORMAT_0, 155, "d", float("inf")),
-    "two counts": patch(FORMAT_6, 107, "I", 9),
     "none": patch(FORMAT_0, 107, "I", 0),
     "absurd": patch(FORMAT_6, 247, "Q", 2**63),
     "truncated": FORMAT_0[:-101],
@@ -340,6 +339,34 @@ DAMAGED_HEADERS = {
 @pytest.mark.parametrize("name", DAMAGED_HEADERS)
 def test_damaged_headers(tmp_path, name):
     refusal(tmp_path, DAMAGED_HEADERS[name])
+
+
+@pytest.mark.parametrize("compress", [None, "chunks"])
+@pytest.mark.parametrize("beyond", [1, 2, 50])
+def test_too_many_stated_records_give_one_warning(tmp_path, beyond, compress):
+    if compress:
+        skip_without_lazrs()
+    data = las(7, 10, vlrs=[wkt(UTM)], compress=compress)
+    count = struct.unpack_from("<I", data, 100)[0]
+    cloud, notes = read_with_notes(tmp_path, patch(data, 100, "I", count + beyond))
+    expected = read(tmp_path, data)
+    np.testing.assert_array_equal(cloud.points, expected.points)
+    assert (cloud.crs, cloud.unit) == (expected.crs, expected.unit)
+    assert notes == [f"the header states {count + beyond} variable length records, the file has {count}: read these"]
+
+
+def test_too_many_stated_extended_records_give_one_warning(tmp_path):
+    data = las(6, 10, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
+    expected = read(tmp_path, data).crs
+    cloud, notes = read_with_notes(tmp_path, patch(data, 243, "I", 2))
+    assert (len(cloud), cloud.crs, len(notes)) == (10, expected, 1)
+    check_text(notes[0])
+
+
+def test_the_count_for_new_readers_is_used(tmp_path):
+    cloud, notes = read_with_notes(tmp_path, patch(FORMAT_6, 107, "I", 9))
+    assert (len(cloud), len(notes)) == (10, 1)
+    check_text(notes[0])
 
 
 def test_more_points_than_the_header_states(tmp_path):
