@@ -25,6 +25,7 @@ from pcbench.cli.options import (
 
 if TYPE_CHECKING:
     from pcbench.geometry.arrays import FloatArray
+    from pcbench.geometry.cloud import Cloud
     from pcbench.registration import Registration
 
 
@@ -85,6 +86,7 @@ def register(
     residuals of control and check points. The 4x4 matrix follows, so that the output is a file for --register
     matrix:FILE.
     """
+    from pcbench.geometry.crs import check_lengths
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
@@ -110,6 +112,7 @@ def register(
             clouds.append(read_cloud(path, on_warning=read_warnings[-1].append))
             for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
+            check_lengths(clouds[-1], str(path))
         reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
@@ -166,6 +169,9 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @las_options("a LAS file")
 @splat_options
 @color_depth_option
+@click.option("--crs", metavar="CRS", help="Project x and y to this coordinate system, such as EPSG:32617.")
+@click.option("--from-crs", metavar="CRS", help="Coordinate system of CLOUD, if its file states none.")
+@click.option("--unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
@@ -176,20 +182,27 @@ def convert(
     min_opacity: float | None,
     max_axis: float | None,
     color_depth: int | None,
+    crs: str | None,
+    from_crs: str | None,
+    unit: str | None,
     sample: int | None,
     quiet: bool,
 ) -> None:
     """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
 
-    A mesh is written as its vertices, or as points sampled on its surface (--sample).
+    A mesh is written as its vertices, or as points sampled on its surface (--sample). Heights keep their datum when x
+    and y are projected (--crs).
     """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.reprojection import convert_unit, project
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
-    from pcbench.io.files import check_output, estimate_reading_seconds
+    from pcbench.io.files import check_output, errors_named, estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
     from pcbench.progress import ProgressPlan
 
+    if from_crs is not None and crs is None:
+        raise click.UsageError("--from-crs needs --crs, the new coordinate system")
     check_output(out, (cloud,))
     check_cloud_output(out)
     filters: dict[str, Any] = {
@@ -213,6 +226,11 @@ def convert(
             data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+        with errors_named(cloud):
+            if crs is not None:
+                data = project(data, crs, from_crs, lambda line: warn_unless(quiet)(f"{cloud}: {line}"))
+            if unit is not None:
+                data = convert_unit(data, unit)
         step(f"writing {out}")
         write_cloud(out, data, on_warning=warn_unless(quiet))
     if not quiet:
@@ -242,7 +260,7 @@ def info(clouds: tuple[Path, ...]) -> None:
 def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
-    from pcbench.geometry.crs import crs_label
+    from pcbench.geometry.crs import crs_label, is_in_degrees, projection_command
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
@@ -267,7 +285,9 @@ def _print_info(path: Path) -> None:
                 except InputError as error:  # its points can still be described
                     warn(error)
         lower, upper = cloud.bounds
-        if len(cloud) > 1:
+        if in_degrees := is_in_degrees(cloud.crs, cloud.unit):
+            warn(f"{path}: degrees are no lengths: to measure, {projection_command(cloud.crs, *cloud.centre)}")
+        if len(cloud) > 1 and not in_degrees:
             step("measuring the spacing")
             index = Index(cloud.points - lower)  # small coordinates lose less to rounding
             spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
@@ -275,11 +295,10 @@ def _print_info(path: Path) -> None:
     click.echo(f"{path}: {count}")
     if mesh is not None:
         click.echo(f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}")
-    unit = f" {cloud.unit}" if cloud.unit else ""
-    click.echo(f"  from   {_triple(lower)}{unit}")
-    click.echo(f"  to     {_triple(upper)}{unit}")
-    click.echo(f"  size   {_triple(upper - lower)}{unit}")
+    for name, values in (("from", lower), ("to", upper), ("size", upper - lower)):
+        click.echo(f"  {name:6} {_triple(values, cloud)}")
     if spacing is not None:
+        unit = f" {cloud.unit}" if cloud.unit else ""
         click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
     depth = cloud.stored and cloud.stored.color_depth
@@ -296,5 +315,14 @@ def _print_info(path: Path) -> None:
         click.echo(f"  attributes {', '.join(map(printable, attributes))}")
 
 
-def _triple(values: Any) -> str:
-    return "  ".join(f"{v:.3f}" for v in values)
+def _triple(values: FloatArray, cloud: Cloud) -> str:
+    """Return x, y and z as text, with the unit that each is known to have."""
+    from pcbench.geometry.crs import axis_units, is_in_degrees
+
+    units, in_degrees = axis_units(cloud.crs), is_in_degrees(cloud.crs, cloud.unit)
+    height = units.height if units is not None else None
+    if in_degrees:
+        return f"{values[0]:.8f}  {values[1]:.8f} deg  {values[2]:.3f} {height or ''}".rstrip()
+    if units is not None and units.are_mixed and cloud.unit is None:
+        return f"{values[0]:.3f}  {values[1]:.3f} {units.horizontal}  {values[2]:.3f} {height}"
+    return f"{'  '.join(f'{value:.3f}' for value in values)} {cloud.unit or ''}".rstrip()

@@ -230,6 +230,12 @@ class Cloud:
         """Lowest and highest corner of the bounding box, each (3,)."""
         return bounds(self.points)
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the ranges of x and y."""
+        low, high = self.bounds
+        return float(low[0] / 2 + high[0] / 2), float(low[1] / 2 + high[1] / 2)
+
     def select(self, which: NDArray[Any]) -> Cloud:
         """Return the points selected by a boolean mask (N,) or by indices (M,)."""
         return replace(
@@ -247,10 +253,13 @@ class Cloud:
         the old frame.
         """
         normals = None if self.normals is None else freeze(transform.apply_normals(self.normals))
+        return self.moved(freeze(transform.apply(self.points)), normals)
+
+    def moved(self, points: FloatArray, normals: FloatArray | None = None) -> Cloud:
+        """Return the cloud at other positions (N, 3), as `transformed` does."""
         kept_attributes = {
             name: a for name, a in self.attributes.items() if not name.startswith(_FRAME_DEPENDENT_PREFIXES)
         }
-        points = freeze(transform.apply(self.points))
         return replace(self, points=points, normals=normals, attributes=kept_attributes, stored=None)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.crs import degrees_hint
 from pcbench.geometry.splats import filter_splats
 from pcbench.io.files import (
     Warn,
@@ -85,6 +86,8 @@ def read_cloud(
     with errors_named(path):
         cloud = finite_cloud(fields, warn)
         if line := null_points_warning(count_null_points(cloud.points), len(cloud)):
+            warn(line)
+        if cloud.crs is None and cloud.unit is None and (line := degrees_hint(*cloud.bounds)):
             warn(line)
         cloud = filter_splats(cloud, min_opacity, max_axis)
     for line in lines:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.errors import InputError
+from pcbench.geometry.crs import single_unit
 from pcbench.io.colmap import model_file
 from pcbench.io.color_depth import apply_depth
 from pcbench.io.files import Fields, Warn, errors_named, read_named
@@ -47,11 +48,13 @@ def read_fields(
     filters: dict[str, Any] = {"classes": classes, "returns": returns} if (classes, returns) != (None, None) else {}
 
     def read_file(file: Path, warn: Warn) -> Fields:
-        return filtered_format(file, bool(filters)).read(file, warn, **filters)
+        fields = filtered_format(file, bool(filters)).read(file, warn, **filters)
+        return fields | Fields(unit=stated_unit(file, fields.get("crs"), fields.get("unit"), warn))
 
     def read_tile(file: Path, warn: Warn) -> Fields:
         form = filtered_format(file, bool(filters))
-        return form.read(file, warn, **filters, allow_empty=True) if form.filtered else form.read(file, warn)
+        fields = form.read(file, warn, **filters, allow_empty=True) if form.filtered else form.read(file, warn)
+        return fields | Fields(unit=stated_unit(file, fields.get("crs"), fields.get("unit"), warn))
 
     if not is_tiled(path):
         fields = read_named(path, read_file, warn)
@@ -82,6 +85,18 @@ def read_fields(
 
 def _keep(lines: list[tuple[Path, str]], path: Path, text: str) -> None:
     lines.append((path, text.removeprefix(f"{path}: ")))
+
+
+def stated_unit(path: Path, crs: str | None, unit: str | None, warn: Warn) -> str | None:
+    """Return the unit that a file states, or else that of its coordinate system.
+
+    Args:
+        path: the file.
+        crs: coordinate system that it states.
+        unit: unit that it states; the readers of LAS and EPT have already derived it.
+        warn: called if the coordinate system has heights in another unit than x and y.
+    """
+    return single_unit(crs, warn) if unit is None and not format_of(path).filtered else unit
 
 
 def filtered_format(path: Path, has_filters: bool) -> CloudFormat:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from pcbench.errors import InputError
@@ -13,7 +14,7 @@ from pcbench.io.las_records import LasFilters, parse_filters
 from pcbench.io.paths import EPT, TileFiles, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
-from pcbench.io.reading import cloud_file, filtered_format
+from pcbench.io.reading import cloud_file, filtered_format, stated_unit
 from pcbench.io.tiles import StatedCrs, common_crs, normals_warning
 
 PIECE_POINTS = 1_000_000
@@ -79,8 +80,9 @@ def open_cloud(
                 raise
             left_out.append(DamagedFile(file, _stated_count(file, form), str(error).removeprefix(f"{file}: ")))
             continue
+        unit = stated_unit(file, described.crs, described.unit, notes.append)
         lines += [(file, note) for note in notes]
-        files.append(described)
+        files.append(replace(described, unit=unit))
         for k, part in enumerate(parts, 1):
             label = f"piece {k} of {len(parts)}" if len(parts) > 1 else ""
             pieces.append(Piece(file, len(pieces), part.points, part.address, label))

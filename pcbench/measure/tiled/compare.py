@@ -26,6 +26,7 @@ import numpy as np
 from pcbench.errors import InputError, Notice
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
@@ -130,7 +131,9 @@ def compare_on_disk(
 def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
     """Describe a cloud; classes and returns select points where files have them, as in memory."""
     classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    return open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    cloud = open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    check_lengths(cloud, str(path))
+    return cloud
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
