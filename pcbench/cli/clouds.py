@@ -260,7 +260,7 @@ def info(clouds: tuple[Path, ...]) -> None:
 def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
-    from pcbench.geometry.crs import crs_label, is_in_degrees, projection_command
+    from pcbench.geometry.crs import axis_units, crs_label, is_in_degrees, projection_command
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
@@ -287,7 +287,9 @@ def _print_info(path: Path) -> None:
         lower, upper = cloud.bounds
         if in_degrees := is_in_degrees(cloud.crs, cloud.unit):
             warn(f"{path}: degrees are no lengths: to measure, {projection_command(cloud.crs, *cloud.centre)}")
-        if len(cloud) > 1 and not in_degrees:
+        units = axis_units(cloud.crs)
+        is_mixed = units is not None and units.are_mixed and cloud.unit is None
+        if len(cloud) > 1 and not in_degrees and not is_mixed:
             step("measuring the spacing")
             index = Index(cloud.points - lower)  # small coordinates lose less to rounding
             spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison

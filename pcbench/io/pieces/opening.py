@@ -7,7 +7,11 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import bounds
+from pcbench.geometry.crs import degrees_hint
 from pcbench.io.files import as_path, check_readable, errors_named
 from pcbench.io.formats import CLOUDS
 from pcbench.io.las_records import LasFilters, parse_filters
@@ -94,6 +98,9 @@ def open_cloud(
     if 0 < with_normals < len(files):
         warn(normals_warning(with_normals, len(files)))
     crs, unit = common_crs([StatedCrs(file.path, file.crs, file.unit) for file in files], warn)
+    corners = [corner for file in files for corner in (file.low, file.high) if corner is not None]
+    if crs is None and unit is None and corners and (line := degrees_hint(*bounds(np.array(corners)))):
+        warn(line)
     return CloudOnDisk(
         path=path,
         files=tuple(files),

@@ -117,13 +117,6 @@ class CloudOnDisk:
         """Number of points before filters."""
         return sum(file.count for file in self.files)
 
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Middle of the ranges of x and y that the headers state; zeros if they state none."""
-        corners = [corner for file in self.files for corner in (file.low, file.high) if corner is not None]
-        x, y = ((min(values) / 2 + max(values) / 2) for values in list(zip(*corners, strict=True))[:2] or [(0.0,)] * 2)
-        return x, y
-
     def without_pieces(self) -> CloudOnDisk:
         """Return a copy without files and pieces, to send to workers: `read_piece` does not need them."""
         return replace(self, files=(), pieces=(), file_warnings=())
