@@ -41,9 +41,19 @@ def wkt(text):
 
 
 def geo_keys(**keys):
-    names = {"model": 1024, "geographic": 2048, "projected": 3072, "unit": 3076, "vertical": 4096}
-    entries = b"".join(struct.pack("<4H", names[name], 0, 1, value) for name, value in keys.items())
+    """Pack GeoTIFF keys; the value of `unit_size` is the position and the count of its numbers in `geo_doubles`."""
+    names = {"model": 1024, "geographic": 2048, "projected": 3072, "unit": 3076, "unit_size": 3077, "vertical": 4096}
+    names["vertical_unit"] = 4099
+    entries = b"".join(
+        struct.pack("<4H", names[name], 34736, value[1], value[0]) if isinstance(value, tuple)
+        else struct.pack("<4H", names[name], 0, 1, value)
+        for name, value in keys.items()
+    )  # fmt: skip
     return vlr(b"LASF_Projection", 34735, struct.pack("<4H", 1, 1, 0, len(keys)) + entries)
+
+
+def geo_doubles(*numbers):
+    return vlr(b"LASF_Projection", 34736, struct.pack(f"<{len(numbers)}d", *numbers))
 
 
 def extra(name, kind, options=0, no_data=b"", scale=0.0, offset=0.0):

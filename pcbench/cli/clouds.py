@@ -13,6 +13,7 @@ from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import report_error, steps, warn, warn_unless
 from pcbench.cli.options import (
     FILE,
+    color_depth_option,
     las_options,
     las_returns,
     numbers,
@@ -24,6 +25,7 @@ from pcbench.cli.options import (
 
 if TYPE_CHECKING:
     from pcbench.geometry.arrays import FloatArray
+    from pcbench.geometry.cloud import Cloud
     from pcbench.registration import Registration
 
 
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
 @click.argument("cloud", type=FILE)
 @click.argument("out", type=FILE)
 @required_crop_option
+@color_depth_option
 @quiet_option
-def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
+def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
     from pcbench.io import read_cloud, write_cloud
@@ -48,14 +51,14 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, 0.5 * reading, reading])
         step(f"reading {cloud}")
-        data = read_cloud(cloud, on_warning=warn_unless(quiet))
+        data = read_cloud(cloud, on_warning=warn_unless(quiet), color_depth=color_depth)
         step("cropping")
         try:
             inside = crop_cloud(data, crop)
         except InputError as error:
             raise InputError(f"{cloud}: {error}") from error
         step(f"writing {out}")
-        write_cloud(out, inside)
+        write_cloud(out, inside, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
@@ -83,6 +86,7 @@ def register(
     residuals of control and check points. The 4x4 matrix follows, so that the output is a file for --register
     matrix:FILE.
     """
+    from pcbench.geometry.crs import check_lengths
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
     from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
@@ -108,6 +112,7 @@ def register(
             clouds.append(read_cloud(path, on_warning=read_warnings[-1].append))
             for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
+            check_lengths(clouds[-1], str(path))
         reference_cloud, cloud = clouds
         step("registering")
         result = register_clouds(reference_cloud, cloud, register)
@@ -118,7 +123,7 @@ def register(
             warn_unless(quiet)(
                 f"{out}: removed {len(lost)} attributes that are invalid in the new frame, such as {min(lost)!r}"
             )
-        write_cloud(out, aligned)
+        write_cloud(out, aligned, on_warning=warn_unless(quiet))
     if matrix is not None:
         with atomic_write(matrix) as file:
             file.write(text.encode())
@@ -163,6 +168,10 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
 @splat_options
+@color_depth_option
+@click.option("--crs", metavar="CRS", help="Project x and y to this coordinate system, such as EPSG:32617.")
+@click.option("--from-crs", metavar="CRS", help="Coordinate system of CLOUD, if its file states none.")
+@click.option("--unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
@@ -172,20 +181,28 @@ def convert(
     returns: str | None,
     min_opacity: float | None,
     max_axis: float | None,
+    color_depth: int | None,
+    crs: str | None,
+    from_crs: str | None,
+    unit: str | None,
     sample: int | None,
     quiet: bool,
 ) -> None:
     """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
 
-    A mesh is written as its vertices, or as points sampled on its surface (--sample).
+    A mesh is written as its vertices, or as points sampled on its surface (--sample). Heights keep their datum when x
+    and y are projected (--crs).
     """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.reprojection import convert_unit, project
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
-    from pcbench.io.files import check_output, estimate_reading_seconds
+    from pcbench.io.files import check_output, errors_named, estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
     from pcbench.progress import ProgressPlan
 
+    if from_crs is not None and crs is None:
+        raise click.UsageError("--from-crs needs --crs, the new coordinate system")
     check_output(out, (cloud,))
     check_cloud_output(out)
     filters: dict[str, Any] = {
@@ -193,12 +210,13 @@ def convert(
         "returns": las_returns(returns),
         "min_opacity": min_opacity,
         "max_axis": max_axis,
+        "color_depth": color_depth,
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     is_mesh = sample is not None or is_mesh_only(cloud)
     if is_mesh and any(value is not None for value in filters.values()):
-        raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+        raise InputError(f"{cloud}: a mesh has no classes, returns, splats or 16-bit colours")
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
@@ -208,8 +226,13 @@ def convert(
             data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+        with errors_named(cloud):
+            if crs is not None:
+                data = project(data, crs, from_crs, lambda line: warn_unless(quiet)(f"{cloud}: {line}"))
+            if unit is not None:
+                data = convert_unit(data, unit)
         step(f"writing {out}")
-        write_cloud(out, data)
+        write_cloud(out, data, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
 
@@ -237,7 +260,7 @@ def info(clouds: tuple[Path, ...]) -> None:
 def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
-    from pcbench.geometry.crs import crs_label
+    from pcbench.geometry.crs import axis_units, crs_label, is_in_degrees, projection_command
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
@@ -262,7 +285,11 @@ def _print_info(path: Path) -> None:
                 except InputError as error:  # its points can still be described
                     warn(error)
         lower, upper = cloud.bounds
-        if len(cloud) > 1:
+        if in_degrees := is_in_degrees(cloud.crs, cloud.unit):
+            warn(f"{path}: degrees are no lengths: to measure, {projection_command(cloud.crs, *cloud.centre)}")
+        units = axis_units(cloud.crs)
+        is_mixed = units is not None and units.are_mixed and cloud.unit is None
+        if len(cloud) > 1 and not in_degrees and not is_mixed:
             step("measuring the spacing")
             index = Index(cloud.points - lower)  # small coordinates lose less to rounding
             spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
@@ -270,14 +297,15 @@ def _print_info(path: Path) -> None:
     click.echo(f"{path}: {count}")
     if mesh is not None:
         click.echo(f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}")
-    unit = f" {cloud.unit}" if cloud.unit else ""
-    click.echo(f"  from   {_triple(lower)}{unit}")
-    click.echo(f"  to     {_triple(upper)}{unit}")
-    click.echo(f"  size   {_triple(upper - lower)}{unit}")
+    for name, values in (("from", lower), ("to", upper), ("size", upper - lower)):
+        click.echo(f"  {name:6} {_triple(values, cloud)}")
     if spacing is not None:
+        unit = f" {cloud.unit}" if cloud.unit else ""
         click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
-    click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
+    depth = cloud.stored and cloud.stored.color_depth
+    colours = "no" if cloud.colors is None else f"yes (stored with {depth} bits)" if depth else "yes"
+    click.echo(f", colours {colours}", nl=False)
     click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
     attributes = list(cloud.attributes)
     if (splats := splat_model(cloud)) is not None:
@@ -289,5 +317,14 @@ def _print_info(path: Path) -> None:
         click.echo(f"  attributes {', '.join(map(printable, attributes))}")
 
 
-def _triple(values: Any) -> str:
-    return "  ".join(f"{v:.3f}" for v in values)
+def _triple(values: FloatArray, cloud: Cloud) -> str:
+    """Return x, y and z as text, with the unit that each is known to have."""
+    from pcbench.geometry.crs import axis_units, is_in_degrees
+
+    units, in_degrees = axis_units(cloud.crs), is_in_degrees(cloud.crs, cloud.unit)
+    height = units.height if units is not None else None
+    if in_degrees:
+        return f"{values[0]:.8f}  {values[1]:.8f} deg  {values[2]:.3f} {height or ''}".rstrip()
+    if units is not None and units.are_mixed and cloud.unit is None:
+        return f"{values[0]:.3f}  {values[1]:.3f} {units.horizontal}  {values[2]:.3f} {height}"
+    return f"{'  '.join(f'{value:.3f}' for value in values)} {cloud.unit or ''}".rstrip()

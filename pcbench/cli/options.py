@@ -77,6 +77,14 @@ def las_options(files: str) -> Callable[[_Command], _Command]:
     return add
 
 
+color_depth_option = click.option(
+    "--color-depth",
+    type=click.Choice(["8", "16"]),
+    callback=lambda context, option, value: None if value is None else int(value),
+    help="Bits of the colours in LAS files.  [default: 16 if a value exceeds 255, else 8]",
+)
+
+
 def splat_options(command: _Command) -> _Command:
     """Add the options that filter Gaussian splats."""
     axis = "Use only Gaussian splats whose largest axis (standard deviation) is at most this length."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,20 @@ if TYPE_CHECKING:
 _FRAME_DEPENDENT_PREFIXES = ("rot_", "scale_", "f_rest_")
 
 
+class Storage(NamedTuple):
+    """How a LAS file or its like stored a cloud: coordinates are integers times steps plus offsets.
+
+    Attributes:
+        steps: steps of x, y and z.
+        offsets: offsets of x, y and z.
+        color_depth: significant bits of the stored colours, 8 or 16; None without colours.
+    """
+
+    steps: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    color_depth: int | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """A validated point cloud. Its arrays are read-only; later changes to the caller's arrays do not affect it.
@@ -33,6 +47,8 @@ class Cloud:
         attributes: named numeric arrays (N,).
         crs: coordinate reference system as given by the file (WKT or authority code), or None.
         unit: unit of the coordinates ("m", "ft", ...), or None if unknown.
+        stored: how the file stored the coordinates and colours, if it is a LAS file or its like. A LAS file is written
+            with the same steps.
 
     Raises:
         InputError: a shape, a length or a value is not as described.
@@ -44,6 +60,7 @@ class Cloud:
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     crs: str | None = None
     unit: str | None = None
+    stored: Storage | None = None
 
     def __post_init__(self) -> None:
         points = _as_frozen_points("points", self.points)
@@ -213,6 +230,12 @@ class Cloud:
         """Lowest and highest corner of the bounding box, each (3,)."""
         return bounds(self.points)
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the ranges of x and y."""
+        low, high = self.bounds
+        return float(low[0] / 2 + high[0] / 2), float(low[1] / 2 + high[1] / 2)
+
     def select(self, which: NDArray[Any]) -> Cloud:
         """Return the points selected by a boolean mask (N,) or by indices (M,)."""
         return replace(
@@ -230,10 +253,14 @@ class Cloud:
         the old frame.
         """
         normals = None if self.normals is None else freeze(transform.apply_normals(self.normals))
+        return self.moved(freeze(transform.apply(self.points)), normals)
+
+    def moved(self, points: FloatArray, normals: FloatArray | None = None) -> Cloud:
+        """Return the cloud at other positions (N, 3), as `transformed` does."""
         kept_attributes = {
             name: a for name, a in self.attributes.items() if not name.startswith(_FRAME_DEPENDENT_PREFIXES)
         }
-        return replace(self, points=freeze(transform.apply(self.points)), normals=normals, attributes=kept_attributes)
+        return replace(self, points=points, normals=normals, attributes=kept_attributes, stored=None)
 
 
 def as_cloud(data: Cloud | ArrayLike) -> Cloud:

@@ -3,33 +3,58 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from pcbench.errors import MissingExtra
+from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import fit_similarity
+from pcbench.geometry.units import is_degree, metres, unit_of_length
 
+METRES_PER_DEGREE = 111_320.0  # of latitude, and of longitude at the equator
+_LONG_NAMES = {"m": "metre", "ft": "foot", "US-ft": "US survey foot"}
+_UNKNOWN_HEIGHTS = {
+    "type": "VerticalCRS",
+    "name": "heights",
+    "datum": {"type": "VerticalReferenceFrame", "name": "unknown"},
+    "coordinate_system": {
+        "subtype": "vertical",
+        "axis": [{"name": "Gravity-related height", "abbreviation": "H", "direction": "up", "unit": "metre"}],
+    },
+}
 _MAX_LABEL_LENGTH = 100
+_MAX_HINTED_DEGREES = 1.0  # extent of a cloud that may be in degrees without saying so
+_HINTED_ASPECT, _HINTED_OFFSET = 1000, 10  # of height and distance from the origin to the width
+_GEOGRAPHIC_TEXT = re.compile(
+    r"\s*(GEOGCS|GEOGCRS|GEOGRAPHICCRS)\s*\[|\s*(EPSG:4326|EPSG:4979|OGC:CRS84h?)\s*$", re.IGNORECASE
+)
 
 
 def same_crs(first: str, second: str) -> bool:
     """Return whether two texts name the same CRS. Without pyproj, this is only true of equal texts."""
     if first == second:
         return True
-    a, b = _parse_crs(first), _parse_crs(second)
+    a, b = parse_crs(first), parse_crs(second)
     return a is not None and b is not None and bool(a.equals(b, ignore_axis_order=True))
 
 
 def crs_name(text: str) -> str:
     """Return a short name for messages: the authority code, or else the name of the CRS."""
-    crs = _parse_crs(text)
+    crs = parse_crs(text)
     if crs is None:
         return text if len(text) <= 40 else f"{text[:37]}..."
     authority = crs.to_authority(min_confidence=100)
     return ":".join(authority) if authority else str(crs.name)
+
+
+def crs_argument(text: str) -> str:
+    """Return a CRS as an argument for a command: its code, such as EPSG:32617, or the word CRS if it has none."""
+    found = crs_name(text)
+    return found if re.fullmatch(r"[A-Z]+:\w+(\+\d+)?", found) else "CRS"
 
 
 def crs_label(text: str) -> str:
@@ -37,7 +62,7 @@ def crs_label(text: str) -> str:
 
     Without pyproj, the name is read from the start of the WKT; other texts are returned as they are.
     """
-    crs = _parse_crs(text)
+    crs = parse_crs(text)
     if crs is not None:
         code = crs.to_authority(min_confidence=100)
         line = f"{crs.name} ({':'.join(code)})" if code else str(crs.name)
@@ -50,20 +75,190 @@ def crs_label(text: str) -> str:
 
 def is_known_crs(text: str | None) -> bool:
     """Return whether pyproj is installed and knows the CRS."""
-    return text is not None and _parse_crs(text) is not None
+    return text is not None and parse_crs(text) is not None
 
 
 def is_projected_crs(text: str | None) -> bool:
     """Return whether the CRS is projected, alone or with a vertical CRS, so that z is a height."""
-    crs = None if text is None else _parse_crs(text)
+    crs = None if text is None else parse_crs(text)
     if crs is None:
         return False
     return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_projected)
 
 
+def is_geographic_crs(text: str | None) -> bool:
+    """Return whether x and y of the CRS are angles. Without pyproj, this is read from the start of the text."""
+    crs = None if text is None else parse_crs(text)
+    if crs is None:
+        return text is not None and _GEOGRAPHIC_TEXT.match(text) is not None
+    return bool((crs.sub_crs_list[0] if crs.sub_crs_list else crs).is_geographic)
+
+
+def single_unit(crs: str | None, warn: Callable[[str], None]) -> str | None:
+    """Return the unit of the coordinates in a CRS; None, with a warning, if heights have another unit than x and y."""
+    units = axis_units(crs)
+    if units is None:
+        return None
+    if units.are_mixed:
+        warn(
+            f"x and y are in {units.horizontal}, z is in {units.height}, so distances have no unit: convert them with"
+            f" pcbench convert FILE OUT --unit {units.horizontal}"
+        )
+        return None
+    return units.horizontal
+
+
+def check_lengths(cloud: Located, name: str) -> None:
+    """Check that the coordinates of a cloud are lengths.
+
+    Args:
+        cloud: the cloud, its mesh, or what the headers of its files state.
+        name: path or name of the cloud, for the message.
+
+    Raises:
+        InputError: x and y are degrees. The message names a command that projects the cloud.
+    """
+    if is_in_degrees(cloud.crs, cloud.unit):
+        system = f" ({crs_name(cloud.crs)})" if cloud.crs else ""
+        raise InputError(
+            f"{name}: expected coordinates in a unit of length, got degrees{system}: project the cloud with"
+            f" {projection_command(cloud.crs, *cloud.centre)}"
+        )
+
+
+def projection_command(crs: str | None, longitude: float, latitude: float) -> str:
+    """Return a command that projects a cloud in degrees at a place."""
+    source = "" if crs else " --from-crs EPSG:4326"
+    return f"pcbench convert FILE OUT{source} --crs {suggested_crs(crs, longitude, latitude)}"
+
+
+def degrees_hint(low: FloatArray, high: FloatArray) -> str | None:
+    """Return a warning if a cloud without a CRS, with these corners (3,), seems to have longitudes and latitudes.
+
+    Lengths do not look like this: a column that is a thousand times as high as it is wide, and far from the origin.
+    """
+    (east, north, up), centre = (high - low).tolist(), (low / 2 + high / 2).tolist()
+    width = max(east, north)
+    if not (0 < width <= _MAX_HINTED_DEGREES and up > _HINTED_ASPECT * width):
+        return None
+    if abs(centre[0]) > 180 or abs(centre[1]) > 90 or max(map(abs, centre[:2])) < _HINTED_OFFSET * width:
+        return None
+    return (
+        "x and y look like longitudes and latitudes in degrees, which are no lengths; if so:"
+        f" {projection_command(None, *centre[:2])}"
+    )
+
+
+def is_in_degrees(crs: str | None, unit: str | None) -> bool:
+    """Return whether a cloud with this CRS and this unit has longitudes and latitudes as x and y."""
+    return is_degree(unit) or is_geographic_crs(crs)
+
+
+class Located(Protocol):
+    """What tells where a cloud lies and in which unit."""
+
+    @property
+    def crs(self) -> str | None:
+        """Coordinate reference system, if known."""
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the coordinates, if known."""
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the ranges of x and y."""
+
+
+class AxisUnits(NamedTuple):
+    """Units of a CRS: that of x and y, and that of z, or None if the CRS has no heights."""
+
+    horizontal: str
+    height: str | None
+
+    @property
+    def are_mixed(self) -> bool:
+        """Return whether x, y and z are lengths in different units."""
+        return self.height is not None and self.height != self.horizontal and not is_degree(self.horizontal)
+
+
+def axis_units(text: str | None) -> AxisUnits | None:
+    """Return the units of a CRS, as short names if they have one; None if the CRS is unknown."""
+    crs = None if text is None else parse_crs(text)
+    units = [
+        "deg" if axis.unit_name == "degree" else unit_of_length(axis.unit_conversion_factor) or str(axis.unit_name)
+        for axis in (() if crs is None else crs.axis_info)
+    ]
+    return AxisUnits(units[0], units[2] if len(units) > 2 else None) if len(units) > 1 else None
+
+
+def with_units(text: str, horizontal: str, height: str | None) -> str:
+    """Return the WKT of a CRS with other units of length and otherwise the same definition.
+
+    Args:
+        text: a projected or geographic CRS that pyproj knows, alone or with a vertical one.
+        horizontal: unit of x and y; degrees stay.
+        height: unit of z; None: the CRS has no heights. If it had none before, their datum is unknown.
+
+    Raises:
+        ValueError: pyproj is not installed or does not know the CRS.
+    """
+    from pyproj import CRS
+
+    crs = _known(text)
+    below, *above = crs.sub_crs_list or [crs]
+    parts = [below if is_degree(axis_units(text).horizontal) else _in_unit(below, horizontal)]  # type: ignore[union-attr]
+    if height is not None:
+        parts.append(_in_unit(above[0] if above else CRS.from_json_dict(_UNKNOWN_HEIGHTS), height))
+    if len(parts) == 1:
+        return str(parts[0].to_wkt())
+    name = " + ".join(part.name for part in parts)
+    components = [part.to_json_dict() for part in parts]
+    return str(CRS.from_json_dict({"type": "CompoundCRS", "name": name, "components": components}).to_wkt())
+
+
+def unnamed_grid(horizontal: str, height: str) -> str:
+    """Return the WKT of a Cartesian system of which only the units are known."""
+    lengths = [f'LENGTHUNIT["{unit}",{metres(unit)}]' for unit in (horizontal, horizontal, height)]
+    axes = zip(("(X)", "(Y)", "(Z)"), ("east", "north", "up"), lengths, strict=True)
+    listed = ",".join(f'AXIS["{name}",{direction},{unit}]' for name, direction, unit in axes)
+    return f'ENGCRS["user-defined",EDATUM["user-defined"],CS[Cartesian,3],{listed}]'
+
+
+def _in_unit(crs: Any, unit: str) -> Any:
+    """Return a CRS with its axes in a unit of length, or the CRS itself if they are."""
+    from pyproj import CRS
+
+    length = metres(unit)
+    if all(abs(axis.unit_conversion_factor / length - 1) < 1e-9 for axis in crs.axis_info):
+        return crs
+    values = crs.to_json_dict()
+    values.pop("id", None)
+    name = re.sub(r" \((m|ft|ftUS|US-ft)\)$", "", crs.name)
+    values["name"] = f"{name} ({unit})"
+    for axis in values["coordinate_system"]["axis"]:
+        axis["unit"] = {"type": "LinearUnit", "name": _LONG_NAMES.get(unit, unit), "conversion_factor": length}
+    return CRS.from_json_dict(values)
+
+
+def suggested_crs(text: str | None, longitude: float, latitude: float) -> str:
+    """Return the code of the UTM zone of a place, with the datum of a geographic CRS if there is one, else WGS 84."""
+    crs = None if text is None else parse_crs(text)
+    zone = min(int((longitude + 180) % 360 // 6) + 1, 60)
+    code = (32600 if latitude >= 0 else 32700) + zone if abs(latitude) < 84 else 5041 if latitude > 0 else 5042
+    if crs is not None and crs.geodetic_crs is not None and abs(latitude) < 84:
+        from pyproj.aoi import AreaOfInterest
+        from pyproj.database import query_utm_crs_info
+
+        place = AreaOfInterest(longitude, latitude, longitude, latitude)
+        found = query_utm_crs_info(crs.geodetic_crs.name, place)
+        return f"EPSG:{found[0].code}" if found else f"EPSG:{code}"
+    return f"EPSG:{code}"
+
+
 def epsg_code(text: str) -> tuple[int, bool] | None:
     """Return the EPSG code of a CRS in the plane, and whether it is geographic; None if it has none or is unknown."""
-    crs = _parse_crs(text)
+    crs = parse_crs(text)
     if crs is None:
         return None
     crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
@@ -100,7 +295,7 @@ def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
     curvature and the scale of the projection. Heights are taken as ellipsoidal. The result is None if the CRS is
     unknown or not projected.
     """
-    crs = _parse_crs(text)
+    crs = parse_crs(text)
     if crs is None:
         return None
     crs = crs.sub_crs_list[0] if crs.sub_crs_list else crs
@@ -120,17 +315,25 @@ def euclidean_offsets(text: str, positions: FloatArray) -> FloatArray | None:
 
 
 def _known(text: str) -> Any:
-    crs = _parse_crs(text)
+    crs = parse_crs(text)
     if crs is None:
         raise ValueError(f"expected a CRS that pyproj knows, got {text[:60]!r}")
     return crs
 
 
-def _parse_crs(text: str) -> Any | None:
+def parse_crs(text: str) -> Any | None:
+    """Return the `pyproj.CRS` of a text; None if pyproj is not installed or does not know it."""
     try:
-        pyproj = require("pyproj")
+        require("pyproj")
     except MissingExtra:
         return None
+    return _parse_known(text)
+
+
+@lru_cache(maxsize=64)  # pyproj takes milliseconds, and the tiles of a cloud have the same system
+def _parse_known(text: str) -> Any | None:
+    import pyproj
+
     try:
         return pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry import pyvista_points
-from pcbench.geometry.arrays import FloatArray, IntArray, as_rows
+from pcbench.geometry.arrays import FloatArray, IntArray, as_rows, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.native import _core
@@ -95,6 +95,12 @@ class Mesh:
 
     def __repr__(self) -> str:
         return f"Mesh({len(self.vertices)} vertices, {len(self)} faces)"
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle of the ranges of x and y."""
+        low, high = bounds(self.vertices)
+        return float(low[0] / 2 + high[0] / 2), float(low[1] / 2 + high[1] / 2)
 
     @property
     def area(self) -> float:

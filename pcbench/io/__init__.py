@@ -15,8 +15,17 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
+from pcbench.geometry.crs import degrees_hint
 from pcbench.geometry.splats import filter_splats
-from pcbench.io.files import as_path, check_output, count_null_points, errors_named, finite_cloud, null_points_warning
+from pcbench.io.files import (
+    Warn,
+    as_path,
+    check_output,
+    count_null_points,
+    errors_named,
+    finite_cloud,
+    null_points_warning,
+)
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
 from pcbench.io.reading import cloud_file, has_filters, read_fields
 
@@ -42,6 +51,7 @@ def read_cloud(
     returns: str | Collection[int] | None = None,
     min_opacity: float | None = None,
     max_axis: float | None = None,
+    color_depth: int | None = None,
 ) -> Cloud:
     """Read a point cloud from one or many files and drop points with NaN or Inf coordinates.
 
@@ -58,6 +68,8 @@ def read_cloud(
         min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. PLY files of splats only; stored logits of
             opacity and logarithms of the axes are converted.
         max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
+        color_depth: significant bits of the colours in LAS, LAZ, COPC and EPT files, 8 or 16. None: 16 if a value of
+            the cloud exceeds 255, also of points that are filtered out, else 8.
 
     Raises:
         InputError: a file cannot be read or does not match its extension, files have different coordinate reference
@@ -70,10 +82,12 @@ def read_cloud(
     def warn(line: str) -> None:
         lines.append(f"{path}: {line}")
 
-    fields = read_fields(path, lines.append, classes, returns)
+    fields = read_fields(path, lines.append, classes, returns, color_depth)
     with errors_named(path):
         cloud = finite_cloud(fields, warn)
         if line := null_points_warning(count_null_points(cloud.points), len(cloud)):
+            warn(line)
+        if cloud.crs is None and cloud.unit is None and (line := degrees_hint(*cloud.bounds)):
             warn(line)
         cloud = filter_splats(cloud, min_opacity, max_axis)
     for line in lines:
@@ -98,20 +112,28 @@ def to_cloud(value: CloudLike) -> Cloud:
     return read_cloud(value) if isinstance(value, str | os.PathLike) else as_cloud(value)
 
 
-def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
+def write_cloud(
+    path: str | os.PathLike[str], cloud: CloudLike, *, on_warning: Callable[[str], None] | None = None
+) -> None:
     """Write a cloud to a file. If an error occurs, an existing file stays unchanged.
 
     Args:
         path: output file; its extension selects the format.
         cloud: cloud, points (N, 3), or path of a file with a cloud.
+        on_warning: callback, called with one line for each loss. Defaults to `warnings.warn`.
 
     Raises:
         InputError: the extension is unknown, the format cannot store the cloud, or an argument is not a path or cloud.
         OSError: the file cannot be written.
     """
     path = as_path(path)
-    write = _writer(path)
-    write(path, to_cloud(cloud))
+    write, lines = _writer(path), list[str]()
+    write(path, to_cloud(cloud), lines.append)
+    for line in lines:
+        if on_warning is None:
+            warnings.warn(f"{path}: {line}", stacklevel=2)
+        else:
+            on_warning(f"{path}: {line}")
 
 
 def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence[Path] = ()) -> None:
@@ -130,7 +152,7 @@ def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence
     check_output(path, inputs, others)
 
 
-def _writer(path: Path) -> Callable[[Path, Cloud], None]:
+def _writer(path: Path) -> Callable[[Path, Cloud, Warn], None]:
     try:
         writable = {extension: form for extension, form in CLOUDS.items() if form.write}
         is_known = path.name in CLOUDS or path.suffix.lower() in CLOUDS

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Storage
 from pcbench.io.files import Fields, Warn, errors_named, read_json
-from pcbench.io.las import filter_records, las_fields, to_8_bits
+from pcbench.io.las import brightest_of, filter_records, las_fields
 from pcbench.io.las_checks import LasCounts, count_records
 from pcbench.io.las_crs import WKT, read_crs
 from pcbench.io.las_header import EXTRA_BYTES, LasHeader, read_extras, read_header
@@ -25,7 +26,7 @@ from pcbench.io.las_records import LasFilters, has_normals, no_match_error, pars
 from pcbench.io.laz import decompress_files
 
 _EXTENSIONS = {"laszip": "laz", "binary": "bin"}
-_KINDS = {"signed": "i", "unsigned": "u", "float": "f"}
+_KINDS = {"signed": "i", "unsigned": "u", "float": "f", "floating": "f"}  # PDAL says floating
 _MAX_DEPTH = 30  # 2^30 nodes per axis
 _XYZ, _COLORS, _NORMALS = ("X", "Y", "Z"), ("Red", "Green", "Blue"), ("NormalX", "NormalY", "NormalZ")
 # Attributes are named as those of LAS; dimensions that the reader of LAS leaves out are left out here too.
@@ -132,6 +133,8 @@ def read_index(path: Path, warn: Warn) -> EptIndex:
         names = tuple(name for name, *_ in dimensions)
         scales, offsets = tuple(scale for *_, scale, _ in dimensions), tuple(offset for *_, offset in dimensions)
         system = str(wkt or code)
+    except InputError:  # also a ValueError, but its message is complete
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(
             "expected an ept.json with dataType, points, bounds and schema, got something else: copy the folder again"
@@ -160,12 +163,14 @@ def read_index(path: Path, warn: Warn) -> EptIndex:
 
 def _dimension(entry: dict[str, Any]) -> tuple[str, str, float, float]:
     """Return name, type, scale and offset of a dimension of the schema."""
-    size = entry["size"]
-    if size not in (1, 2, 4, 8):
-        raise ValueError(f"a dimension of {size} bytes")
-    kind = f"<{_KINDS[entry['type']]}{size}"
-    np.dtype(kind)  # raises TypeError for a float of one byte
-    return str(entry["name"]), kind, float(entry.get("scale") or 1.0), float(entry.get("offset") or 0.0)
+    name, kind, size = str(entry["name"]), entry["type"], entry["size"]
+    if kind not in _KINDS or size not in (1, 2, 4, 8) or (_KINDS[kind] == "f" and size == 1):
+        raise InputError(
+            "expected dimensions of type signed, unsigned or float with 1, 2, 4 or 8 bytes in the schema, got"
+            f" {str(kind)[:20]!r} with {str(size)[:20]} bytes for {name[:40]!r}: write it again, for example with"
+            " pdal or untwine"
+        )
+    return name, f"<{_KINDS[kind]}{size}", float(entry.get("scale") or 1.0), float(entry.get("offset") or 0.0)
 
 
 def read_hierarchy(index: EptIndex) -> tuple[EptNode, ...]:
@@ -269,7 +274,8 @@ def _read_laszip(
     for line in dict.fromkeys(lines):  # one line, not one per node
         warn(line)
     counts = count_records(records, replace(header, bounds=None))
-    return las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn), counts
+    fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
+    return fields | brightest_of(records), counts
 
 
 def _layout(header: LasHeader) -> tuple[object, ...]:
@@ -290,6 +296,7 @@ def _read_binary(
             parts.append(records)
     records = np.concatenate(parts)
     columns = {name: records[f"{k}"] for k, name in enumerate(index.names)}
+    highest = _highest_color(index, columns)
     if filters != LasFilters():
         wanted = ["Classification"] * (filters.classes is not None)
         wanted += ["ReturnNumber", "NumberOfReturns"] * (filters.returns is not None)
@@ -303,10 +310,19 @@ def _read_binary(
         if not allow_empty and not keep.any():
             raise no_match_error(filters, classes, return_numbers)
         columns = {name: column[keep] for name, column in columns.items()}
-    return _binary_fields(index, columns), None
+    return _binary_fields(index, columns, highest), None
 
 
-def _binary_fields(index: EptIndex, columns: dict[str, NDArray[Any]]) -> Fields:
+def _highest_color(index: EptIndex, columns: dict[str, NDArray[Any]]) -> int | None:
+    """Return the largest value of the colours; None if there are none, or none that fit into 16 bits."""
+    scales = dict(zip(index.names, zip(index.scales, index.offsets, strict=True), strict=True))
+    if not all(name in columns and columns[name].dtype.kind == "u" and scales[name] == (1.0, 0.0) for name in _COLORS):
+        return None
+    highest = max(int(columns[name].max(initial=0)) for name in _COLORS)
+    return highest if highest < 1 << 16 else None
+
+
+def _binary_fields(index: EptIndex, columns: dict[str, NDArray[Any]], highest_color: int | None) -> Fields:
     factors = dict(zip(index.names, zip(index.scales, index.offsets, strict=True), strict=True))
     columns = {name: column.astype(column.dtype.newbyteorder("=")) for name, column in columns.items()}
     points = np.stack(
@@ -317,9 +333,14 @@ def _binary_fields(index: EptIndex, columns: dict[str, NDArray[Any]]) -> Fields:
         for name, column in columns.items()
     }
     colors = normals = None
-    if set(_COLORS) <= columns.keys() and all(columns[name].dtype.kind == "u" for name in _COLORS):
-        colors = to_8_bits(np.stack([columns.pop(name).astype(np.uint16) for name in _COLORS], axis=1))
+    depth = Fields()
+    if highest_color is not None:
+        colors = np.stack([columns.pop(name) for name in _COLORS], axis=1)
+        if colors.dtype != np.uint8:
+            colors, depth = colors.astype(np.uint16), Fields(brightest=highest_color)
     if set(_NORMALS) <= columns.keys():
         normals = np.stack([columns.pop(name) for name in _NORMALS], axis=1)
     attributes = {_NAMES.get(name, name): column for name, column in columns.items() if name not in _LEFT_OUT}
-    return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
+    (x, x0), (y, y0), (z, z0) = (factors[name] for name in _XYZ)
+    stored = Storage((x, y, z), (x0, y0, z0), None if colors is None else 8)
+    return Fields(points=points, normals=normals, colors=colors, attributes=attributes, stored=stored) | depth

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import freeze
-from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io.paths import EPT, find_tiles, is_pattern, is_tiled
 from pcbench.regular_files import open_regular, read_bytes, regular_status
 from pcbench.scratch import scratch_file
@@ -31,14 +31,20 @@ _FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name 
 
 
 class Fields(TypedDict, total=False):
-    """Fields of a `pcbench.Cloud` as read from a file; points may still be NaN or Inf."""
+    """Fields of a `pcbench.Cloud` as read from a file; points may still be NaN or Inf.
+
+    Colours of LAS are 16-bit until `pcbench.io.color_depth` has seen all files of the cloud. `brightest` is their
+    largest value before filters.
+    """
 
     points: NDArray[Any]
     normals: NDArray[Any] | None
-    colors: NDArray[np.uint8] | None
+    colors: NDArray[Any] | None
     attributes: Mapping[str, NDArray[Any]]
     crs: str | None
     unit: str | None
+    stored: Storage | None
+    brightest: int
 
 
 def read_json(path: Path) -> Any:

@@ -5,7 +5,6 @@ Coordinates are the stored integers times scale plus offset, in float64; nothing
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io import laz
+from pcbench.io.color_depth import brightest
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_checks import count_records, warn_of_rest
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
+from pcbench.io.las_grid import choose_grid
 from pcbench.io.las_header import (
     EXTRA_LAYOUT,
     EXTRA_TYPES,
@@ -73,9 +74,8 @@ def read_las(
 
     Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id, if the
     point format has them, and the extra bytes. Extra bytes are scaled if the file declares a scale; values marked as no
-    data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. 16-bit colours lose their
-    lower byte. Warnings report points outside the header's bounds, and counts of returns that differ from the
-    header's.
+    data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. Colours are as stored.
+    Warnings report points outside the header's bounds, and counts of returns that differ from the header's.
 
     Args:
         path: input file.
@@ -94,7 +94,8 @@ def read_las(
         header = read_header(file, warn, allow_empty)
         extras = read_extras(header, warn)
         records = read_all_records(file, header, extras, warn)
-    return las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
+    fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
+    return fields | brightest_of(records)
 
 
 def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
@@ -129,8 +130,15 @@ def filter_records(records: NDArray[Any], header: LasHeader, filters: LasFilters
     return records[keep]
 
 
+def brightest_of(records: NDArray[Any]) -> Fields:
+    """Return the field `brightest` of point records before filters, if they have colours."""
+    if "red" not in (records.dtype.names or ()):
+        return Fields()
+    return Fields(brightest=max(brightest(records[name]) for name in _COLORS))
+
+
 def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
-    """Return the fields of a cloud from its point records."""
+    """Return the fields of a cloud from its point records, with 16-bit colours."""
     attributes: dict[str, NDArray[Any]] = {"intensity": records["intensity"].copy()}
     attributes["classification"] = classes_of(records, header).copy()
     attributes["return_number"], attributes["number_of_returns"] = returns_of(records, header)
@@ -152,50 +160,46 @@ def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimen
     return Fields(
         points=coordinates(records, header),
         normals=normals,
-        colors=to_8_bits(np.stack([records[name] for name in _COLORS], axis=1)) if "red" in names else None,
+        colors=np.stack([records[name] for name in _COLORS], axis=1) if "red" in names else None,
         attributes=attributes,
         crs=crs,
         unit=unit,
+        stored=Storage(header.scales, header.offsets),
     )
-
-
-def to_8_bits(colors: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return 8-bit colours (N, 3): the upper byte of each, unless all are 8-bit values."""
-    return (colors >> 8 if colors.max(initial=0) > 255 else colors).astype(np.uint8)
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
 
 
-def write_las(path: Path, cloud: Cloud) -> None:
+def write_las(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write LAS 1.4, compressed if the name ends in .laz.
 
-    Coordinates are rounded to multiples of 0.0001 units. The step is finer for an extent below 100 units (a millionth
-    of it or less, down to 1e-9), and 0.0002 units if 32 bits require it. Attributes with the names of standard
-    dimensions are written there, others and the normals (as float) as extra bytes. The crs becomes a WKT record. LAS
-    cannot store the unit.
+    Coordinates are rounded to a step per axis, see `pcbench.io.las_grid.choose_grid`. Attributes with the names of
+    standard dimensions are written there, others and the normals (as float) as extra bytes. The crs becomes a WKT
+    record. LAS cannot store the unit.
 
     Args:
         path: output file.
         cloud: cloud to write.
+        warn: callback for warnings.
 
     Raises:
-        InputError: the extent is too large for 32 bits (over 858,000 units), LAS cannot store the name, type or values
-            of an attribute, or pyproj does not know the crs.
+        InputError: 32 bits cannot store the coordinates, LAS cannot store the name, type or values of an attribute, or
+            pyproj does not know the crs.
         MissingExtra: lazrs (for .laz) or pyproj (for a crs) is not installed.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     try:
-        _write(path, cloud)
+        _write(path, cloud, warn)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _write(path: Path, cloud: Cloud) -> None:
+def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
     compressed = path.suffix.lower() == ".laz"
     if path.name.lower().endswith(".copc.laz"):
         raise InputError("COPC files can only be read: write a plain .laz or .las file")
-    scale, offsets, integers = _quantise(cloud)
+    steps, offsets, integers = choose_grid(cloud, warn)
     standard, extras = _assign_attributes(cloud)
     point_format = 6 if cloud.colors is None else 7
     layout = np.dtype(
@@ -229,13 +233,16 @@ def _write(path: Path, cloud: Cloud) -> None:
     block = b"".join(
         VLR.pack(0, user.encode(), record_id, len(data), b"") + data for (user, record_id), data in vlrs.items()
     )
-    corners = np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * scale + offsets[:, None]
+    corners = (
+        np.stack([integers.max(axis=0), integers.min(axis=0)], axis=1) * np.array(steps)[:, None]
+        + np.array(offsets)[:, None]
+    )
     by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
         b"LASF", 0, 16 if cloud.crs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
         HEADER.size + HEADER_1_4.size, HEADER.size + HEADER_1_4.size + len(block), len(vlrs),
         point_format | (128 if compressed else 0), layout.itemsize, 0, 0, 0, 0, 0, 0,
-        scale, scale, scale, *offsets.tolist(), *corners.reshape(-1).tolist(),
+        *steps, *offsets, *corners.reshape(-1).tolist(),
     ) + HEADER_1_4.pack(0, 0, 0, len(cloud), *by_return)  # fmt: skip
     points = records.view(np.uint8).data
     if compressed:
@@ -243,23 +250,6 @@ def _write(path: Path, cloud: Cloud) -> None:
     with atomic_write(path) as file:
         file.write(head + block)
         file.write(points)
-
-
-def _quantise(cloud: Cloud) -> tuple[float, NDArray[np.float64], NDArray[np.int32]]:
-    """Return scale, offsets (3,) and integer coordinates (N, 3)."""
-    low, high = cloud.bounds
-    extent = float((high - low).max())
-    # Between a millionth and a ten-millionth of the extent. At 1e-9, 32 bits still reach the offsets, in whole units.
-    scale = float(f"1e{max(-9, math.floor(math.log10(extent)) - 6)}") if 0 < extent < 100 else 1e-4
-    offsets = np.round(low / 2 + high / 2)
-    reach = extent / 2 + 1
-    if reach > scale * (2**31 - 1):
-        scale = 2e-4
-    if reach > scale * (2**31 - 1):
-        raise InputError(
-            f"expected an extent that fits LAS's 32 bits at a scale of {scale:g}, got {extent:g} units: write a .ply"
-        )
-    return scale, offsets, np.round((cloud.points - offsets) / scale).astype(np.int32)
 
 
 def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:

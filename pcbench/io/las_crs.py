@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
+from pcbench.geometry.crs import axis_units, single_unit, unnamed_grid, with_units
+from pcbench.geometry.units import unit_of_length
 from pcbench.io.files import Warn
 
 WKT, GEO_KEYS = ("LASF_Projection", 2112), ("LASF_Projection", 34735)
 
+GEO_DOUBLES = ("LASF_Projection", 34736)  # values of keys that are no integers
+
 # GeoTIFF keys, and the EPSG codes of units.
-_GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL = 2048, 3072, 3076, 4096
+_MODEL, _GEOGRAPHIC, _PROJECTED, _VERTICAL = 1024, 2048, 3072, 4096
+_LINEAR_UNIT, _LINEAR_SIZE, _VERTICAL_UNIT = 3076, 3077, 4099
 _UNIT_CODES = {9001: "m", 9002: "ft", 9003: "US-ft"}
-_UNITS_BY_METRES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft"}  # by length in metres, rounded to ten decimals
+_USER_DEFINED, _GEOGRAPHIC_MODEL = 32767, 2
 
 
 def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | None, str | None]:
@@ -29,64 +34,98 @@ def read_crs(records: dict[tuple[str, int], bytes], warn: Warn) -> tuple[str | N
         warn: callback for warnings.
     """
     wkt = records.get(WKT, b"").split(b"\0")[0].decode("utf-8", errors="replace").strip()
-    crs, unit = (wkt, None) if wkt else _from_geo_keys(records.get(GEO_KEYS, b""), warn)
-    if crs is None:
-        return None, unit
+    if wkt:
+        return _identified(wkt, warn)
+    data = records.get(GEO_KEYS, b"")
+    return _from_geo_keys(_GeoKeys.parse(data, records.get(GEO_DOUBLES, b"")), warn) if data else (None, None)
+
+
+def _identified(text: str, warn: Warn) -> tuple[str | None, str | None]:
+    """Return the system of a text as in `read_crs`, and its unit."""
     try:
         require("pyproj")
     except MissingExtra:
-        return crs, unit
-    identified, crs_unit, lines = _identify(crs)
+        return text, None
+    identified, lines = _identify(text)
     for line in lines:
         warn(line)
-    return identified, crs_unit or unit
+    return identified, single_unit(identified, warn)
 
 
 @lru_cache(maxsize=64)  # pyproj takes milliseconds, and the tiles of a cloud have the same system
-def _identify(text: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Return the system of a text as in `read_crs`, its unit, and warnings."""
+def _identify(text: str) -> tuple[str | None, tuple[str, ...]]:
+    """Return the system of a text as in `read_crs`, and warnings."""
     import pyproj
 
-    lines: list[str] = []
     try:
-        parsed = pyproj.CRS.from_user_input(text)
-        authority = parsed.to_authority(min_confidence=100)
-        return ":".join(authority) if authority else text, _unit(parsed, lines.append), tuple(lines)
+        authority = pyproj.CRS.from_user_input(text).to_authority(min_confidence=100)
+        return ":".join(authority) if authority else text, ()
     except (pyproj.exceptions.ProjError, ValueError) as error:
         reason = " ".join(str(error).split())
         reason = "".join(char if char.isprintable() else "?" for char in reason)
-        lines.append(f"could not interpret the coordinate reference system: {reason[:120]}")
-        return None, None, tuple(lines)
+        return None, (f"could not interpret the coordinate reference system: {reason[:120]}",)
 
 
-def _unit(crs: Any, warn: Warn) -> str | None:
-    """Return the unit of x; None, with a warning, if heights have another unit, since distances then have none."""
-    units = [
-        "deg"
-        if axis.unit_name == "degree"
-        else _UNITS_BY_METRES.get(round(axis.unit_conversion_factor, 10), axis.unit_name)
-        for axis in crs.axis_info
-    ]
-    if len(units) == 3 and units[2] != units[0]:
-        warn(f"x and y are in {units[0]}, z is in {units[2]}: convert z, the coordinates were not changed")
-        return None  # distances have no single unit
-    return units[0] if units else None
+class _GeoKeys(NamedTuple):
+    """What the GeoTIFF keys of a file state.
+
+    Attributes:
+        code: EPSG code of the system of x and y; 0 if it has none.
+        vertical: EPSG code of the heights; 0 if they have none.
+        unit: unit of x and y, if stated.
+        height_unit: unit of z, if stated.
+        is_geographic: whether x and y are degrees.
+    """
+
+    code: int
+    vertical: int
+    unit: str | None
+    height_unit: str | None
+    is_geographic: bool
+
+    @classmethod
+    def parse(cls, data: bytes, doubles: bytes) -> _GeoKeys:
+        """Parse the directory of keys, and the values that it refers to."""
+        shorts = [number for (number,) in struct.iter_unpack("<H", data[: len(data) // 2 * 2])]
+        entries = [shorts[place : place + 4] for place in range(4, len(shorts) - 3, 4)]
+        keys = {key: value for key, location, _, value in entries if location == 0}
+        sizes = [size for (size,) in struct.iter_unpack("<d", doubles[: len(doubles) // 8 * 8])]
+        places = {key: place for key, location, _, place in entries if location == GEO_DOUBLES[1]}
+        is_geographic = keys.get(_MODEL) == _GEOGRAPHIC_MODEL or (_PROJECTED not in keys and _GEOGRAPHIC in keys)
+        unit = _UNIT_CODES.get(keys.get(_LINEAR_UNIT, 0))
+        if keys.get(_LINEAR_UNIT) == _USER_DEFINED and places.get(_LINEAR_SIZE, len(sizes)) < len(sizes):
+            unit = unit_of_length(sizes[places[_LINEAR_SIZE]])
+        codes = [keys.get(_GEOGRAPHIC if is_geographic else _PROJECTED, 0), keys.get(_VERTICAL, 0)]
+        code, vertical = (code if 1024 <= code < _USER_DEFINED else 0 for code in codes)
+        height_unit = _UNIT_CODES.get(keys.get(_VERTICAL_UNIT, 0))
+        return cls(code, vertical, "deg" if is_geographic else unit, height_unit, is_geographic)
 
 
-def _from_geo_keys(data: bytes, warn: Warn) -> tuple[str | None, str | None]:
-    """Return the EPSG code in the GeoTIFF keys and the unit; systems defined key by key are not supported."""
-    if not data:
-        return None, None
-    shorts = [number for (number,) in struct.iter_unpack("<H", data[: len(data) // 2 * 2])]
-    entries = [shorts[place : place + 4] for place in range(4, len(shorts) - 3, 4)]
-    keys = {key: value for key, location, _, value in entries if location == 0}
-    unit = _UNIT_CODES.get(keys.get(_LINEAR_UNIT, 0))
-    code = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC, 0)
-    if not 1024 <= code < 32767:  # 32767: user-defined
+def _from_geo_keys(keys: _GeoKeys, warn: Warn) -> tuple[str | None, str | None]:
+    """Return the system and the unit that GeoTIFF keys state; systems defined key by key only have units.
+
+    Units that the keys state replace those of the EPSG codes, as in GDAL and PDAL.
+    """
+    if not keys.code:
         warn("could not interpret the coordinate reference system: its GeoTIFF keys contain no EPSG code")
-        return None, unit
-    vertical = keys.get(_VERTICAL, 0)
-    return f"EPSG:{code}+{vertical}" if 1024 <= vertical < 32767 else f"EPSG:{code}", unit
+        if keys.unit and keys.height_unit and not keys.is_geographic and keys.unit != keys.height_unit:
+            grid = unnamed_grid(keys.unit, keys.height_unit)
+            return grid, single_unit(grid, warn)
+        return None, keys.unit
+    code = f"EPSG:{keys.code}+{keys.vertical}" if keys.vertical else f"EPSG:{keys.code}"
+    known = axis_units(code)
+    if known is None:  # without pyproj, or an unknown code
+        crs, unit = _identified(code, warn)
+        mixed = not keys.is_geographic and keys.height_unit not in (None, keys.unit)
+        return crs, unit or (None if mixed else keys.unit)
+    horizontal = known.horizontal if keys.is_geographic else keys.unit or known.horizontal
+    height = keys.height_unit or known.height
+    if not keys.vertical and height == horizontal:
+        height = known.height
+    if (horizontal, height) == known:
+        return _identified(code, warn)
+    crs = with_units(code, horizontal, height)
+    return crs, single_unit(crs, warn)
 
 
 def to_wkt(crs: str) -> bytes:
@@ -102,7 +141,9 @@ def to_wkt(crs: str) -> bytes:
     except pyproj.exceptions.CRSError:
         raise InputError(f"expected a crs that pyproj knows, got {crs[:60]!r}: correct it or set it to None") from None
     try:
-        wkt = parsed.to_wkt("WKT1_GDAL")
+        wkt = str(parsed.to_wkt("WKT1_GDAL"))
     except pyproj.exceptions.CRSError:
-        wkt = parsed.to_wkt("WKT2_2019")
-    return str(wkt).encode() + b"\0"
+        wkt = ""
+    if axis_units(wkt) != axis_units(crs):  # WKT 1 has one unit for all axes of a local system
+        wkt = str(parsed.to_wkt("WKT2_2019"))
+    return wkt.encode() + b"\0"

@@ -53,7 +53,7 @@ _MAX_RECORDS = 10_000  # real files have about a dozen
 _MAX_RECORD_BYTES = 1 << 20  # longer extended records (waveforms, COPC's hierarchy) are not needed
 # The variable length records that are read: coordinate system, extra bytes, LASzip, COPC.
 _READ_RECORDS = {
-    *(("LASF_Projection", 2112), ("LASF_Projection", 34735), EXTRA_BYTES),
+    *(("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Projection", 34736), EXTRA_BYTES),
     *(("laszip encoded", 22204), ("copc", 1)),
 }
 
@@ -152,18 +152,23 @@ def read_header(file: BinaryIO, warn: Warn, allow_empty: bool = False) -> LasHea
         _, first_evlr, evlr_count, long_count, *long_by_return = HEADER_1_4.unpack_from(block, HEADER.size)
         by_return = tuple(long_by_return) if any(long_by_return) else by_return
         if long_count and count not in (0, long_count):
-            raise InputError(f"expected one point count in the header, got {count} and {long_count}: export it again")
+            warn(f"the header states {count} points for old readers and {long_count} for new ones: read {long_count}")
         count = long_count or count
     if not count and not allow_empty:
         raise InputError("expected at least one point, got 0: export the file again")
-    records = _read_records(file, VLR, vlr_count, header_bytes, start)
+    records, problem = _read_records(file, VLR, vlr_count, header_bytes, start)
+    if problem:
+        warn(problem)
     if evlr_count:
         if start <= first_evlr <= size:
             end = first_evlr
         try:
-            records = _read_records(file, EVLR, evlr_count, first_evlr, size) | records
+            extended, problem = _read_records(file, EVLR, evlr_count, first_evlr, size)
+            records = extended | records
         except InputError as error:
-            warn(f"left out the extended records: {error}")
+            problem = str(error)
+        if problem:
+            warn(f"left out extended records: {problem}")
     return LasHeader(
         point_format, bool(format_byte & 0xC0), record_bytes, count, start, end, scales, offsets, records,
         (lowest, highest) if any((*lowest, *highest)) else None, by_return if any(by_return) else (),
@@ -172,17 +177,23 @@ def read_header(file: BinaryIO, warn: Warn, allow_empty: bool = False) -> LasHea
 
 def _read_records(
     file: BinaryIO, layout: struct.Struct, count: int, offset: int, end: int
-) -> dict[tuple[str, int], bytes]:
-    """Read the needed ones of `count` records between bytes `offset` and `end`; the first of each kind is kept."""
-    if count > min(_MAX_RECORDS, max(end - offset, 0) // layout.size):
-        raise InputError(f"{count} variable length records do not fit between bytes {offset} and {end}: damaged header")
+) -> tuple[dict[tuple[str, int], bytes], str]:
+    """Read the needed ones of `count` records between bytes `offset` and `end`; the first of each kind is kept.
+
+    Returns:
+        The records, and a warning if there are fewer than stated, which other readers accept; else "".
+
+    Raises:
+        InputError: the count is absurd, or a record does not end before `end`.
+    """
+    if count > _MAX_RECORDS:
+        raise InputError(f"expected at most {_MAX_RECORDS} variable length records, got {count}: damaged header")
     records: dict[tuple[str, int], bytes] = {}
     for number in range(count):
+        if offset + layout.size > end:
+            return records, f"the header states {count} variable length records, the file has {number}: read these"
         file.seek(offset)
-        head = file.read(layout.size) if offset + layout.size <= end else b""
-        if len(head) < layout.size:
-            raise InputError(f"variable length record {number + 1} of {count} starts after byte {end}: damaged header")
-        _, user, record_id, length, _ = layout.unpack(head)
+        _, user, record_id, length, _ = layout.unpack(file.read(layout.size))
         offset += layout.size
         if offset + length > end:
             raise InputError(
@@ -193,7 +204,7 @@ def _read_records(
         if key in _READ_RECORDS and key not in records and length <= _MAX_RECORD_BYTES:
             records[key] = file.read(length)
         offset += length
-    return records
+    return records, ""
 
 
 def read_extras(header: LasHeader, warn: Warn) -> list[ExtraDimension]:

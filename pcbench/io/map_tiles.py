@@ -81,7 +81,7 @@ def write_map_tile(
 ) -> None:
     """Write a tile of a deviation map as LAS 1.4 with the distances as extra bytes of 32-bit floats.
 
-    Coordinates are rounded to 0.0001 units, or finer for tiles below 100 units, see `pcbench.io.las.write_las`.
+    Coordinates are rounded as by `pcbench.io.las_grid.choose_grid`.
 
     Args:
         path: output file, with the extension of `map_tile_extension`.
@@ -91,7 +91,7 @@ def write_map_tile(
         crs: coordinate system of the reference. It is written if pyproj knows it.
 
     Raises:
-        InputError: the tile is too large for LAS (over 858,000 units).
+        InputError: 32 bits cannot store the coordinates of the tile.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     attributes = {"distance": distance.astype(np.float32)}

@@ -253,7 +253,7 @@ def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
     return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
 
 
-def write_npy(path: Path, cloud: Cloud) -> None:
+def write_npy(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write only the points, (N, 3) float64.
 
     Raises:
@@ -263,7 +263,7 @@ def write_npy(path: Path, cloud: Cloud) -> None:
         _write_array(file, cloud.points)
 
 
-def write_npz(path: Path, cloud: Cloud) -> None:
+def write_npz(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write all data of a cloud: points, normals, colors, attributes under their names, crs and unit as texts.
 
     Raises:

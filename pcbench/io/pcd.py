@@ -326,7 +326,7 @@ def _long_integers(lines: list[bytes], offset: int, field: _Field) -> NDArray[An
 # ---- writer -------------------------------------------------------------------------------------------------------
 
 
-def write_pcd(path: Path, cloud: Cloud) -> None:
+def write_pcd(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write binary PCD: x y z, normals as float, packed rgb, attributes in their type. PCD cannot store crs and unit.
 
     Coordinates are float if that is exact, else double: PCL and Open3D only support float points (Open3D reads doubles

@@ -201,7 +201,7 @@ def _pop_stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike
     return stacked
 
 
-def write_ply(path: Path, cloud: Cloud) -> None:
+def write_ply(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write binary little-endian PLY: x y z double, nx ny nz float, red green blue uchar, attributes in their type.
 
     Normals are directions, for which the 7 digits of float are enough. Attributes of types that PLY lacks are converted

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pcbench.errors import InputError
+from pcbench.geometry.crs import single_unit
 from pcbench.io.colmap import model_file
+from pcbench.io.color_depth import apply_depth
 from pcbench.io.files import Fields, Warn, errors_named, read_named
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, CloudFormat, format_of
 from pcbench.io.las_records import parse_filters
@@ -24,7 +26,11 @@ def cloud_file(path: Path) -> Path:
 
 
 def read_fields(
-    path: Path, warn: Warn, classes: Collection[int] | None = None, returns: str | Collection[int] | None = None
+    path: Path,
+    warn: Warn,
+    classes: Collection[int] | None = None,
+    returns: str | Collection[int] | None = None,
+    color_depth: int | None = None,
 ) -> Fields:
     """Read the fields of a cloud from a file, or one after the other from its tiles.
 
@@ -33,6 +39,7 @@ def read_fields(
         warn: callback for warnings, which start with the path of a file.
         classes: class numbers to keep.
         returns: returns to keep.
+        color_depth: significant bits of colours in LAS files and the like, 8 or 16; None: decided for the whole cloud.
 
     Raises:
         InputError: as `pcbench.read_cloud`. The message names the file.
@@ -41,14 +48,19 @@ def read_fields(
     filters: dict[str, Any] = {"classes": classes, "returns": returns} if (classes, returns) != (None, None) else {}
 
     def read_file(file: Path, warn: Warn) -> Fields:
-        return filtered_format(file, bool(filters)).read(file, warn, **filters)
+        fields = filtered_format(file, bool(filters)).read(file, warn, **filters)
+        return fields | Fields(unit=stated_unit(file, fields.get("crs"), fields.get("unit"), warn))
 
     def read_tile(file: Path, warn: Warn) -> Fields:
         form = filtered_format(file, bool(filters))
-        return form.read(file, warn, **filters, allow_empty=True) if form.filtered else form.read(file, warn)
+        fields = form.read(file, warn, **filters, allow_empty=True) if form.filtered else form.read(file, warn)
+        return fields | Fields(unit=stated_unit(file, fields.get("crs"), fields.get("unit"), warn))
 
     if not is_tiled(path):
-        return read_named(path, read_file, warn)
+        fields = read_named(path, read_file, warn)
+        with errors_named(path):
+            apply_depth([(path, fields)], color_depth, lambda line: warn(f"{path}: {line}"))
+        return fields
     with errors_named(path):
         tiles = find_tiles(path, CLOUDS)
     lines = [(path, line) for line in tiles.warnings]
@@ -59,6 +71,8 @@ def read_fields(
     parts = [read_named(tile, read_tile, partial(_keep, lines, tile)) for tile in tiles.paths]
     stated = [StatedCrs(tile, part.get("crs"), part.get("unit")) for tile, part in zip(tiles.paths, parts, strict=True)]
     crs, unit = common_crs(stated, warn_of_all)
+    with errors_named(path):
+        apply_depth(list(zip(tiles.paths, parts, strict=True)), color_depth, warn_of_all)
     fields = concatenate(parts, warn_of_all)
     if not len(fields["points"]):
         wanted = f"points with {parse_filters(classes, returns)}" if filters else "at least one point"
@@ -71,6 +85,18 @@ def read_fields(
 
 def _keep(lines: list[tuple[Path, str]], path: Path, text: str) -> None:
     lines.append((path, text.removeprefix(f"{path}: ")))
+
+
+def stated_unit(path: Path, crs: str | None, unit: str | None, warn: Warn) -> str | None:
+    """Return the unit that a file states, or else that of its coordinate system.
+
+    Args:
+        path: the file.
+        crs: coordinate system that it states.
+        unit: unit that it states; the readers of LAS and EPT have already derived it.
+        warn: called if the coordinate system has heights in another unit than x and y.
+    """
+    return single_unit(crs, warn) if unit is None and not format_of(path).filtered else unit
 
 
 def filtered_format(path: Path, has_filters: bool) -> CloudFormat:

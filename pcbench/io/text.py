@@ -242,7 +242,7 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
 # ---- writer -------------------------------------------------------------------------------------------------------
 
 
-def write_text(path: Path, cloud: Cloud) -> None:
+def write_text(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write x y z, red green blue, nx ny nz and the attributes; each number is exact.
 
     .csv files have commas and a header. .xyz, .txt and .asc files have spaces, the crs and unit as comments, and a

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.geometry.crs import crs_name, same_crs
+from pcbench.geometry.cloud import Storage
+from pcbench.geometry.crs import crs_argument, crs_name, same_crs
 from pcbench.io.files import Fields, Warn
 
 _NUMBER = re.compile(r"\d[\d.,]*(e[+-]?\d+)?")
@@ -45,13 +46,14 @@ def common_crs(stated: Sequence[StatedCrs], warn: Warn) -> tuple[str | None, str
             if not same_crs(crs.crs, one.crs):
                 raise InputError(
                     f"expected files in one coordinate reference system, got {crs_name(crs.crs)} in {crs.path} and"
-                    f" {crs_name(one.crs)} in {one.path}: convert one of them"
+                    f" {crs_name(one.crs)} in {one.path}: convert one with pcbench convert FILE OUT --crs"
+                    f" {crs_argument(crs.crs)}"
                 )
             same.add(one.crs)
         if one.unit not in (unit.unit, None):
             raise InputError(
                 f"expected files in one unit, got {unit.unit} in {unit.path} and {one.unit} in {one.path}:"
-                " convert one of them"
+                f" convert one with pcbench convert FILE OUT --unit {unit.unit}"
             )
     without = [one for one in stated if one.crs is None]
     if crs.crs is not None and without:
@@ -102,7 +104,15 @@ def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
     joined = {name: np.concatenate([others[name] for others in columns]) for name in everywhere}
     points, normals, colors = joined.pop("points"), joined.pop("normals", None), joined.pop("colors", None)
     attributes = {name.removeprefix(_ATTRIBUTE): column for name, column in joined.items()}
-    return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
+    return Fields(points=points, normals=normals, colors=colors, attributes=attributes, stored=_common_storage(parts))
+
+
+def _common_storage(parts: Sequence[Fields]) -> Storage | None:
+    """Return the storage of all files if they have equal steps, with the offsets of the first file."""
+    found = [part.get("stored") for part in parts]
+    first = found[0]
+    same = first is not None and all(each is not None and each.steps == first.steps for each in found)
+    return first if same else None
 
 
 def normals_warning(count: int, files: int) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError, Notice
 from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.geometry.crs import crs_name, same_crs
+from pcbench.geometry.crs import check_lengths, crs_argument, crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
@@ -69,6 +69,8 @@ def compare(
     read = replace(settings, m3c2=settings.m3c2.read()) if isinstance(settings.m3c2, M3C2Settings) else settings
     clouds = {name: as_cloud(cloud) for name, cloud in named.items()}
     given = reference if isinstance(reference, Mesh) else as_cloud(reference)
+    for name, cloud in {"the reference": given, **clouds}.items():
+        check_lengths(cloud, name)
     step = ProgressPlan(on_step or (lambda _: None), expected_seconds(given, clouds, settings))
 
     step("indexing the reference")
@@ -226,7 +228,8 @@ def crs_warnings(reference: str | None, candidate: str | None) -> Iterator[Notic
         yield Notice(
             "other-crs",
             f"the candidate's coordinate system ({crs_name(candidate)}) is not the reference's"
-            f" ({crs_name(reference)}): nothing was converted",
+            f" ({crs_name(reference)}): convert the candidate with pcbench convert FILE OUT --crs"
+            f" {crs_argument(reference)}",
         )
 
 

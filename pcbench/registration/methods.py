@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, RegistrationError
-from pcbench.geometry.crs import is_projected_crs
+from pcbench.geometry.crs import check_lengths, is_projected_crs
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike, to_cloud
@@ -71,6 +71,8 @@ def register(
     """
     method = as_method(method)
     reference, candidate = to_cloud(reference), to_cloud(candidate)
+    for name, cloud in (("the reference", reference), ("the candidate", candidate)):
+        check_lengths(cloud, name)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(

@@ -8,19 +8,10 @@ import numpy as np
 
 from pcbench.errors import Notice
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import crs_name, same_crs
+from pcbench.geometry.crs import crs_argument, crs_name, same_crs
+from pcbench.geometry.units import metres
 from pcbench.registration.advice import find_any_scale
 from pcbench.registration.result import UNIT_MISMATCH
-
-_METRES_PER_UNIT = {
-    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
-    **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 1e-3),
-    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 1e-2),
-    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1e3),
-    **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
-    **dict.fromkeys(("us-ft", "us survey foot", "foot_us", "ftus"), 1200 / 3937),
-    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
-}
 
 
 class _UnitRatio(NamedTuple):
@@ -50,12 +41,14 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
         any_scale: whether the method already solves for any pose and scale.
     """
     first, second = reference.unit, candidate.unit
-    reasons = []
+    reasons, command = [], ""
     if first and second and _unit_key(first) != _unit_key(second):
         reasons.append(f"the files state different units (reference {first}, candidate {second})")
+        command = f" --unit {first}"
     if reference.crs and candidate.crs and not same_crs(reference.crs, candidate.crs):
         names = f"(reference {crs_name(reference.crs)}, candidate {crs_name(candidate.crs)})"
         reasons.append(f"the files state different coordinate systems {names}")
+        command = f" --crs {crs_argument(reference.crs)}"
     if not reasons and not (first and second) and (suspected := _suspected_units(ratio)) is not None:
         larger, other = ("candidate", "reference")[:: 1 if ratio > 1 else -1]
         reasons.append(
@@ -65,7 +58,8 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} Convert one of them{conversion}: "
+    how = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Scale one of them"
+    return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {how}{conversion}: "
 
 
 def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float) -> tuple[Notice, ...]:
@@ -77,9 +71,10 @@ def unit_warnings(reference: Cloud, candidate: Cloud, ratio: float, scale: float
         ratio: registered candidate's size over the reference's.
         scale: scale of the registration.
     """
-    first, second = (_metres(cloud.unit) for cloud in (reference, candidate))
+    first, second = (metres(cloud.unit) for cloud in (reference, candidate))
     if first and second and abs(np.log(scale * first / second)) > _MAX_LOG_RATIO:
-        text = f"the reference is in {reference.unit}, the candidate in {candidate.unit}: nothing was converted"
+        text = f"the reference is in {reference.unit}, the candidate in {candidate.unit}: convert it with"
+        text += f" pcbench convert FILE OUT --unit {reference.unit}"
         return (Notice(UNIT_MISMATCH, text),)
     suspected = _suspected_units(ratio)
     if suspected is None or abs(abs(np.log(ratio)) - np.log(suspected.factor)) > _MAX_LOG_RATIO:
@@ -99,9 +94,4 @@ def _suspected_units(ratio: float) -> _UnitRatio | None:
 
 def _unit_key(unit: str) -> float | str:
     """Return a key that is the same for all names of one unit."""
-    return _metres(unit) or unit.strip().lower()
-
-
-def _metres(unit: str | None) -> float | None:
-    """Return the unit's length in metres; None if it is unknown."""
-    return _METRES_PER_UNIT.get((unit or "").strip().lower())
+    return metres(unit) or unit.strip().lower()

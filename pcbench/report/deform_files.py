@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.io import read_cloud
 from pcbench.io.files import estimate_reading_seconds, file_in_setting
@@ -66,6 +67,7 @@ def deform_files(
     for path in (reference, candidate):
         plan(f"reading {path}")
         clouds.append(read_cloud(path, on_warning=warnings.append))
+        check_lengths(clouds[-1], str(path))
     reference_cloud, cloud = clouds
     without_figures = None
 

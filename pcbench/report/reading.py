@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import read_cloud
 from pcbench.io.files import digest, file_in_setting
@@ -38,6 +39,7 @@ def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputF
         return read_candidate(path, settings)
     warnings: list[str] = []
     mesh = read_mesh(path, on_warning=warnings.append)
+    check_lengths(mesh, str(path))
     return mesh, InputFile(str(path), digest(path), tuple(warnings))
 
 
@@ -45,6 +47,7 @@ def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
     """Read a cloud and record its file; raises the same errors as `read_reference`."""
     warnings: list[str] = []
     cloud = read_cloud(path, on_warning=warnings.append, **filters_for(path, settings))
+    check_lengths(cloud, str(path))
     found = parts_digest(open_cloud(path)) if is_in_pieces(path) else digest(path)
     return cloud, InputFile(str(path), found, tuple(warnings))
 

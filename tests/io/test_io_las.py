@@ -87,10 +87,6 @@ def test_sizes_of_point_formats():
         assert np.dtype(fields).itemsize == laspy.PointFormat(number).size
 
 
-def test_8_bit_colors_are_unchanged(tmp_path):
-    assert read(tmp_path, las(2, 3, color=1)).colors.tolist() == [[i, 7, 255] for i in range(3)]
-
-
 def test_chunks_of_variable_size(tmp_path):
     skip_without_lazrs()
     (tmp_path / "a.copc.laz").write_bytes(copc(300))
@@ -189,6 +185,63 @@ def test_filters_are_refused_for_other_formats(tmp_path):
         read_cloud(tmp_path / "a.npy", classes=(2,))
 
 
+# ---- colours ----
+
+
+def colored(count, color, classification):
+    """Return a LAS file whose points have one colour and one class."""
+    data = bytearray(las(7, count, color=1))
+    for k in range(count):
+        struct.pack_into("<B", data, 375 + 36 * k + 16, classification)
+        struct.pack_into("<3H", data, 375 + 36 * k + 30, color, color, color)
+    return bytes(data)
+
+
+@pytest.fixture
+def dark_water(tmp_path):
+    """A 16-bit file: 50 points of class 9 with the colour 200, and others with 40,000."""
+    water, ground = colored(50, 200, 9), colored(150, 40_000, 2)
+    data = bytearray(colored(200, 0, 2))
+    data[375:] = water[375:] + ground[375:]
+    (tmp_path / "a.las").write_bytes(data)
+    return tmp_path / "a.las"
+
+
+def test_filters_do_not_change_colors(dark_water):
+    whole = read_cloud(dark_water)
+    assert (np.unique(whole.colors).tolist(), whole.stored.color_depth) == ([0, 156], 16)
+    for classes in ((9,), (2, 9)):
+        cloud = read_cloud(dark_water, classes=classes)
+        np.testing.assert_array_equal(cloud.colors, whole.colors[np.isin(whole.attributes["classification"], classes)])
+
+
+def test_tiles_of_a_cloud_have_one_color_depth(tmp_path):
+    (tmp_path / "a.las").write_bytes(colored(20, 40_000, 2))
+    (tmp_path / "b.las").write_bytes(colored(20, 200, 9))
+    notes = []
+    cloud = read_cloud(tmp_path / "*.las", on_warning=notes.append)
+    assert cloud.colors[:, 0].tolist() == [156] * 20 + [0] * 20
+    assert len(notes) == 1
+    check_text(notes[0])
+    assert read_cloud(tmp_path / "*.las", classes=(9,), on_warning=notes.append).colors.max() == 0
+
+
+def test_color_depth_can_be_given(tmp_path):
+    (tmp_path / "a.las").write_bytes(colored(20, 200, 9))
+    notes = []
+    cloud = read_cloud(tmp_path / "a.las", on_warning=notes.append)
+    assert (cloud.colors.max(), cloud.stored.color_depth, len(notes)) == (200, 8, 1)
+    check_text(notes[0])
+    notes.clear()
+    assert read_cloud(tmp_path / "a.las", color_depth=16, on_warning=notes.append).colors.max() == 0
+    assert read_cloud(tmp_path / "a.las", color_depth=8, on_warning=notes.append).colors.max() == 200
+    assert notes == []
+    (tmp_path / "a.las").write_bytes(colored(20, 300, 9))
+    for depth in (8, 12):
+        with check_error():
+            read_cloud(tmp_path / "a.las", color_depth=depth)
+
+
 # ---- coordinate reference systems ----
 
 
@@ -276,7 +329,6 @@ DAMAGED_HEADERS = {
     "scale": patch(FORMAT_0, 131, "d", 0.0),
     "scale nan": patch(FORMAT_0, 139, "d", float("nan")),
     "offset": patch(FORMAT_0, 155, "d", float("inf")),
-    "two counts": patch(FORMAT_6, 107, "I", 9),
     "none": patch(FORMAT_0, 107, "I", 0),
     "absurd": patch(FORMAT_6, 247, "Q", 2**63),
     "truncated": FORMAT_0[:-101],
@@ -287,6 +339,34 @@ DAMAGED_HEADERS = {
 @pytest.mark.parametrize("name", DAMAGED_HEADERS)
 def test_damaged_headers(tmp_path, name):
     refusal(tmp_path, DAMAGED_HEADERS[name])
+
+
+@pytest.mark.parametrize("compress", [None, "chunks"])
+@pytest.mark.parametrize("beyond", [1, 2, 50])
+def test_too_many_stated_records_give_one_warning(tmp_path, beyond, compress):
+    if compress:
+        skip_without_lazrs()
+    data = las(7, 10, vlrs=[wkt(UTM)], compress=compress)
+    count = struct.unpack_from("<I", data, 100)[0]
+    cloud, notes = read_with_notes(tmp_path, patch(data, 100, "I", count + beyond))
+    expected = read(tmp_path, data)
+    np.testing.assert_array_equal(cloud.points, expected.points)
+    assert (cloud.crs, cloud.unit) == (expected.crs, expected.unit)
+    assert notes == [f"the header states {count + beyond} variable length records, the file has {count}: read these"]
+
+
+def test_too_many_stated_extended_records_give_one_warning(tmp_path):
+    data = las(6, 10, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
+    expected = read(tmp_path, data).crs
+    cloud, notes = read_with_notes(tmp_path, patch(data, 243, "I", 2))
+    assert (len(cloud), cloud.crs, len(notes)) == (10, expected, 1)
+    check_text(notes[0])
+
+
+def test_the_count_for_new_readers_is_used(tmp_path):
+    cloud, notes = read_with_notes(tmp_path, patch(FORMAT_6, 107, "I", 9))
+    assert (len(cloud), len(notes)) == (10, 1)
+    check_text(notes[0])
 
 
 def test_more_points_than_the_header_states(tmp_path):

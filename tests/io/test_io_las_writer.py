@@ -1,13 +1,16 @@
 """Writing LAS and LAZ: comparison with laspy, precision, and clouds that the format cannot store."""
 
 import struct
+from dataclasses import replace
 
+import las_bytes
 import numpy as np
 import pytest
 from optional import import_or_skip
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud, write_cloud
 
 
@@ -74,7 +77,7 @@ def test_equal_clouds_give_equal_bytes(tmp_path):
 
 @pytest.mark.parametrize(
     ("extent", "scale"),
-    [(0.0, 1e-4), (1e-3, 1e-9), (2.0, 1e-6), (99.0, 1e-5), (1e3, 1e-4), (4e5, 1e-4), (8e5, 2e-4)],
+    [(0.0, 1e-4), (1e-3, 1e-10), (2.0, 1e-7), (99.0, 1e-6), (1e3, 1e-4), (4e5, 1e-4), (8e5, 2e-4), (6e6, 2e-3)],
 )
 @pytest.mark.parametrize("centre", [0.0, 0.499, -5e6 + 0.5])
 def test_precision_follows_the_extent(tmp_path, extent, scale, centre):
@@ -104,10 +107,72 @@ def check_refusal(path, cloud):
     assert not path.exists()
 
 
-def test_extent_beyond_32_bits(tmp_path):
-    for half_extent in (1e6, 1e90):
-        cloud = Cloud(np.array([[-half_extent] * 3, [half_extent] * 3]))
-        check_refusal(tmp_path / "a.las", cloud)
+LONGITUDES = [0.001, 0.001, 50], [-81, 40, 150]
+STEPS = [  # half extents, centre, crs, largest movement in the unit of each axis
+    (*LONGITUDES, "EPSG:4326", [1e-9, 1e-9, 1e-4]),
+    (*LONGITUDES, None, [1e-9, 1e-9, 1e-4]),
+    ([0.001, 0.001, 5e4], [-81, 40, 1e5], None, [1e-9, 1e-9, 1e-4]),  # larger heights
+    ([5, 5, 50], [-81, 40, 150], "EPSG:4326", [5e-9, 5e-9, 1e-4]),  # a country, within a millimetre
+    ([0.01] * 3, [5e5, 5.6e6, 100], None, [2e-9] * 3),  # a small part on a map grid: the digits of float64
+    ([1e-6] * 3, [0, 0, 0], None, [1e-13] * 3),
+    ([1, 0, 0], [-81, 40.123456789012, 123.456789012], None, [1e-7, 0, 0]),  # constant axes
+    ([0, 0, 0], [-81.1234567890123, 40.1, 5e6 + 1 / 3], "EPSG:4326", [0, 0, 0]),
+    ([2e6, 2e6, 100], [0, 0, 0], None, [1e-3, 1e-3, 1e-4]),  # no single step fits all three axes
+]
+
+
+@pytest.mark.parametrize(("half_extents", "centre", "crs", "largest"), STEPS)
+def test_each_axis_has_a_step_that_is_fine_enough(tmp_path, half_extents, centre, crs, largest):
+    if crs is not None:
+        import_or_skip("pyproj")
+    points = np.random.default_rng(0).uniform(-1, 1, (5000, 3)) * half_extents + centre
+    write_cloud(tmp_path / "a.las", Cloud(points, crs=crs))
+    moved = np.abs(read_cloud(tmp_path / "a.las").points - points).max(axis=0)
+    assert (moved <= largest).all(), moved
+
+
+@pytest.mark.parametrize("height", [-9999, -3.4e38, 1e30])
+def test_rounding_to_more_than_the_spacing_is_refused(tmp_path, height):
+    points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [100, 100, 10]
+    points[7, 2] = height
+    if height == -9999:  # 32 bits suffice
+        write_cloud(tmp_path / "a.las", points)
+        assert np.abs(read_cloud(tmp_path / "a.las").points - points).max() <= 6e-5
+    else:
+        check_refusal(tmp_path / "a.las", Cloud(points))
+
+
+def test_rounding_beyond_a_tenth_of_the_spacing_gives_a_warning(tmp_path):
+    points = np.random.default_rng(0).uniform(-1, 1, (5000, 3)) * [100, 100, 10]
+    points[7, 2] = 1e10
+    notes = []
+    write_cloud(tmp_path / "a.las", Cloud(points, unit="m"), on_warning=notes.append)
+    assert len(notes) == 1
+    check_text(notes[0])
+    with pytest.warns(UserWarning, match="LAS stores z in steps of 5 m"):
+        write_cloud(tmp_path / "a.las", Cloud(points, unit="m"))
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.00025, 0.0078125, 3.048e-4, 1.7e-5])
+def test_steps_of_the_source_are_kept(tmp_path, scale):
+    """Coordinates keep their bits, also of a selection; a transformed cloud has steps of its own."""
+    (tmp_path / "a.las").write_bytes(las_bytes.las(6, 50, scales=(scale, -scale, scale), offsets=(5e5, 0.25, 1e-3)))
+    cloud = read_cloud(tmp_path / "a.las")
+    write_cloud(tmp_path / "b.las", cloud.select(np.arange(0, 50, 2)))
+    np.testing.assert_array_equal(read_cloud(tmp_path / "b.las").points, cloud.points[::2])
+    moved = cloud.transformed(Similarity(np.eye(3), np.array([0.123456, 0, 0])))
+    assert moved.stored is None
+    write_cloud(tmp_path / "b.las", replace(moved, stored=cloud.stored))  # steps that do not fit are not used
+    assert np.abs(read_cloud(tmp_path / "b.las").points - moved.points).max() <= 5e-4
+
+
+def test_steps_of_tiles_are_kept(tmp_path):
+    for k in range(2):
+        data = las_bytes.las(6, 50, scales=(0.00025,) * 3, offsets=(1000 * k, 0, 0))
+        (tmp_path / f"tile_{k}.las").write_bytes(data)
+    cloud = read_cloud(tmp_path / "tile_*.las")
+    write_cloud(tmp_path / "b.las", cloud)
+    np.testing.assert_allclose(read_cloud(tmp_path / "b.las").points, cloud.points, rtol=1e-15, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -269,6 +269,7 @@ EPT_DAMAGE = {
         folder / "ept.json", schema=[{"name": "X", "type": "float", "size": 8}]
     ),
     "wrong size": lambda folder: change_json(folder / "ept.json", schema=[{"name": "X", "type": "float", "size": 3}]),
+    "wrong type": lambda folder: change_json(folder / "ept.json", schema=[{"name": "X", "type": "complex", "size": 8}]),
     "wrong count": lambda folder: change_json(folder / "ept.json", points=61),
     "count as text": lambda folder: change_json(folder / "ept.json", points="many"),
     "no hierarchy": lambda folder: (folder / "ept-hierarchy/0-0-0-0.json").unlink(),
@@ -289,6 +290,16 @@ def test_damaged_ept(tmp_path, damage):
     for read in (read_cloud, open_cloud):
         with check_error():
             read(folder)
+
+
+def test_ept_may_say_floating(tmp_path):
+    """PDAL's name of the type float."""
+    folder = ept_bytes.write(tmp_path / "ept", data_type="binary")
+    expected = read_cloud(folder)
+    text = (folder / "ept.json").read_text()
+    (folder / "ept.json").write_text(text.replace('"float"', '"floating"'))
+    assert '"floating"' in (folder / "ept.json").read_text()
+    np.testing.assert_array_equal(read_cloud(folder).attributes["gps_time"], expected.attributes["gps_time"])
 
 
 def test_damaged_node_of_ept_is_named(tmp_path):

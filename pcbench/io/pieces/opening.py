@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import bounds
+from pcbench.geometry.crs import degrees_hint
 from pcbench.io.files import as_path, check_readable, errors_named
 from pcbench.io.formats import CLOUDS
 from pcbench.io.las_records import LasFilters, parse_filters
 from pcbench.io.paths import EPT, TileFiles, find_tiles, is_tiled
 from pcbench.io.pieces.formats import PieceFormat, piece_format
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
-from pcbench.io.reading import cloud_file, filtered_format
+from pcbench.io.reading import cloud_file, filtered_format, stated_unit
 from pcbench.io.tiles import StatedCrs, common_crs, normals_warning
 
 PIECE_POINTS = 1_000_000
@@ -79,8 +84,9 @@ def open_cloud(
                 raise
             left_out.append(DamagedFile(file, _stated_count(file, form), str(error).removeprefix(f"{file}: ")))
             continue
+        unit = stated_unit(file, described.crs, described.unit, notes.append)
         lines += [(file, note) for note in notes]
-        files.append(described)
+        files.append(replace(described, unit=unit))
         for k, part in enumerate(parts, 1):
             label = f"piece {k} of {len(parts)}" if len(parts) > 1 else ""
             pieces.append(Piece(file, len(pieces), part.points, part.address, label))
@@ -92,6 +98,9 @@ def open_cloud(
     if 0 < with_normals < len(files):
         warn(normals_warning(with_normals, len(files)))
     crs, unit = common_crs([StatedCrs(file.path, file.crs, file.unit) for file in files], warn)
+    corners = [corner for file in files for corner in (file.low, file.high) if corner is not None]
+    if crs is None and unit is None and corners and (line := degrees_hint(*bounds(np.array(corners)))):
+        warn(line)
     return CloudOnDisk(
         path=path,
         files=tuple(files),

@@ -26,13 +26,15 @@ import numpy as np
 from pcbench.errors import InputError, Notice
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.crs import check_lengths, is_in_degrees
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
 from pcbench.io import has_filters
 from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
-from pcbench.io.pieces import CloudOnDisk, open_cloud
+from pcbench.io.pieces import CloudOnDisk, open_cloud, read_piece
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
@@ -130,7 +132,11 @@ def compare_on_disk(
 def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
     """Describe a cloud; classes and returns select points where files have them, as in memory."""
     classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    return open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    cloud = open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    if is_in_degrees(cloud.crs, cloud.unit):  # some points, because headers need not state a place
+        points = read_piece(cloud, cloud.pieces[0]).points
+        check_lengths(Cloud(points if len(points) else np.zeros((1, 3)), crs=cloud.crs, unit=cloud.unit), str(path))
+    return cloud
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:

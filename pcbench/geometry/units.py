@@ -1,0 +1,30 @@
+"""Units of length: their names and their lengths in metres."""
+
+from __future__ import annotations
+
+_METRES_PER_UNIT = {
+    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
+    **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 1e-3),
+    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 1e-2),
+    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1e3),
+    **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
+    **dict.fromkeys(("us-ft", "us survey foot", "foot_us", "ftus"), 1200 / 3937),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+}
+_SHORT_NAMES = {1.0: "m", 0.3048: "ft", 0.3048006096: "US-ft", 1e-3: "mm", 1e-2: "cm", 1e3: "km", 0.0254: "in"}
+_DEGREE_UNITS = ("deg", "degree", "degrees", "°")
+
+
+def metres(unit: str | None) -> float | None:
+    """Return the length of a unit in metres; None if it is unknown."""
+    return _METRES_PER_UNIT.get((unit or "").strip().lower())
+
+
+def unit_of_length(length: float) -> str | None:
+    """Return the short name of the unit of a length in metres, which files round; None if there is none."""
+    return _SHORT_NAMES.get(round(length, 10))
+
+
+def is_degree(unit: str | None) -> bool:
+    """Return whether a unit is the degree."""
+    return (unit or "").strip().lower() in _DEGREE_UNITS
