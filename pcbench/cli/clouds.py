@@ -269,7 +269,8 @@ def _print_info(path: Path) -> None:
     count = pluralize(len(cloud), "point") if mesh is None else f"{len(cloud):,} vertices"
     click.echo(f"{path}: {count}")
     if mesh is not None:
-        click.echo(f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}")
+        closed = mesh.closure.describe(mesh.unit)
+        click.echo(f"  mesh   {pluralize(len(mesh), 'face')} of area {mesh.area:.6g}, {closed}")
     unit = f" {cloud.unit}" if cloud.unit else ""
     click.echo(f"  from   {_triple(lower)}{unit}")
     click.echo(f"  to     {_triple(upper)}{unit}")
