@@ -3,6 +3,7 @@
 import json
 import struct
 
+import numpy as np
 from mesh_shapes import cube
 from ply_bytes import FORMATS, XYZ, ply
 
@@ -38,6 +39,40 @@ def ply_mesh(form="ascii", name="vertex_indices", polygons=QUADS, order=1, types
     return ply(form, *[vertex, face][::order], comments=["comment crs EPSG:32632", "comment unit m"])
 
 
+def gltf_bytes(document, body):
+    """Build a binary glTF file of a document and its only buffer."""
+    text = json.dumps({**document, "buffers": [{"byteLength": len(body)}]}).encode()
+    text, body = text + b" " * (-len(text) % 4), body + bytes(-len(body) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def glb_parts(*parts, **more):
+    """Build a mesh of parts (mode, positions (V, 3), indices or None), of which None leaves out the mode or indices."""
+    body, accessors, views, primitives = b"", [], [], []
+
+    def add(values, code, kind):
+        nonlocal body
+        data = values.astype(code).tobytes()
+        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(data)})
+        component = {"<f4": 5126, "<u4": 5125, "<i2": 5122}[code]
+        bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if kind == "VEC3" else {}
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": component, "count": len(values), "type": kind, **bounds}
+        )
+        body += data + bytes(-len(data) % 4)
+        return len(accessors) - 1
+
+    for mode, positions, indices in parts:
+        primitive = {"attributes": {"POSITION": add(np.asarray(positions, dtype=float), "<f4", "VEC3")}}
+        primitive |= {} if mode is None else {"mode": mode}
+        primitive |= {} if indices is None else {"indices": add(np.asarray(indices), "<u4", "SCALAR")}
+        primitives.append(primitive)
+    document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
+    document |= {"meshes": [{"primitives": primitives}], "accessors": accessors, "bufferViews": views, **more}
+    return gltf_bytes(document, body)
+
+
 def glb(name="cube"):
     """Build two cubes, one translated and scaled by 2 by its node."""
     positions, indices = VERTICES.astype("<f4").tobytes(), FACES.astype("<u2").tobytes()
@@ -55,17 +90,23 @@ def glb(name="cube"):
             {"buffer": 0, "byteOffset": 0, "byteLength": len(positions)},
             {"buffer": 0, "byteOffset": len(positions), "byteLength": len(indices)},
         ],
-        "buffers": [{"byteLength": len(positions + indices)}],
     }
-    text, body = json.dumps(document).encode(), positions + indices
-    text, body = text + b" " * (-len(text) % 4), body + bytes(-len(body) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return gltf_bytes(document, positions + indices)
 
 
 def off():
     rows = ["OFF", f"{len(VERTICES)} {len(FACES)} 0", *(f"{x} {y} {z}" for x, y, z in VERTICES)]
     return "\n".join([*rows, *(f"3 {a} {b} {c}" for a, b, c in FACES), ""]).encode()
+
+
+# The four sides of the cube, whose last two vertices are the first, and the ends.
+STRIPS = [(1, 0, 5, 4, 7, 6, 3, 2, 1, 0), (4, 0, 6, 2, -1, 3, 1, 7, 5)]
+
+
+def ply_strips(form="ascii", rows=STRIPS):
+    vertex = ("vertex", XYZ, [tuple(v) for v in VERTICES.tolist()])
+    tags = ["comment crs EPSG:32632", "comment unit m"]
+    return ply(form, vertex, ("tristrips", ["list int int vertex_indices"], [(row,) for row in rows]), comments=tags)
 
 
 CUBES = {
@@ -80,6 +121,14 @@ CUBES = {
     "continued.obj": obj().replace(b"f ", b"f \\\n"),
     "plain.off": off(),
     "one line.off": b"# by hand\n" + off().replace(b"OFF\n", b"OFF "),
+    "glued.off": off().replace(b"OFF\n", b"OFF"),
+    "glued colored.off": off().replace(b"OFF\n", b"COFF").replace(b".0\n", b".0 255 0 0 255\n"),
+    "normals.off": off().replace(b"OFF", b"STCNOFF").replace(b".0\n", b".0 0 0 1 255 0 0 255 0.5 0.5\n"),
+    "homogeneous.off": off().replace(b"OFF", b"4OFF").replace(b"1.0", b"2.0").replace(b".0\n", b".0 2.0\n"),
+    "old.obj": obj().replace(b"f ", b"fo "),
+    "strips.ply": ply_strips(),
+    "strips in rows.ply": ply_strips("binary_little_endian", [*STRIPS, STRIPS[0][:0]]),
+    "strips in one row.ply": ply_strips("binary_big_endian", [(*STRIPS[0], 0, 4, *STRIPS[1], -1)]),
     "colored.off": off().replace(b"OFF", b"COFF").replace(b".0\n", b".0 255 0 0 255\n"),
     **{f"{form}.ply": ply_mesh(form) for form in FORMATS},
     **{f"{form} face first.ply": ply_mesh(form, "vertex_index", FACES.tolist(), -1) for form in FORMATS},

@@ -21,6 +21,7 @@ from pcbench.cli.options import (
     register_option,
     required_crop_option,
     splat_options,
+    vertices_option,
 )
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool
 @click.option("--out", type=FILE, metavar="FILE", help="File for the aligned candidate.")
 @click.option("--matrix", type=FILE, metavar="FILE", help="File for the 4x4 matrix from candidate to reference.")
 @register_option()
+@vertices_option
 @json_option("the pose and its precision")
 @quiet_option
 def register(
@@ -77,6 +79,7 @@ def register(
     out: Path | None,
     matrix: Path | None,
     register: str,
+    vertices: bool,
     json_file: str | None,
     quiet: bool,
 ) -> None:
@@ -87,9 +90,11 @@ def register(
     matrix:FILE.
     """
     from pcbench.geometry.crs import check_lengths
+    from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
-    from pcbench.io import read_cloud, write_cloud
+    from pcbench.io import write_cloud
     from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
+    from pcbench.io.meshes import read_shape
     from pcbench.progress import ProgressPlan
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
@@ -105,17 +110,18 @@ def register(
     with steps(quiet) as show:
         reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
         step = ProgressPlan(show, [*reading, 0.5 + 15 * sum(reading)])
-        clouds = []
-        for path in (reference, candidate):
+        shapes = []
+        for path, as_vertices in ((reference, False), (candidate, vertices)):
             step(f"reading {path}")
             read_warnings.append([])
-            clouds.append(read_cloud(path, on_warning=read_warnings[-1].append))
+            shapes.append(read_shape(path, on_warning=read_warnings[-1].append, vertices=as_vertices))
             for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
-            check_lengths(clouds[-1], str(path))
-        reference_cloud, cloud = clouds
+            check_lengths(shapes[-1], str(path))
+        fixed, moved = shapes
         step("registering")
-        result = register_clouds(reference_cloud, cloud, register)
+        result = register_clouds(fixed, moved, register)
+        cloud = sample_candidate(moved, fixed)
     text = format_matrix(result.T_reference_candidate)
     if out is not None:
         aligned = cloud.transformed(result.T_reference_candidate)
@@ -129,7 +135,7 @@ def register(
             file.write(text.encode())
     for warning in result.warnings:
         warn_unless(quiet)(str(warning))
-    centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
+    centroid, unit = cloud.points.mean(axis=0), fixed.unit or cloud.unit
     if json_file is not None:
         files = zip((reference, candidate), read_warnings, strict=True)
         first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in files)
@@ -194,11 +200,13 @@ def convert(
     and y are projected (--crs).
     """
     from pcbench.errors import InputError
-    from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.mesh_samples import vertex_cloud
     from pcbench.geometry.reprojection import convert_unit, project
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
     from pcbench.io.files import check_output, errors_named, estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.io.polygons import left_out_surface
+    from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
 
     if from_crs is not None and crs is None:
@@ -214,16 +222,18 @@ def convert(
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
-    is_mesh = sample is not None or is_mesh_only(cloud)
-    if is_mesh and any(value is not None for value in filters.values()):
+    if (sample is not None or is_mesh_only(cloud)) and any(value is not None for value in filters.values()):
         raise InputError(f"{cloud}: a mesh has no classes, returns, splats or 16-bit colours")
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
         step(f"reading {cloud}")
-        if is_mesh:
+        if sample is not None:
+            data = read_mesh(cloud, on_warning=warn_unless(quiet)).sample(sample)
+        elif is_mesh_only(cloud):
             mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
-            data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+            data = vertex_cloud(mesh)
+            warn_unless(quiet)(f"{cloud}: {left_out_surface(len(data), pluralize(len(mesh), 'face'))}")
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
         with errors_named(cloud):
@@ -259,13 +269,13 @@ def info(clouds: tuple[Path, ...]) -> None:
 
 def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
-    from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import axis_units, crs_label, is_in_degrees, projection_command
+    from pcbench.geometry.mesh_samples import vertex_cloud
     from pcbench.geometry.neighbors import Index, median_spacing
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
     from pcbench.io.files import estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh, read_vertices
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.words import printable
@@ -276,14 +286,15 @@ def _print_info(path: Path) -> None:
         step(f"reading {path}")
         if is_mesh_only(path):
             mesh = read_mesh(path, on_warning=warn)
-            cloud = Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
+            cloud = vertex_cloud(mesh)
+        elif holds_mesh(path):
+            cloud = read_vertices(path, on_warning=warn)
+            try:
+                mesh = read_mesh(path, on_warning=warn)
+            except InputError as error:  # its points can still be described
+                warn(error)
         else:
             cloud = read_cloud(path, on_warning=warn)
-            if holds_mesh(path):
-                try:
-                    mesh = read_mesh(path, on_warning=warn)
-                except InputError as error:  # its points can still be described
-                    warn(error)
         lower, upper = cloud.bounds
         if in_degrees := is_in_degrees(cloud.crs, cloud.unit):
             warn(f"{path}: degrees are no lengths: to measure, {projection_command(cloud.crs, *cloud.centre)}")
@@ -296,7 +307,8 @@ def _print_info(path: Path) -> None:
     count = pluralize(len(cloud), "point") if mesh is None else f"{len(cloud):,} vertices"
     click.echo(f"{path}: {count}")
     if mesh is not None:
-        click.echo(f"  mesh   {len(mesh):,} faces of area {mesh.area:.6g}, {'closed' if mesh.is_closed else 'open'}")
+        closed = mesh.closure.describe(mesh.unit)
+        click.echo(f"  mesh   {pluralize(len(mesh), 'face')} of area {mesh.area:.6g}, {closed}")
     for name, values in (("from", lower), ("to", upper), ("size", upper - lower)):
         click.echo(f"  {name:6} {_triple(values, cloud)}")
     if spacing is not None:

@@ -109,6 +109,13 @@ def scene_options(command: _Command) -> _Command:
     return click.option("--scene", type=FILE, metavar="FOLDER", help=scene)(cameras_option(cameras)(command))
 
 
+vertices_option = click.option(
+    "--vertices",
+    is_flag=True,
+    help="Measure a candidate mesh at its vertices rather than at points sampled on its faces.",
+)
+
+
 def scene_folder(context: click.Context, scene: Path | None, cameras: str) -> Any:
     """Return the `SceneFolder` that the options of `scene_options` name, if any.
 

@@ -33,6 +33,7 @@ from pcbench.cli.options import (
     split_names,
     tiling_choice,
     tiling_options,
+    vertices_option,
 )
 from pcbench.errors import InputError
 
@@ -82,7 +83,8 @@ if TYPE_CHECKING:
 @las_options("LAS files")
 @splat_options
 @tiling_options
-@seed_option("Random seed of the samples on a mesh, the sampling floors, and the folds of cross-validation.")
+@vertices_option
+@seed_option("Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.")
 @click.option(
     "--settings",
     "settings_file",
@@ -121,6 +123,7 @@ def compare(
     returns: str | None,
     min_opacity: float | None,
     max_axis: float | None,
+    vertices: bool,
     tiles: str | None,
     memory: str | None,
     workers: int | None,
@@ -158,7 +161,7 @@ def compare(
     if settings_file is not None:
         options = [
             *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
-            *("max_axis", "seed", "tolerance", "max_distance", "skip_bad"),
+            *("max_axis", "vertices", "seed", "tolerance", "max_distance", "skip_bad"),
         ]
         if reference is not None or any(is_given(context, name) for name in options):
             raise click.UsageError(
@@ -184,6 +187,7 @@ def compare(
             returns=las_returns(returns),
             min_opacity=min_opacity,
             max_axis=max_axis,
+            vertices=vertices,
             m3c2=m3c2,
             tolerance=None if tolerance is None else share("--tolerance", tolerance),
         )
@@ -242,8 +246,9 @@ def compare_and_print(
 @click.option("--out", type=FILE, metavar="FOLDER", help="Folder for deformation.json, the displacements and pictures.")
 @register_option()
 @crop_option
+@vertices_option
 @no_figures_option()
-@seed_option("Random seed for the folds of cross-validation.")
+@seed_option("Random seed for the samples on meshes and the folds of cross-validation.")
 @json_option("deformation.json")
 @background_option
 @format_option
@@ -254,6 +259,7 @@ def deform(
     out: Path | None,
     register: str,
     crop: str,
+    vertices: bool,
     no_figures: bool,
     seed: int,
     json_file: str | None,
@@ -276,7 +282,15 @@ def deform(
     output.check([reference, candidate, *filter(None, map(file_in_setting, (register, crop)))], folder=out)
     with steps(quiet) as step:
         outcome = deform_files(
-            reference, candidate, register, crop, seed, out, figures=None if no_figures else style, step=step
+            reference,
+            candidate,
+            register,
+            crop,
+            seed,
+            out,
+            vertices=vertices,
+            figures=None if no_figures else style,
+            step=step,
         )
     result = outcome.deformation
     output.write(result)
@@ -423,7 +437,7 @@ def _plot_cloud(
     """Draw the cloud or the mesh in a file."""
     from pcbench.io import read_cloud
     from pcbench.io.files import check_output, estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh, read_vertices
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.colors import has_colors
@@ -439,7 +453,8 @@ def _plot_cloud(
     with steps(quiet) as show:
         step = ProgressPlan(show, [estimate_reading_seconds(path), *([0.5] if scene is not None else []), 2.0])
         step(f"reading {path}")
-        name, cloud = path.stem, None if is_mesh_only(path) else read_cloud(path, on_warning=warn_reader)
+        read = read_vertices if holds_mesh(path) else read_cloud
+        name, cloud = path.stem, None if is_mesh_only(path) else read(path, on_warning=warn_reader)
         if cloud is None and scalar is not None:
             raise InputError(f"{path}: --scalar needs a cloud with attributes, got a mesh")
         if cloud is None or (holds_mesh(path) and scalar is None and not has_colors(cloud.colors)):

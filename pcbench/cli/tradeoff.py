@@ -69,8 +69,8 @@ def tradeoff(
     Example: pcbench tradeoff ref.ply cloud.ply --tolerance 1% --out tradeoff/
     """
     from pcbench.errors import InputError
-    from pcbench.io import read_cloud
-    from pcbench.io.meshes import holds_mesh, read_mesh
+    from pcbench.geometry.mesh_samples import sample_candidate
+    from pcbench.io.meshes import read_shape
     from pcbench.studies.tradeoff.results import TradeoffSettings, document
     from pcbench.studies.tradeoff.study import run_tradeoff
     from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
@@ -91,10 +91,9 @@ def tradeoff(
             raise InputError(f"{path}: the study replaces files in {out}: choose another --out")
     with steps(quiet) as step:
         step(f"reading {reference}")
-        read = read_mesh if holds_mesh(reference) else read_cloud
-        first = read(reference, on_warning=warn_unless(quiet))
+        first = read_shape(reference, on_warning=warn_unless(quiet))
         step(f"reading {candidate}")
-        second = read_cloud(candidate, on_warning=warn_unless(quiet))
+        second = sample_candidate(read_shape(candidate, on_warning=warn_unless(quiet)), first, seed)
         outcome = run_tradeoff(first, second, settings, out=out, figures=not no_figures, step=step)
     if json_file is not None:
         output.write(document(outcome.study))

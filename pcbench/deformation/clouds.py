@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,18 +12,21 @@ from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
 from pcbench.errors import InputError
 from pcbench.geometry.crop import points_inside
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
-from pcbench.io import CloudLike, to_cloud
+from pcbench.io import CloudLike
+from pcbench.io.meshes import to_shape
 from pcbench.registration import Method, Registration, Target, local_origin, register
 
 
 def deform(
-    reference: CloudLike,
-    candidate: CloudLike,
+    reference: Mesh | CloudLike,
+    candidate: Mesh | CloudLike,
     method: Method | Similarity | ArrayLike | str = "icp",
     crop: Region | str = "none",
     seed: int = 0,
@@ -31,7 +36,7 @@ def deform(
     Without a unit or a coordinate system the scale is unknown, and a difference in scale is not a deformation.
 
     Args:
-        reference: a cloud, an (N, 3) array, or the path of a file.
+        reference: a cloud, an (N, 3) array, a mesh, which is sampled by area, or the path of a file.
         candidate: the same.
         method: registration method, or the pose itself, as for `pcbench.register`.
         crop: region to assess, in the reference's coordinates, or its text, see
@@ -44,10 +49,15 @@ def deform(
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise InputError(f"expected the seed as a whole number >= 0, got {type(seed).__name__}")
-    reference, candidate = to_cloud(reference), to_cloud(candidate)
+    given, moved = to_shape(reference), to_shape(candidate)
+    reference, candidate = sample_reference(given, seed), sample_candidate(moved, given, seed)
     origin = local_origin(reference)
-    target = Target.of(reference, origin)
+    target = Target.of(reference, origin, is_sampled=isinstance(given, Mesh))
     found = register(reference, candidate, method, target=target)
+    if isinstance(moved, Mesh):
+        scale, spacing = found.T_local.scale, None if target.is_sampled else target.surface.spacing
+        notice = sampling_notice(moved, len(candidate), seed, scale=scale, spacing=spacing)
+        found = replace(found, warnings=(notice, *found.warnings))
     aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
     region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)

@@ -13,13 +13,13 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry import pyvista_points
 from pcbench.geometry.arrays import FloatArray, IntArray, as_rows, bounds
+from pcbench.geometry.closure import Closure, closure_of
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Affine, Similarity
 from pcbench.native import _core
 
 # The kernel's codes for the part of a face: corners 0-2, then the edges 01, 12, 20, then the interior.
 _FIRST_EDGE, _INTERIOR = 3, 6
-_DEGENERATE_SIN2 = 1e-28  # squared sine of a face's angle up to which its area is rounding error; the kernel's limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,15 +120,18 @@ class Mesh:
         return normals
 
     @cached_property
+    def closure(self) -> Closure:
+        """How the faces meet: whether they enclose a volume, and which side is outside."""
+        return closure_of(self.vertices, self.faces)
+
+    @property
     def is_closed(self) -> bool:
         """Return whether every edge is shared by exactly two faces that traverse it in opposite directions.
 
-        A face that repeats a vertex is ignored: it has no interior, and its neighbours meet at its only edge.
+        Vertices at one position count as one, see `closure`. Repeated faces are ignored, and so are faces that repeat
+        a vertex: their neighbours meet at their only edge.
         """
-        proper = self.faces[_has_distinct_vertices(self.faces)]
-        keys = np.sort(_edge_keys(proper, len(self.vertices)), axis=None)
-        backwards = np.sort(_edge_keys(proper[:, ::-1], len(self.vertices)), axis=None)
-        return bool((np.diff(keys) > 0).all() and np.array_equal(keys, backwards))
+        return self.closure.open_reason is None
 
     def sample(self, count: int, seed: int = 0) -> Cloud:
         """Return `count` random points, distributed uniformly by area, with the unit normals of their faces.
@@ -196,13 +199,10 @@ class MeshIndex:
         """Pickle the mesh: another process builds the same tree."""
         return MeshIndex, (self.mesh,)
 
-    @cached_property
+    @property
     def supports_signed_distance(self) -> bool:
-        """Return whether `query` supports signed distances: the mesh is closed and has no degenerate faces."""
-        try:
-            return bool(self._pseudo_normals)
-        except InputError:
-            return False
+        """Return whether `query` supports signed distances; otherwise `mesh.closure.unsigned_reason` says why not."""
+        return self.mesh.closure.unsigned_reason is None
 
     def query(self, points: ArrayLike, *, signed: bool = False) -> MeshMatches:
         """Find the closest point of the mesh to each of `points` (N, 3); the lowest face index decides ties.
@@ -215,8 +215,8 @@ class MeshIndex:
                 It is undefined where the mesh intersects itself.
 
         Raises:
-            InputError: `points` are not finite (N, 3) coordinates; `signed` and the mesh is not closed or has
-                degenerate faces (see `supports_signed_distance`).
+            InputError: `points` are not finite (N, 3) coordinates; `signed` and inside and outside of the mesh are
+                unknown (see `supports_signed_distance`).
         """
         queries = as_rows("points", points)
         if not np.isfinite(queries).all():
@@ -273,67 +273,50 @@ class _PseudoNormals:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        if not mesh.is_closed:
+        closure = mesh.closure
+        if closure.unsigned_reason is not None:
             raise InputError(
-                "expected a closed mesh for signed distances, got open edges or edges of more than two faces;"
-                " repair the mesh first"
+                f"expected a closed mesh for signed distances, got {closure.unsigned_reason}; repair the mesh first"
             )
-        rows = np.flatnonzero(_has_distinct_vertices(mesh.faces))
+        rows = closure.rows
         corners = mesh.vertices[mesh.faces[rows]]  # (P, 3, 3)
         sides = np.roll(corners, -1, axis=1) - corners  # side k runs from corner k to the next
         cross_products = np.cross(sides[:, 0], -sides[:, 2])
         lengths = np.linalg.norm(cross_products, axis=1)
-        squares = np.square(sides).sum(axis=2)
-        if flat := int(np.count_nonzero(lengths**2 <= _DEGENERATE_SIN2 * squares[:, 0] * squares[:, 2])):
-            raise InputError(
-                f"expected faces with an area for signed distances, got {flat} of {len(mesh)} with their three vertices"
-                " on one line; repair the mesh first"
-            )
-        volume = np.einsum("ni,ni->", corners[:, 0] - mesh.vertices.mean(axis=0), cross_products)
-        normals = np.sign(volume) * cross_products / lengths[:, None]
+        normals = closure.outward[rows, None] * cross_products / lengths[:, None]
         # Unlike arccos, arctan2 of the sine and the cosine is also accurate for angles near 0 or 180 degrees.
         cosines = -np.einsum("nki,nki->nk", sides, np.roll(sides, 1, axis=1))
         angles = np.arctan2(lengths[:, None], cosines)
-        self._mesh = mesh
-        self._faces = np.zeros((len(mesh), 3))
-        self._faces[rows] = normals
+        self._ends, self._count = closure.corners, len(mesh.vertices)
+        self._faces = closure.outward[:, None] * mesh.normals()
         self._corners = np.column_stack(
             [
-                np.bincount(mesh.faces[rows].ravel(), (angles * normals[:, [axis]]).ravel(), len(mesh.vertices))
+                np.bincount(self._ends[rows].ravel(), (angles * normals[:, [axis]]).ravel(), self._count)
                 for axis in range(3)
             ]
         )
-        keys = _edge_keys(mesh.faces[rows], len(mesh.vertices)).ravel()
+        keys = (self._ends[rows] * self._count + np.roll(self._ends[rows], -1, axis=1)).ravel()
         order = np.argsort(keys)
         self._keys, self._key_faces = keys[order], rows[order // 3]
 
     def at(self, faces: IntArray, features: NDArray[np.uint8]) -> FloatArray:
         """Return the pseudo-normals (N, 3), not of unit length, at features (N,) of faces (N,): the kernel's codes."""
         directions = self._faces[faces]
-        ends = self._mesh.faces[faces]
-        rows = np.flatnonzero(features < _FIRST_EDGE)
-        directions[rows] = self._corners[ends[rows, features[rows]]]
-        rows = np.flatnonzero((features >= _FIRST_EDGE) & (features < _INTERIOR))
-        first, second = ends[rows, features[rows] - _FIRST_EDGE], ends[rows, (features[rows] - _FIRST_EDGE + 1) % 3]
+        ends = self._ends[faces]
+        rows = np.flatnonzero(features < _INTERIOR)
+        starts = features[rows] % _FIRST_EDGE
+        first = ends[rows, starts]
+        second = np.where(features[rows] < _FIRST_EDGE, first, ends[rows, (starts + 1) % 3])
+        is_corner = first == second  # or an edge whose ends were merged
+        directions[rows[is_corner]] = self._corners[first[is_corner]]
+        rows, first, second = rows[~is_corner], first[~is_corner], second[~is_corner]
         directions[rows] = self._face_normals_at_edges(first, second) + self._face_normals_at_edges(second, first)
         return directions
 
     def _face_normals_at_edges(self, first: IntArray, second: IntArray) -> FloatArray:
         """Return the normals (M, 3) of the faces with a directed edge from vertex `first` to vertex `second`."""
-        positions = np.searchsorted(self._keys, first * len(self._mesh.vertices) + second)
+        positions = np.searchsorted(self._keys, first * self._count + second)
         return self._faces[self._key_faces[positions]]
-
-
-def _has_distinct_vertices(faces: IntArray) -> NDArray[np.bool_]:
-    """Return which faces (F,) have three distinct vertices."""
-    a, b, c = faces.T
-    proper: NDArray[np.bool_] = (a != b) & (b != c) & (c != a)
-    return proper
-
-
-def _edge_keys(faces: IntArray, vertex_count: int) -> IntArray:
-    """Return an integer key (F, 3) for each directed edge of the faces, from corner k to the next."""
-    return faces * vertex_count + np.roll(faces, -1, axis=1)
 
 
 def _as_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -75,6 +75,10 @@ def format_of(path: Path, formats: Mapping[str, CloudFormat] = CLOUDS) -> CloudF
         InputError: the extension is unknown. The message does not name the path.
     """
     form = formats.get(path.name) or formats.get(path.suffix.lower())
+    if form is None and path.suffix.lower() in MESHES:
+        raise InputError(
+            "expected a point cloud, got a mesh: sample points on it with `pcbench convert MESH CLOUD.ply --sample N`"
+        )
     if form is None:
         known = ", ".join(extension for extension in formats if extension.startswith("."))
         got = path.suffix.lower() or "none"

@@ -20,6 +20,11 @@ from pcbench.io.polygons import merge_vertices
 from pcbench.regular_files import regular_status
 from pcbench.scratch import scratch_folder
 
+_TRIANGLES, _FAN = "4", "6"  # modes of primitives: glTF 2.0, section 5.24.4
+_LINES_AND_POINTS = {"0": "points", "1": "lines", "2": "lines", "3": "lines"}
+_COMPRESSED = ("KHR_draco", "EXT_meshopt", "KHR_meshopt")  # extensions that replace the plain arrays
+_INSTANCED = "EXT_mesh_gpu_instancing"
+
 
 def read_glb(path: Path, warn: Warn) -> Mesh:
     """Read all triangles of a binary glTF file.
@@ -51,15 +56,17 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
             raise InputError(
                 f"truncated: the last chunk ends at byte {offset} of {size}: copy or export the file again"
             )
-    return _read_with_trimesh(path)
+        file.seek(12)
+        length, kind = struct.unpack("<I4s", file.read(8).ljust(8, b"\0"))
+        text = file.read(length)
+    if kind != b"JSON":
+        raise InputError(f"expected JSON as the first chunk, got {kind!r}: export the file again")
+    return _read_with_trimesh(path, _parse(text), warn)
 
 
 def read_gltf(path: Path, warn: Warn) -> Mesh:
     """Read all triangles of a glTF file and the files that it refers to; raises as `read_glb` does."""
-    try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}: export the file again") from error
+    content = _parse(path.read_bytes())
     for uri in _external_uris(content):
         try:
             regular_status(path.parent / unquote(uri))
@@ -67,19 +74,55 @@ def read_gltf(path: Path, warn: Warn) -> Mesh:
             raise InputError(f"referenced file {uri}: {error}") from error
         except OSError:  # trimesh reports missing files
             continue
-    return _read_with_trimesh(path)
+    return _read_with_trimesh(path, content, warn)
+
+
+def _parse(text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"expected glTF, which is JSON: {str(error)[:100]}: export the file again") from error
+
+
+def _check_geometry(content: Any, warn: Warn) -> None:
+    """Check that trimesh reads all surfaces of a file: it leaves out others, or reads them wrongly, without a word.
+
+    Raises:
+        InputError: the file has surfaces of another kind, or no surface.
+    """
+    unsupported = [name for name in _entries(content, "extensionsRequired") if str(name).startswith(_COMPRESSED)]
+    unsupported += [name for name in _entries(content, "extensionsUsed") if name == _INSTANCED]
+    if unsupported:
+        raise InputError(f"expected plain triangles, got {str(unsupported[0])[:60]}: export it without this extension")
+    if any(isinstance(entry, dict) and "sparse" in entry for entry in _entries(content, "accessors")):
+        raise InputError("expected plain arrays, got sparse accessors: export the file without them")
+    primitives = [p for mesh in _entries(content, "meshes") for p in _entries(mesh, "primitives")]
+    modes = [str(p.get("mode", _TRIANGLES)) for p in primitives if isinstance(p, dict)]
+    if fans := modes.count(_FAN):
+        raise InputError(f"expected triangles or triangle strips, got {fans} triangle fans: export it as triangles")
+    left_out = [_LINES_AND_POINTS[mode] for mode in modes if mode in _LINES_AND_POINTS]
+    if left_out:
+        kinds = " and ".join(sorted(set(left_out)))
+        if len(left_out) == len(modes):
+            raise InputError(f"expected triangles, got only {kinds}: export a mesh, or points as PLY")
+        warn(f"left out {len(left_out)} of {len(modes)} parts, which are {kinds}")
+
+
+def _entries(content: Any, name: str) -> list[Any]:
+    entries = content.get(name) if isinstance(content, dict) else None
+    return entries if isinstance(entries, list) else []
 
 
 def _external_uris(content: Any) -> list[str]:
     """Return the names of the external files that a glTF file refers to."""
-    parts = [content.get(kind) for kind in ("buffers", "images")] if isinstance(content, dict) else []
-    entries = [entry for part in parts if isinstance(part, list) for entry in part if isinstance(entry, dict)]
+    entries = [e for kind in ("buffers", "images") for e in _entries(content, kind) if isinstance(e, dict)]
     uris = [entry.get("uri") for entry in entries]
     return [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
 
 
-def _read_with_trimesh(path: Path) -> Mesh:
+def _read_with_trimesh(path: Path, content: Any, warn: Warn) -> Mesh:
     """Read all meshes of the file's scene, each transformed by its node. The unit of glTF is the metre."""
+    _check_geometry(content, warn)
     size = path.stat().st_size
     memory, seconds = (2 << 30) + 60 * size, 30 + size // 1_000_000
     # One thread: each thread of a pool takes address space, which is limited.

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from pcbench.errors import InputError
+from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Warn, as_path, check_readable, read_named
+from pcbench.geometry.mesh_samples import vertex_cloud
+from pcbench.io import CloudLike, is_path, read_cloud, to_cloud
+from pcbench.io.files import Warn, as_path, check_readable, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, MESHES
-from pcbench.io.ply import has_faces
+from pcbench.io.ply import has_faces, read_ply_vertices
 
 
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
@@ -28,6 +32,55 @@ def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | 
         MissingExtra: the format needs trimesh, which is not installed.
     """
     return read_named(as_path(path), _read, on_warning)
+
+
+def read_shape(
+    path: str | os.PathLike[str],
+    on_warning: Callable[[str], None] | None = None,
+    *,
+    vertices: bool = False,
+    **filters: Any,
+) -> Cloud | Mesh:
+    """Read a file as a mesh if it holds one, and as a cloud otherwise.
+
+    Args:
+        path: file of a mesh, or path of a cloud as for `pcbench.read_cloud`.
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
+        vertices: whether to return the vertices of a mesh instead.
+        filters: filters of `pcbench.read_cloud`, for clouds.
+
+    Raises:
+        InputError, MissingExtra: see `read_mesh` and `pcbench.read_cloud`.
+    """
+    if holds_mesh(path):
+        return read_vertices(path, on_warning) if vertices else read_mesh(path, on_warning)
+    return read_cloud(path, on_warning=on_warning, **filters)
+
+
+def to_shape(value: Mesh | CloudLike) -> Cloud | Mesh:
+    """Return a cloud or a mesh unchanged, wrap an (N, 3) array, or read the file at a path.
+
+    Raises:
+        InputError, MissingExtra: see `read_shape` and `Cloud`.
+    """
+    if isinstance(value, Mesh):
+        return value
+    return read_shape(value) if is_path(value) else to_cloud(value)
+
+
+def read_vertices(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Cloud:
+    """Read the vertices of a file that holds a mesh; those of PLY have normals, colours and attributes.
+
+    Raises:
+        InputError, MissingExtra: see `read_mesh`.
+    """
+
+    def read(path: Path, warn: Warn) -> Cloud:
+        if path.suffix.lower() != ".ply":
+            return vertex_cloud(_read(path, warn))
+        return finite_cloud(read_ply_vertices(path), warn)
+
+    return read_named(as_path(path), read, on_warning)
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:

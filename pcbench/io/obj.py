@@ -15,29 +15,35 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import triangulate_fans
+from pcbench.io.polygons import triangulate
+
+_CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
+_KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:
     """Read lines `v x y z` and `f a b c ...`; a corner `7/2/3` is vertex 7, and -1 is the last vertex so far.
 
     Raises:
-        InputError: a line is malformed, or refers to a vertex that does not exist.
+        InputError: a line is malformed, refers to a vertex that does not exist, or is a curved surface.
         OSError: the file cannot be read.
     """
     coordinates, lengths, corners = array("d"), array("q"), array("q")
     left_out = 0
     for number, line in enumerate(path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = line.split()
-        if not words or words[0] not in (b"v", b"f", b"l", b"p"):
+        if not words or words[0] not in _KEYWORDS:
             continue
+        if words[0] in _CURVED:
+            curved = words[0].decode()
+            raise InputError(f"line {number}: expected polygons (f), got a curved surface ({curved}): export polygons")
         try:
             if b"_" in line:  # Python reads 1_000 as a number; OBJ does not
                 raise ValueError
             if words[0] == b"v":
                 x, y, z = words[1:4]
                 coordinates.extend((float(x), float(y), float(z)))
-            elif words[0] == b"f":
+            elif words[0] in (b"f", b"fo"):
                 known = len(coordinates) // 3
                 for word in words[1:]:
                     corner = int(word.partition(b"/")[0])
@@ -53,6 +59,8 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
             raise InputError(f"line {number}: expected {expected}, got {excerpt}") from None
     if left_out:
         warn(f"left out {left_out} point and line elements")
+    if not lengths:
+        raise InputError("expected a mesh with at least one face (f), got none: export it as a mesh, or points as PLY")
     vertices = np.frombuffer(coordinates, dtype=np.float64).reshape(-1, 3)
-    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

@@ -6,6 +6,7 @@ face. It loses a truncated face, and fails on a face of five corners. It would a
 
 from __future__ import annotations
 
+import re
 from array import array
 from pathlib import Path
 
@@ -14,13 +15,17 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Warn
-from pcbench.io.polygons import triangulate_fans
+from pcbench.io.polygons import triangulate
 
-_OFF = (b"OFF", b"COFF", b"NOFF", b"CNOFF")  # C and N: colours and normals after the coordinates
+# ST, C, N: texture, colour and normal after the coordinates; 4: a homogeneous coordinate; n: other dimensions. Many
+# files lack the space before the counts.
+_HEADER = re.compile(rb"(?:ST)?C?N?(4?)(n?)OFF(\d*)")
 
 
 def read_off(path: Path, warn: Warn) -> Mesh:
     """Read the word OFF, three counts, one line `x y z ...` per vertex and `3 a b c ...` per face; # starts a comment.
+
+    Vertices of 4OFF have a fourth coordinate, by which the others are divided.
 
     Raises:
         InputError: the file is truncated, or its counts and lines do not match.
@@ -28,9 +33,14 @@ def read_off(path: Path, warn: Warn) -> Mesh:
     """
     lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
     lines = [words for words in lines if words]
-    if not lines or lines[0][0] not in _OFF:
+    header = _HEADER.fullmatch(lines[0][0]) if lines else None
+    if header is None:
         raise InputError(f"expected an OFF file that starts with 'OFF', got {b' '.join(lines[0])[:20]!r}" if lines
                          else "expected an OFF file, got an empty one")  # fmt: skip
+    if header[2] or b"BINARY" in lines[0][1:]:
+        what = "vertices of other dimensions (nOFF)" if header[2] else "a binary one"
+        raise InputError(f"expected an ascii OFF file of three-dimensional vertices, got {what}: export it as PLY")
+    lines[0][:1] = [header[0][: header.start(3)], *filter(None, [header[3]])]
     counts = lines[0][1:] or (lines[1] if len(lines) > 1 else [])
     if len(counts) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in counts):
         raise InputError(
@@ -51,15 +61,17 @@ def read_off(path: Path, warn: Warn) -> Mesh:
         try:
             if number < vertex_count:
                 vertices[number] = [float(word) for word in words[:3]]
+                if header[1]:
+                    vertices[number] /= float(words[3])
             else:
                 length = int(words[0])
                 corners.extend([int(word) for word in words[1 : 1 + length]])
                 lengths.append(length)
                 if not 0 <= length < len(words):
                     raise ValueError
-        except (ValueError, OverflowError):
+        except (ValueError, OverflowError, IndexError):
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
-            expected = "x y z" if number < vertex_count else "a count and that many vertices"
+            expected = f"x y z{' w' * bool(header[1])}" if number < vertex_count else "a count and that many vertices"
             raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
-    faces = triangulate_fans(np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
+    faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

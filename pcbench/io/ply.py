@@ -20,7 +20,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.ply_body import Columns, check_end, read_elements
 from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, check_faces, check_vertices, read_header
-from pcbench.io.polygons import triangulate_fans
+from pcbench.io.polygons import left_out_surface, triangulate, triangulate_strips
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
 _MAX_END_BYTES = 1 << 16  # after the vertices; more cannot be the line break that some programs write
@@ -30,6 +30,16 @@ _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_g
 
 
 def read_ply(path: Path, warn: Warn) -> Fields:
+    """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
+    fields = read_ply_vertices(path)
+    with path.open("rb") as file:
+        surface = read_header(file).surface
+    if surface:
+        warn(left_out_surface(len(fields["points"]), surface[0].count_text()))
+    return fields
+
+
+def read_ply_vertices(path: Path) -> Fields:
     """Read the vertices of a PLY file: x y z, normals, 8-bit colours; all other scalars are attributes.
 
     Coordinates become float64; those of an ascii file keep all digits, whatever type it declares. Attributes keep their
@@ -151,32 +161,37 @@ def _fields(columns: Columns, header: PlyHeader, keep_zero_normals: bool = False
 
 
 def has_faces(path: Path) -> bool:
-    """Return whether a PLY file has faces. Only the header is read.
+    """Return whether a PLY file describes a surface other than the grid of a scan. Only the header is read.
 
     Raises:
         InputError: the file does not start with a PLY header.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
-        return (face := read_header(file).element("face")) is not None and face.count > 0
+        return any(not element.is_grid for element in read_header(file).surface)
 
 
 def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
-    """Read the faces of a PLY file as triangles (polygons become fans), with its crs and unit.
+    """Read polygons and triangle strips of a PLY file as triangles, with its crs and unit.
 
     Raises:
-        InputError: the file is not a complete PLY file with at least one vertex and a list of vertices per face.
+        InputError: the file is not a complete PLY file with at least one vertex and a list of vertices per face, or a
+            surface is stored in another way.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
         header = read_header(file)
         check_vertices(header)
         check_faces(header)
-        tables = read_elements(file, header, scalars=("vertex",), polygons=("face",))
+        names = [element.name for element in header.surface]
+        tables = read_elements(file, header, scalars=("vertex",), polygons=names)
         points = _points(tables["vertex"].columns, header)
-    polygons = tables["face"].polygons
-    assert polygons is not None  # check_faces
-    return Mesh(points, triangulate_fans(*polygons, warn), crs=header.tag_value("crs"), unit=header.tag_value("unit"))
+    faces = [np.empty((0, 3), dtype=np.int64)]
+    for name in names:
+        polygons = tables[name].polygons
+        assert polygons is not None  # check_faces
+        faces.append(triangulate_strips(*polygons) if "strip" in name else triangulate(points, *polygons, warn))
+    return Mesh(points, np.concatenate(faces), crs=header.tag_value("crs"), unit=header.tag_value("unit"))
 
 
 def _points(columns: Columns, header: PlyHeader) -> FloatArray:

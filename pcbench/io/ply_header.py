@@ -6,6 +6,7 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Literal
 
@@ -40,6 +41,7 @@ _TYPES = {
 }
 TYPE_NAMES = {code: name for name, code in reversed(_TYPES.items())}  # the older names, which all readers support
 XYZ = ("x", "y", "z")
+_SURFACE = re.compile(r"^(tri|quad|poly|face|mesh|patch)|(strip|fan|grid)s?$")  # names of elements
 _POLYGONS = ("vertex_indices", "vertex_index")  # names of the list of a face
 
 
@@ -75,10 +77,15 @@ class Element:
         """List of a row's vertex indices: the first with one of the usual names."""
         return next((prop for prop in self.lists if prop.name in _POLYGONS), None)
 
-    def count_text(self, count: int) -> str:
-        """Describe a number of rows, such as "3 of 8 vertices"."""
+    @property
+    def is_grid(self) -> bool:
+        """Whether the element is the grid of a range scan, which arranges its points."""
+        return "grid" in self.name.lower()
+
+    def count_text(self, count: int | None = None) -> str:
+        """Describe the number of rows, such as "8 vertices", or a part of it, such as "3 of 8 vertices"."""
         plural = {"vertex": "vertices", "face": "faces", "edge": "edges"}.get(self.name, f"{self.name[:40]!r} elements")
-        return f"{count} of {self.count} {plural}"
+        return f"{self.count} {plural}" if count is None else f"{count} of {self.count} {plural}"
 
     def truncation_error(self, complete: int) -> InputError:
         """Return the error of a file that ends after `complete` rows."""
@@ -96,6 +103,12 @@ class PlyHeader:
     def element(self, name: str) -> Element | None:
         """Return the element of a name, or None."""
         return next((element for element in self.elements if element.name == name), None)
+
+    @property
+    def surface(self) -> list[Element]:
+        """Elements that describe a surface between the vertices, whether they can be read or not."""
+        named = (e for e in self.elements if e.name != "vertex" and e.count)
+        return [e for e in named if e.polygon is not None or _SURFACE.search(e.name.lower())]
 
     def tag_value(self, tag: str) -> str | None:
         """Return the text after a tag in a comment line, such as `comment crs EPSG:32617`."""
@@ -122,11 +135,12 @@ def check_vertices(header: PlyHeader) -> None:
 
 
 def check_faces(header: PlyHeader) -> None:
-    """Raise InputError if there is no element `face` with a list of vertex indices."""
-    face = header.element("face")
-    if face is None or face.polygon is None:
+    """Raise InputError if a surface is not stored as lists of vertex indices, or there is none."""
+    got = next((repr(e.name[:40]) for e in header.surface if e.polygon is None or e.is_grid), None)
+    if got is not None or not header.surface:
         raise InputError(
-            f"expected an element 'face' with a list {' or '.join(_POLYGONS)}, got no faces: export it as a mesh"
+            f"expected an element 'face' or 'tristrips' with a list {' or '.join(_POLYGONS)}, got {got or 'no faces'}:"
+            " export it as a mesh of triangles"
         )
 
 

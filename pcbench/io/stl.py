@@ -37,9 +37,13 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
     # Many binary files start with "solid" too, so the size is checked first.
     data = path.read_bytes()
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    if len(data) >= 84 and len(data) == 84 + _FACET_RECORD.itemsize * count:
+    extra = len(data) - 84 - _FACET_RECORD.itemsize * count
+    is_ascii = data[:512].lstrip()[:5].lower() == b"solid"
+    if len(data) >= 84 and (extra == 0 or (extra > 0 and count and not (is_ascii and b"facet" in data[:1024].lower()))):
+        if extra:
+            warn(f"left out {extra} bytes after the last of {count} triangles")
         corners = np.frombuffer(data, _FACET_RECORD, count, 84)["corners"].astype(np.float64)
-    elif data[:512].lstrip()[:5].lower() == b"solid":
+    elif is_ascii:
         corners = _ascii_stl(data)
     elif len(data) < 84:
         raise InputError(
@@ -49,9 +53,7 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
         complete = (len(data) - 84) // _FACET_RECORD.itemsize
         if complete < count:
             raise InputError(f"truncated: got {complete} of {count} triangles: copy or export the file again")
-        raise InputError(
-            f"expected {84 + 50 * count} bytes for {count} triangles, got {len(data)}: export the file again"
-        )
+        raise InputError(f"expected triangles, got a count of 0 before {extra} bytes: export the file again")
     vertices = corners.reshape(-1, 3)
     return merge_vertices(Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3)))
 

@@ -18,6 +18,7 @@ from pcbench.geometry.arrays import bounds
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crs import check_lengths, crs_argument, crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice, vertex_cloud
 from pcbench.measure import intervals, presets
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
@@ -35,7 +36,7 @@ from pcbench.systems import peak_memory
 
 def compare(
     reference: Cloud | Mesh | ArrayLike,
-    candidates: Sequence[Cloud | ArrayLike] | Mapping[str, Cloud] | Mapping[str, ArrayLike] | Cloud | NDArray[Any],
+    candidates: Sequence[Cloud | Mesh | ArrayLike] | Mapping[str, Any] | Cloud | Mesh | NDArray[Any],
     settings: Settings | None = None,
     *,
     on_step: Callable[[str], None] | None = None,
@@ -44,7 +45,8 @@ def compare(
 
     Args:
         reference: reference cloud; a mesh is sampled uniformly by area, with the normals of its faces.
-        candidates: one cloud, several clouds, or several clouds by name.
+        candidates: one cloud, several clouds, or several clouds by name. A mesh is sampled like the reference, more
+            densely than the reference's points; `Settings.vertices` selects its vertices instead.
         settings: settings of the comparison; None: the defaults of `Settings`.
         on_step: progress callback, called with a short description before each slow step.
 
@@ -55,9 +57,9 @@ def compare(
     settings = Settings() if settings is None else settings
     if not isinstance(settings, Settings):
         raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
-    if not isinstance(candidates, Cloud | np.ndarray | Mapping | Sequence) or isinstance(candidates, str):
+    if not isinstance(candidates, Cloud | Mesh | np.ndarray | Mapping | Sequence) or isinstance(candidates, str):
         raise InputError(f"expected one or several clouds as candidates, got {type(candidates).__name__}")
-    if isinstance(candidates, Cloud | np.ndarray):
+    if isinstance(candidates, Cloud | Mesh | np.ndarray):
         candidates = [candidates]
     named = (
         dict(candidates)
@@ -67,10 +69,13 @@ def compare(
     if not named:
         raise InputError("expected at least one candidate, got none")
     read = replace(settings, m3c2=settings.m3c2.read()) if isinstance(settings.m3c2, M3C2Settings) else settings
-    clouds = {name: as_cloud(cloud) for name, cloud in named.items()}
     given = reference if isinstance(reference, Mesh) else as_cloud(reference)
-    for name, cloud in {"the reference": given, **clouds}.items():
-        check_lengths(cloud, name)
+    shapes = {name: shape if isinstance(shape, Mesh) else as_cloud(shape) for name, shape in named.items()}
+    for name, shape in {"the reference": given, **shapes}.items():
+        check_lengths(shape, name)
+    if settings.vertices:
+        shapes = {name: vertex_cloud(shape) for name, shape in shapes.items()}
+    clouds = {name: sample_candidate(shape, given, settings.seed) for name, shape in shapes.items()}
     step = ProgressPlan(on_step or (lambda _: None), expected_seconds(given, clouds, settings))
 
     step("indexing the reference")
@@ -83,11 +88,22 @@ def compare(
     results, measured = [], []
     for name, cloud in clouds.items():
         result, measurement = _compare_one(prepared, name, cloud, read, step)
+        result = _with_mesh(result, shapes[name], prepared, settings)
         results.append(replace(result, timings_s={**result.timings_s, **shared}))
         measured.append(measurement)
     return CandidateComparisons(
         settings, prepared.summary(), tuple(results), tuple(differences(prepared.cells, results, measured))
     )
+
+
+def _with_mesh(result: Candidate, shape: Cloud | Mesh, reference: Reference, settings: Settings) -> Candidate:
+    """Return a result with the number of faces and a notice if the candidate is a sampled mesh."""
+    if not isinstance(shape, Mesh):
+        return result
+    scale = result.registration.T_reference_candidate.scale
+    spacing = None if reference.target.is_sampled else reference.spacing
+    notice = sampling_notice(shape, result.points, settings.seed, scale=scale, spacing=spacing)
+    return replace(result, faces=len(shape), warnings=(notice, *result.warnings))
 
 
 def expected_seconds(reference: Cloud | Mesh, candidates: Mapping[str, Cloud], settings: Settings) -> list[float]:

@@ -14,6 +14,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.region_text import as_region
@@ -26,8 +27,9 @@ from pcbench.registration import Target, local_origin
 
 ARBITRARY_SIGN = "arbitrary-sign"
 """Code of the warning that signed distances to most of the reference have an arbitrary sign."""
+UNSIGNED_MESH = "unsigned-mesh"
+"""Code of the warning that distances to the reference mesh have no sign."""
 VOXELS_ALONG = 50  # voxels of area weighting along the scene's extent
-_MESH_SAMPLES = 1_000_000  # points sampled from a reference mesh
 _MIN_SAMPLED_POINTS = 2_000_000  # a sample of the distances to planes of fewer points saves no time
 _MAX_VERTICAL_NZ = math.sin(math.radians(10))  # |z| of the normal of a nearly vertical surface: within 10 degrees
 _MIN_VERTICAL_SHARE = 0.5  # of the measured points on nearly vertical surfaces, for a warning
@@ -58,7 +60,7 @@ class Reference:
         Raises:
             InputError: the crop cannot be read, or contains no points.
         """
-        cloud = given.sample(_MESH_SAMPLES, settings.seed) if isinstance(given, Mesh) else given
+        cloud = sample_reference(given, settings.seed)
         origin = local_origin(cloud)
         points = cloud.points - origin
         region = as_region(settings.crop, cloud)
@@ -155,7 +157,14 @@ class Reference:
         )
 
     def _sign_warnings(self) -> Iterator[Notice]:
-        """Yield a warning if estimated normals, which point upwards, give most distances to planes a random sign."""
+        """Yield warnings if distances to the mesh have no sign, or those to most planes a random one.
+
+        Estimated normals point upwards, so that the sign at vertical surfaces is random.
+        """
+        if (index := self.meshes.get("mesh_distance")) is not None:
+            reason = index.mesh.closure.unsigned_reason
+            if reason is not None:
+                yield Notice(UNSIGNED_MESH, f"distances to the reference mesh have no sign: it has {reason}")
         if self.cloud.normals is not None or not self.has_normals:
             return
         # No row is passed, so no further normals are estimated; a sample of them is as good.

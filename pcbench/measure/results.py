@@ -244,6 +244,7 @@ class Candidate:
         warnings: warnings about the clouds; registration and deformation have their own.
         censored: share of the distances of each direction that reach the maximum distance of the search, by
             `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum.
+        faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
     """
 
     name: str
@@ -258,6 +259,7 @@ class Candidate:
     peak_rss_bytes: int
     warnings: tuple[Notice, ...] = ()
     censored: Mapping[str, float] = field(default_factory=dict)
+    faces: int | None = None
 
 
 class LeftOut(NamedTuple):

@@ -35,11 +35,12 @@ class Settings:
         maps: further deviation maps: `poisson` (to a Poisson mesh of the reference, by Open3D), `poisson-meshlab`
             (by pymeshlab) and `m3c2`.
         m3c2: settings of M3C2: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; implies the map `m3c2`.
-        seed: random seed: for points sampled from a reference mesh, for the sample behind the floor of D2 from
+        seed: random seed: for points sampled on meshes, for the sample behind the floor of D2 from
             reference to candidate, and for the folds of the cross-validation of deformation models.
         normal_neighbors: number of points for estimating a normal of the reference, if its file has none.
         classes, returns: LAS classes and returns to keep, see `pcbench.read_cloud`.
         min_opacity, max_axis: limits for keeping Gaussian splats, see `pcbench.read_cloud`.
+        vertices: whether candidate meshes are measured at their vertices rather than at points sampled on their faces.
         tolerance: for large clouds: estimate D2 from a random sample that is large enough for a 95 % confidence
             interval of each mean square within this share of it, such as 0.01. Distances to points are exact. None:
             measure D2 at all points.
@@ -60,6 +61,7 @@ class Settings:
     initial: Similarity | ArrayLike | None = None
     m3c2: M3C2Settings | str | None = None
     tolerance: float | None = None
+    vertices: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -74,6 +76,8 @@ class Settings:
             raise InputError(f"expected the seed as a whole number >= 0, got {self.seed!r}")
         if not _is_integer(self.normal_neighbors) or not 3 <= self.normal_neighbors <= 1000:
             raise InputError(f"expected 3 to 1000 neighbours for a normal, got {self.normal_neighbors!r}")
+        if not isinstance(self.vertices, bool):
+            raise InputError(f"expected vertices as True or False, got {self.vertices!r}")
         check_limits(self.min_opacity, self.max_axis)
         wanted, maps = _names("presets", self.presets), _names("maps", self.maps)
         if unknown := [name for name in wanted if name not in presets.NAMES]:
@@ -93,10 +97,12 @@ class Settings:
         object.__setattr__(self, "maps", maps)
 
     def plain(self) -> dict[str, Any]:
-        """Return the settings as JSON values: methods and regions as text; others that are None only if given."""
+        """Return the settings as JSON values: methods and regions as text; rare ones only if they are set."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in ("initial", "m3c2")}
         if self.tolerance is None:
             del values["tolerance"]
+        if not self.vertices:
+            del values["vertices"]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
         for name in ("register", "crop"):

@@ -11,11 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.errors import InputError, RegistrationError
+from pcbench.errors import InputError, Notice, RegistrationError
 from pcbench.geometry.crs import check_lengths, is_projected_crs
+from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
-from pcbench.io import CloudLike, to_cloud
+from pcbench.io import CloudLike
+from pcbench.io.meshes import to_shape
 from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
@@ -41,8 +44,8 @@ METHODS = (*_NAMED, "points:FILE", "matrix:FILE")
 
 
 def register(
-    reference: CloudLike,
-    candidate: CloudLike,
+    reference: Mesh | CloudLike,
+    candidate: Mesh | CloudLike,
     method: Method | Similarity | ArrayLike | str = "icp",
     *,
     initial: Similarity | ArrayLike | None = None,
@@ -51,8 +54,8 @@ def register(
     """Register a candidate to a reference, and assess how far the pose can be trusted.
 
     Args:
-        reference: reference cloud: a cloud, an (N, 3) array, or the path of a cloud file.
-        candidate: candidate cloud, in any of these forms.
+        reference: a cloud, an (N, 3) array, a mesh, which is sampled by area, or the path of a file.
+        candidate: the same.
         method: `IcpSettings` (refines a pose that is roughly right), `FeatureSettings` (any pose, then ICP) or
             `ControlPoints` (pairs of points). A `Similarity`, a 4x4 array or a `GivenPose` is used unchanged. A string
             is parsed by `parse_method`.
@@ -70,9 +73,10 @@ def register(
         MissingExtra: KISS-Matcher is not installed (`FeatureSettings`).
     """
     method = as_method(method)
-    reference, candidate = to_cloud(reference), to_cloud(candidate)
-    for name, cloud in (("the reference", reference), ("the candidate", candidate)):
-        check_lengths(cloud, name)
+    given, moved = to_shape(reference), to_shape(candidate)
+    for name, shape in (("the reference", given), ("the candidate", moved)):
+        check_lengths(shape, name)
+    reference, candidate = sample_reference(given), sample_candidate(moved, given)
     start = None if initial is None else as_similarity(initial)
     if start is not None and not isinstance(method, IcpSettings):
         raise InputError(
@@ -80,7 +84,7 @@ def register(
         )
     origin = local_origin(reference)
     if target is None:
-        target = Target.of(reference, origin)
+        target = Target.of(reference, origin, is_sampled=isinstance(given, Mesh))
     elif isinstance(target, Target):
         target.check_belongs_to(reference, origin)
     else:
@@ -109,7 +113,10 @@ def register(
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
         raise RegistrationError(f"{explanation}{error}") from error
 
-    quality, scale = fit.quality, fit.T_local.scale
+    quality, scale, sampling = fit.quality, fit.T_local.scale, list[Notice]()
+    if isinstance(moved, Mesh):
+        spacing = None if target.is_sampled else target.surface.spacing
+        sampling = [sampling_notice(moved, len(candidate), 0, scale=scale, spacing=spacing)]
     return Registration(
         method=method.text,
         T_reference_candidate=T,
@@ -122,7 +129,7 @@ def register(
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
         residuals=residuals,
-        warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
+        warnings=(*sampling, *quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
         returned_share=quality.returned,

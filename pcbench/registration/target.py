@@ -37,10 +37,16 @@ class Target:
         self._checked_reference: Cloud | None = None  # reference that is known to match this target
 
     @classmethod
-    def of(cls, reference: Cloud, origin: FloatArray | None = None) -> Target:
-        """Build the target of a reference, with its normals if it has any; `origin` is its local origin, if known."""
+    def of(cls, reference: Cloud, origin: FloatArray | None = None, *, is_sampled: bool = False) -> Target:
+        """Build the target of a reference, with its normals if it has any.
+
+        Args:
+            reference: the reference, or the samples of a mesh.
+            origin: its local origin (3,), if known.
+            is_sampled: whether it was sampled.
+        """
         origin = local_origin(reference) if origin is None else origin
-        target = cls(Surface(Index(reference.points - origin), given=reference.normals))
+        target = cls(Surface(Index(reference.points - origin), given=reference.normals), is_sampled=is_sampled)
         target._checked_reference = reference
         return target
 

@@ -26,7 +26,7 @@ from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
 from pcbench.report.names import names_of
 from pcbench.report.on_disk import CloudsOnDisk, TilingChoice, choose_tiles
-from pcbench.report.reading import SceneLike, as_scene, named_files, read_candidate, read_reference, viewing_cameras
+from pcbench.report.reading import SceneLike, as_scene, named_files, read_input, viewing_cameras
 from pcbench.report.table import html
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.workspace import default_workspace, locked_workspace
@@ -155,7 +155,7 @@ class Comparison(SourcedComparison):
 
 def compare(
     reference: Mesh | CloudLike,
-    candidates: Sequence[CloudLike] | Mapping[str, Cloud] | Mapping[str, Any] | CloudLike,
+    candidates: Sequence[Mesh | CloudLike] | Mapping[str, Any] | Mesh | CloudLike,
     settings: Settings | None = None,
     *,
     scene: SceneLike | None = None,
@@ -169,7 +169,8 @@ def compare(
     Args:
         reference: a cloud, an (N, 3) array, a mesh, or the path of a file with a cloud or a mesh. A mesh is sampled
             uniformly by area, with the normals of its faces.
-        candidates: one cloud, (N, 3) array or path; several; or several by name. A file's name is its stem.
+        candidates: one cloud, (N, 3) array, mesh or path; several; or several by name. A file's name is its stem. A
+            mesh is sampled too, more densely than the reference's points, or measured at its `vertices`.
         settings: the settings; default: `pcbench.Settings()`.
         scene: a scene with cameras in the coordinates of the reference, or its folder. They show which way is up and
             select the views of pictures; no metric depends on them. A report records a folder, not a `Scene`.
@@ -211,7 +212,7 @@ def compare(
 
 def compare_inputs(
     reference: Mesh | CloudLike,
-    candidates: Sequence[CloudLike] | Mapping[str, Cloud] | Mapping[str, Any] | CloudLike,
+    candidates: Sequence[Mesh | CloudLike] | Mapping[str, Any] | Mesh | CloudLike,
     settings: Settings,
     step: Callable[[str], None],
     scene: Scene | SceneFolder | ViewingCameras | None = None,
@@ -229,7 +230,7 @@ def compare_inputs(
     reference_file, setting_files = None, named_files(settings)
     if isinstance(reference, str | os.PathLike):
         step(f"reading {reference}")
-        reference, reference_file = read_reference(Path(reference), settings)
+        reference, reference_file = read_input(Path(reference), settings)
     cameras, scene_warnings = None, list[str]()
     if scene is not None:
         reference = reference if isinstance(reference, Mesh) else as_cloud(reference)
@@ -239,7 +240,7 @@ def compare_inputs(
     for name, given in named.items():
         if is_path(given):
             step(f"reading {given}")
-            named[name], files[name] = read_candidate(Path(given), settings)
+            named[name], files[name] = read_input(Path(given), settings, vertices=settings.vertices)
     filtered, named = _without_transparent_splats(reference, named, settings)
     within = step.within() if isinstance(step, ProgressPlan) else step
     measured = comparison.compare(filtered, named, settings, on_step=within)
@@ -332,7 +333,7 @@ def _by_name(candidates: Any) -> dict[str, Any]:
     """Return candidates by name: the given name, the stem of the file, or a number."""
     if isinstance(candidates, Mapping):
         return dict(candidates)
-    if isinstance(candidates, Cloud | np.ndarray) or is_path(candidates):
+    if isinstance(candidates, Cloud | Mesh | np.ndarray) or is_path(candidates):
         candidates = [candidates]
     if not isinstance(candidates, Sequence):
         raise InputError(f"expected one or several clouds as candidates, got {type(candidates).__name__}")

@@ -9,9 +9,10 @@ from pathlib import Path
 from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
+from pcbench.geometry.mesh_samples import sample_candidate
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
-from pcbench.io import read_cloud
 from pcbench.io.files import estimate_reading_seconds, file_in_setting
+from pcbench.io.meshes import read_shape
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.report.figures import Figures, record_figures
@@ -40,6 +41,7 @@ def deform_files(
     seed: int,
     out: Path | None,
     *,
+    vertices: bool = False,
     figures: Figures | None,
     step: Callable[[str], None],
 ) -> DeformationOutcome:
@@ -52,6 +54,7 @@ def deform_files(
         crop: the region, as in `--crop`.
         seed: random seed.
         out: the output folder; None: write nothing.
+        vertices: whether a candidate mesh is measured at its vertices rather than at samples.
         figures: appearance of the pictures, recorded in settings.json; None: draw none.
         step: called with a short text before each step that takes time.
 
@@ -59,21 +62,21 @@ def deform_files(
         PcbenchError, OSError: an input or the output is invalid; nothing was written.
     """
     warnings: list[str] = []
-    clouds = []
+    shapes = []
     reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
     plan = ProgressPlan(
         step, [*reading, 1.0 + 20 * sum(reading), *([sum(reading), drawing_seconds(1)] if out is not None else [])]
     )
-    for path in (reference, candidate):
+    for path, as_vertices in ((reference, False), (candidate, vertices)):
         plan(f"reading {path}")
-        clouds.append(read_cloud(path, on_warning=warnings.append))
-        check_lengths(clouds[-1], str(path))
-    reference_cloud, cloud = clouds
+        shapes.append(read_shape(path, on_warning=warnings.append, vertices=as_vertices))
+        check_lengths(shapes[-1], str(path))
+    given, moved = shapes
     without_figures = None
 
     def run() -> tuple[Registration, Deformation]:
         plan("registering, testing for deformation")
-        return deform(reference_cloud, cloud, method, crop, seed)
+        return deform(given, moved, method, crop, seed)
 
     if out is None:
         registration, deformation = run()
@@ -83,10 +86,11 @@ def deform_files(
         ) as folder:
             registration, deformation = run()
             plan("writing the report")
+            cloud = sample_candidate(moved, given, seed)
             rows = voxel_downsample_to(cloud.points, _MAX_ALIGNED_POINTS, start=1e-4 * robust_extent(cloud.points))
             transform = registration.T_reference_candidate
-            aligned = Cloud(transform.apply(cloud.points[rows]), crs=reference_cloud.crs, unit=reference_cloud.unit)
-            write_deformation(folder, deformation, aligned, transform, reference_cloud.crs, reference_cloud.unit)
+            aligned = Cloud(transform.apply(cloud.points[rows]), crs=given.crs, unit=given.unit)
+            write_deformation(folder, deformation, aligned, transform, given.crs, given.unit)
             if figures is not None:
                 record_figures(folder / "settings.json", figures)
                 plan("drawing the pictures")
@@ -95,6 +99,6 @@ def deform_files(
         registration,
         deformation,
         (*warnings, *(notice.text for notice in registration.warnings)),
-        reference_cloud.unit,
+        given.unit,
         without_figures,
     )

@@ -127,13 +127,13 @@ def choose_tiles(
         InputError: tiles are used and do not support a setting or a file, or a file is damaged.
         MissingExtra: a format needs an optional library.
     """
-    unsupported = unsupported_setting(reference, settings)
+    unsupported = unsupported_setting(reference, candidates, settings)
     paths = [reference, *candidates.values()]
     if choice.when == "always":
         if unsupported:
             raise InputError(f"a comparison in tiles does not support {unsupported} in this version: compare in memory")
         return CloudsOnDisk.open(reference, candidates, settings, skip_bad=choice.settings.skip_bad)
-    if _fits_surely(paths, choice.settings.memory) or holds_mesh(reference):
+    if _fits_surely(paths, choice.settings.memory) or _mesh(reference, candidates, settings):
         return None
     try:
         clouds = CloudsOnDisk.open(reference, candidates, settings)
@@ -156,7 +156,7 @@ def choose_tiles(
     return None
 
 
-def unsupported_setting(reference: Path, settings: Settings) -> str | None:
+def unsupported_setting(reference: Path, candidates: Mapping[str, Path], settings: Settings) -> str | None:
     """Return a setting that a tiled comparison does not support, as words; None if it supports all."""
     if settings.maps:
         return f"the map {settings.maps[0]} (--map)"
@@ -166,7 +166,16 @@ def unsupported_setting(reference: Path, settings: Settings) -> str | None:
         return "--tolerance"
     if settings.min_opacity is not None or settings.max_axis is not None:
         return "filters of Gaussian splats (--min-opacity, --max-axis)"
-    return "a mesh as the reference" if reference.is_file() and holds_mesh(reference) else None
+    return _mesh(reference, candidates, settings)
+
+
+def _mesh(reference: Path, candidates: Mapping[str, Path], settings: Settings) -> str | None:
+    """Return which input is sampled as a mesh, as words; None if none is."""
+    if reference.is_file() and holds_mesh(reference):
+        return "a mesh as the reference"
+    if not settings.vertices and any(path.is_file() and holds_mesh(path) for path in candidates.values()):
+        return "a mesh as a candidate (only its vertices, with --vertices)"
+    return None
 
 
 def link_maps(maps: Path, folder: Path) -> bool:

@@ -11,9 +11,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
-from pcbench.io import read_cloud
 from pcbench.io.files import digest, file_in_setting
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.meshes import read_shape
 from pcbench.io.pieces import is_in_pieces, open_cloud
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
@@ -28,28 +27,23 @@ SceneLike: TypeAlias = "Scene | str | os.PathLike[str]"
 """A scene, or the path of its folder."""
 
 
-def read_reference(path: Path, settings: Settings) -> tuple[Cloud | Mesh, InputFile]:
-    """Read the reference of a comparison, a cloud or a mesh, and record its file.
+def read_input(path: Path, settings: Settings, *, vertices: bool = False) -> tuple[Cloud | Mesh, InputFile]:
+    """Read the reference or a candidate of a comparison, a cloud or a mesh, and record its file.
+
+    Args:
+        path: path of the input.
+        settings: settings of the comparison.
+        vertices: whether a mesh is read as its vertices.
 
     Raises:
         InputError: the file cannot be read; the message starts with the path.
         MissingExtra: the format needs an optional library.
     """
-    if not holds_mesh(path):
-        return read_candidate(path, settings)
     warnings: list[str] = []
-    mesh = read_mesh(path, on_warning=warnings.append)
-    check_lengths(mesh, str(path))
-    return mesh, InputFile(str(path), digest(path), tuple(warnings))
-
-
-def read_candidate(path: Path, settings: Settings) -> tuple[Cloud, InputFile]:
-    """Read a cloud and record its file; raises the same errors as `read_reference`."""
-    warnings: list[str] = []
-    cloud = read_cloud(path, on_warning=warnings.append, **filters_for(path, settings))
-    check_lengths(cloud, str(path))
+    shape = read_shape(path, on_warning=warnings.append, vertices=vertices, **filters_for(path, settings))
+    check_lengths(shape, str(path))
     found = parts_digest(open_cloud(path)) if is_in_pieces(path) else digest(path)
-    return cloud, InputFile(str(path), found, tuple(warnings))
+    return shape, InputFile(str(path), found, tuple(warnings))
 
 
 def paths_in(settings: Settings) -> list[Path]:

@@ -5,15 +5,17 @@ import struct
 
 import numpy as np
 import pytest
-from mesh_bytes import CUBES, FACES, OBJ, VERTICES, ascii_stl, glb, obj, off, ply_mesh, stl
+from mesh_bytes import CUBES, FACES, OBJ, STRIPS, VERTICES, ascii_stl, glb, glb_parts, obj, off, ply_mesh, stl
 from mesh_shapes import icosphere
 from optional import break_library, import_or_skip
 from ply_bytes import XYZ, damage, ply
-from wording import check_error
+from wording import check_error, check_text
 
+from pcbench import read_cloud
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, PcbenchError
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.meshes import holds_mesh, read_mesh, read_shape, read_vertices
+from pcbench.io.pieces import open_cloud
 
 
 def check_cube(mesh):
@@ -105,6 +107,66 @@ def test_holds_mesh(tmp_path):
     assert {name: holds_mesh(tmp_path / name) for name in expected} == expected
 
 
+@pytest.mark.usefixtures("trimesh")
+def test_modes_of_glb(tmp_path):
+    """Strips, triangles without indices and triangles with them; lines and points are named."""
+    path = tmp_path / "a.glb"
+    sides, ends = np.array(STRIPS[0]), np.array([STRIPS[1][:4], STRIPS[1][5:]])
+    parts = [(5, VERTICES, sides), (5, VERTICES[ends[0]], None), (5, VERTICES, ends[1])]
+    path.write_bytes(glb_parts(*parts))
+    check_cube(read_mesh(path, on_warning=pytest.fail))
+    parts = [(None, VERTICES[FACES[:5]].reshape(-1, 3), None), (4, VERTICES, FACES[5:].ravel())]
+    path.write_bytes(glb_parts(*parts, (1, VERTICES, [0, 1]), (0, VERTICES, None)))
+    notes = []
+    check_cube(read_mesh(path, on_warning=notes.append))
+    check_text(*notes)
+
+
+def test_concave_polygons_keep_their_area(tmp_path):
+    """A star, an arrow and a comb, in planes of all three axes: fans of their first corners would overlap."""
+    angles = np.arange(10) * np.pi / 5
+    star = np.column_stack([np.cos(angles), np.sin(angles)]) * np.where(np.arange(10) % 2, 0.4, 1)[:, None]
+    arrow = np.array([(1, 0.2), (2, 0), (1, 2), (0, 0)])
+    comb = np.array([(0, 0), (5, 0), (5, 2), (4, 2), (4, 1), (3, 1), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)])
+    for outline, area in ((star, 10 * 0.4 * np.sin(np.pi / 5) / 2), (arrow, 1.8), (comb, 8.0)):
+        for shift, axes in ((0, (0, 1)), (3, (1, 2)), (5, (2, 0)), (1, (1, 0))):
+            corners = np.zeros((len(outline), 3))
+            corners[:, axes] = np.roll(outline, shift, axis=0)
+            rows = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in corners.tolist())
+            path = tmp_path / "a.obj"
+            path.write_text(rows + "f " + " ".join(map(str, range(1, len(outline) + 1))))
+            mesh = read_mesh(path)
+            assert mesh.area == pytest.approx(area, rel=1e-12)
+            assert len(np.unique(mesh.normals().round(12), axis=0)) == 1
+
+
+def test_surplus_bytes_after_stl(tmp_path):
+    path = tmp_path / "a.stl"
+    for head in (b"made by hand", b"solid but binary"):
+        path.write_bytes(stl(head=head) + b"\0 made by hand")
+        notes = []
+        check_cube(read_mesh(path, on_warning=notes.append))
+    check_text(*notes)
+
+
+def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
+    for name in ("ascii.ply", "strips.ply"):
+        (tmp_path / name).write_bytes(CUBES[name])
+        with pytest.warns(UserWarning) as caught:
+            assert len(read_cloud(tmp_path / name)) == 8
+        check_text(caught[0].message)
+        assert len(read_vertices(tmp_path / name, on_warning=pytest.fail)) == 8
+        assert len(read_shape(tmp_path / name, on_warning=pytest.fail)) == 12
+        [tile] = open_cloud(tmp_path / name).warnings
+        assert tile == str(caught[0].message)
+    grid = ("range_grid", ["list uchar int vertex_indices"], [((0,),), ((),)])
+    (tmp_path / "scan.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), grid))
+    assert not holds_mesh(tmp_path / "scan.ply")
+    (tmp_path / "a.off").write_bytes(off())
+    with check_error():
+        read_cloud(tmp_path / "a.off")
+
+
 # ---- damage ----
 
 
@@ -116,6 +178,7 @@ def read_error(path):
     return message.removeprefix(f"{path}: ")
 
 
+ONE_VERTEX = ("vertex", XYZ, [(0.0, 0.0, 0.0)])
 BINARY_PLY = ply_mesh("binary_little_endian")
 REFUSED_FILES = {
     "a.xyz": b"1 2 3",
@@ -123,7 +186,7 @@ REFUSED_FILES = {
     "short.stl": b"abc",
     "cut.stl": stl()[:-130],
     "huge.stl": stl()[:80] + b"\xff" * 4 + stl()[84:],
-    "long.stl": stl() + b"abc",
+    "no count.stl": stl()[:80] + bytes(4) + stl()[84:],
     "none.stl": stl(faces=FACES[:0]),
     "nan.stl": stl(VERTICES * np.nan),
     "cut ascii.stl": ascii_stl()[:-90],
@@ -137,6 +200,14 @@ REFUSED_FILES = {
     "words.obj": b"v 1 2\n",
     "overflow.obj": OBJ.encode() + b"f 1 2 " + b"9" * 30,
     "digits.obj": OBJ.encode() + b"f 1 2 " + b"9" * 5000,
+    "curved.obj": OBJ.encode() + b"cstype bezier\ndeg 3 3\nsurf 0 1 0 1 1 2 3 4\nf 1 2 3\n",
+    "patch.obj": OBJ.encode() + b"bzp 1 2 3 4\n",
+    "strip.ply": ply("ascii", ONE_VERTEX, ("strip", ["list uchar int other"], [((0, 0, 0),)])),
+    "grid.ply": ply("ascii", ONE_VERTEX, ("range_grid", ["list uchar int vertex_indices"], [((0,),)])),
+    "fan.glb": glb_parts((6, VERTICES, [0, 1, 3, 2])),
+    "points.glb": glb_parts((0, VERTICES, None)),
+    "draco.glb": glb_parts((4, VERTICES, FACES.ravel()), extensionsRequired=["KHR_draco_mesh_compression"]),
+    "instances.glb": glb_parts((4, VERTICES, FACES.ravel()), extensionsUsed=["EXT_mesh_gpu_instancing"]),
     "points.ply": ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)])),
     "no faces.ply": ply_mesh(polygons=[]),
     "no faces binary.ply": ply_mesh("binary_big_endian", polygons=[]),
@@ -152,6 +223,9 @@ REFUSED_FILES = {
     "long.off": off() + b"3 0 1 2\n",
     "short face.off": off()[:-3] + b"\n",
     "words.off": off().replace(b"8 12 0\n-1.0", b"8 12 0\none"),
+    "binary.off": b"OFF BINARY\n" + bytes(40),
+    "dimensions.off": b"nOFF\n4\n" + off()[4:],
+    "no w.off": off().replace(b"OFF", b"4OFF"),
     "flat.off": b"OFF 1 1\n0 0\n3 0 0 0\n",
     "magic.glb": b"abc",
     "cut.glb": glb()[:-8],

@@ -14,6 +14,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.regions import Region
 from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, pixel_sizes, sees, views
@@ -22,7 +23,6 @@ from pcbench.io.files import Warn
 from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.registration import local_origin
 
-_MESH_SAMPLE_COUNT = 1_000_000  # points that represent a mesh as the reference
 _PIXEL_SIZE_POINTS = 20_000  # enough for a median pixel size within a fraction of a percent
 _MAX_VISIBLE_SAMPLES = 1_000_000  # enough for shares within 0.1 %
 
@@ -139,7 +139,7 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
     if holds_mesh(reference):
         whole = read_mesh(reference, on_warning=warn)
         surface = whole if surface is None else surface
-        cloud = whole.sample(_MESH_SAMPLE_COUNT)
+        cloud = sample_reference(whole)
     else:
         cloud = read_cloud(reference, on_warning=warn)
     if "visible" in cloud.attributes:
