@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
+from pcbench.io.colmap_text import check_complete, data_lines, excerpt
 from pcbench.io.files import Fields, Warn, finite_cloud, read_named
 from pcbench.regular_files import has_entry
 
@@ -62,7 +63,7 @@ def read_colmap(path: Path, warn: Warn) -> Fields:
         InputError: the file is incomplete or contains no points.
         OSError: the file cannot be read.
     """
-    return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes())
+    return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes(), warn)
 
 
 def _read_binary(data: bytes) -> Fields:
@@ -92,12 +93,12 @@ def _read_binary(data: bytes) -> Fields:
     return _fields(rows["xyz"], rows["rgb"], rows["id"], rows["error"], rows["track_length"])
 
 
-def _read_text(data: bytes) -> Fields:
+def _read_text(data: bytes, warn: Warn) -> Fields:
     """Parse lines of id, x y z, r g b, error, then (image, keypoint) pairs. Lines that start with # are comments."""
     ids: list[int] = []
     values: list[list[float]] = []
-    for number, line in enumerate(data.splitlines(), 1):
-        if not line.strip() or line.lstrip().startswith(b"#"):
+    for number, line in data_lines(data):
+        if not line:
             continue
         words = line.split()
         try:
@@ -107,26 +108,17 @@ def _read_text(data: bytes) -> Fields:
             if not 0 <= int(words[0]) < 2**64 or not all(0 <= c <= 255 and c == int(c) for c in row[3:6]):
                 raise ValueError
         except (ValueError, OverflowError):
-            excerpt = repr(line.strip()[:60])[1:]
             raise InputError(
-                f"line {number}: expected id, x y z, r g b, error, then (image, keypoint) pairs; got {excerpt}"
+                f"line {number}: expected id, x y z, r g b, error, then (image, keypoint) pairs; got {excerpt(line)}:"
+                " copy or export the model again"
             ) from None
         ids.append(int(words[0]))
         values.append([*row, (len(words) - 8) / 2])
     if not values:
         raise InputError("expected at least one point, got a model without points: export it with its points")
-    declared = _declared_count(data)
-    if declared is not None and len(values) < declared:
-        raise InputError(f"truncated: got {len(values)} of {declared} points: copy or export the model again")
+    check_complete(data, "points", len(values), warn)
     table = np.array(values)
     return _fields(table[:, :3], table[:, 3:6].astype(np.uint8), np.array(ids, np.uint64), table[:, 6], table[:, 7])
-
-
-def _declared_count(data: bytes) -> int | None:
-    """Return the point count in COLMAP's comment line, `# Number of points: 7, mean track length: 3`."""
-    _, separator, rest = data[:4096].partition(b"# Number of points:")
-    word = rest.split(b",")[0].strip()
-    return int(word) if separator and word.isdigit() and len(word) < 19 else None
 
 
 def _fields(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], ids: NDArray[np.uint64], error: NDArray[np.float64],

@@ -184,9 +184,9 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
             raise InputError(f"{source}: {name}: {wrong}")
         matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
     if not matched:
-        missing = unmatched[0] if unmatched else "a file_path"
         raise InputError(
-            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as {missing!r}"
+            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as"
+            f" {unmatched[0]!r}: use the images of these cameras"
         )
     if unmatched:
         count = f"{len(unmatched)} of {len(camera_file.cameras)}"
@@ -248,7 +248,7 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
     """Read the cameras of a file or folder in any supported format."""
     if source.is_dir():
         if is_colmap_model(source):
-            return _CameraFile(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
+            return _CameraFile(read_colmap_cameras(source, warn), read_points3d(source) if has_points(source) else None)
         if files := sorted(source.glob("*.camera")):
             return _CameraFile([read_strecha(file) for file in files])
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files, got neither")
