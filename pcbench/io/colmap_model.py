@@ -18,6 +18,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
+from pcbench.io.colmap_folders import MAX_MODEL_BYTES
 from pcbench.io.colmap_text import ImagePose, check_complete, data_lines, excerpt, parse_images
 from pcbench.io.files import Warn, atomic_write
 from pcbench.regular_files import has_entry, open_regular, read_bytes
@@ -46,14 +47,7 @@ _MODELS_BY_ID = {
 _SUPPORTED_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _PARAMETER_COUNTS = dict(_MODELS_BY_ID.values())
 
-_MAX_MODEL_BYTES = 64 << 30  # of the cameras or images file; the latter stores all keypoints
-
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # written by `write_colmap_model`
-
-
-def is_colmap_model(folder: Path) -> bool:
-    """Return whether a folder contains the cameras and images files of a model, text or binary."""
-    return any(has_entry(folder / f"cameras{e}") and has_entry(folder / f"images{e}") for e in (".bin", ".txt"))
 
 
 def read_colmap_cameras(folder: Path, on_warning: Warn | None = None) -> tuple[Camera, ...]:
@@ -75,7 +69,7 @@ def read_colmap_cameras(folder: Path, on_warning: Warn | None = None) -> tuple[C
         path = folder / name
         warn = partial(_report_named, report, path)
         try:
-            data = read_bytes(path, _MAX_MODEL_BYTES)
+            data = read_bytes(path, MAX_MODEL_BYTES)
             if name.startswith("cameras"):
                 intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data, warn)
             else:
@@ -212,20 +206,16 @@ def _check_end(data: bytes, offset: int, items: str) -> None:
         )
 
 
-def has_points(folder: Path) -> bool:
-    """Return whether a model contains points. The points3D file of a model made of known poses is empty.
+def has_points(path: Path) -> bool:
+    """Return whether a points file contains points. That of a model made of known poses is empty.
 
     Raises:
-        InputError: points3D is not a regular file. The message starts with the path.
+        InputError: it is not a regular file. The message starts with the path.
         OSError: the file cannot be read.
     """
-    binary, text = folder / "points3D.bin", folder / "points3D.txt"
-    path = binary if has_entry(binary) else text
-    if not has_entry(path):
-        return False
     try:
         with open_regular(path) as file:
-            if path == binary:
+            if path.suffix == ".bin":
                 return any(file.read(8))
             return any(line.strip() and not line.lstrip().startswith(b"#") for line in file)
     except InputError as error:

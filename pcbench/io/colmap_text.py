@@ -1,4 +1,4 @@
-"""Parse the text files of COLMAP models: lines, stated counts, and the images. Format: colmap.github.io/format.html."""
+"""Parse the text files of COLMAP models: lines, counts, and the images. Format: colmap.github.io/format.html."""
 
 from __future__ import annotations
 
@@ -60,6 +60,20 @@ def check_complete(data: bytes, kind: str, count: int, warn: Warn, *, ends_early
     if declared is None and count and (ends_early or not data.endswith((b"\n", b"\r"))):
         where = "before the second line of its last image" if ends_early else "without a line break"
         warn(f"the file ends {where} and may be cut off: read {count} {kind}, check that none is missing")
+
+
+def count_items(data: bytes, kind: str) -> int:
+    """Return the number of images or points of a text file, as its header states or of its lines.
+
+    Raises:
+        InputError: the images cannot be parsed.
+    """
+    declared = _declared_count(data, kind)
+    if declared is not None:
+        return declared
+    if kind == "images":
+        return len(parse_images(data, lambda _: None))
+    return sum(bool(line) for _, line in data_lines(data))
 
 
 def _declared_count(data: bytes, kind: str) -> int | None:
