@@ -76,8 +76,8 @@ def read_cloud(
             systems or units, or no point passes the filters. The message names the file.
         MissingExtra: an optional library is needed for this file.
     """
-    path = cloud_file(as_path(path))
-    lines: list[str] = []
+    named, lines = as_path(path), list[str]()
+    path = cloud_file(named, lambda line: lines.append(f"{named}: {line}"))
 
     def warn(line: str) -> None:
         lines.append(f"{path}: {line}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,9 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
+from pcbench.io.colmap_folders import POINT_FILES, find_model, points_file
+from pcbench.io.colmap_text import check_complete, data_lines, excerpt
 from pcbench.io.files import Fields, Warn, finite_cloud, read_named
-from pcbench.regular_files import has_entry
-
-POINT_FILES = ("points3D.bin", "points3D.txt")  # binary first: it stores the exact values
-_MODEL_FOLDERS = (".", "0", "sparse", "sparse/0")  # where COLMAP and related programs store a model in a folder
 
 # One point, without its track of (int32 image, int32 keypoint) entries.
 _POINT = np.dtype(
@@ -25,34 +24,40 @@ _TRACK_LENGTH_OFFSET = _POINT.itemsize - 8  # in bytes from the start of a point
 _TRACK_ENTRY_BYTES = 8
 
 
-def read_points3d(folder_or_file: str | os.PathLike[str]) -> Cloud:
+def read_points3d(folder_or_file: str | os.PathLike[str], on_warning: Warn | None = None) -> Cloud:
     """Read the points of a COLMAP sparse model, as `read_cloud` does.
 
     Coordinates are in the model's arbitrary frame. Attributes: `point3D_id`; `reprojection_error`, the mean in
     pixels; `track_length`, the number of images that observe the point.
 
     Args:
-        folder_or_file: points3D.bin, points3D.txt, or a folder with either, directly or in 0/, sparse/ or sparse/0/.
+        folder_or_file: points3D.bin, points3D.txt, or a folder with a model, see `find_model`.
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
 
     Raises:
         InputError: there is no model, or it is damaged. The message starts with the path.
     """
-    points_file = model_file(Path(folder_or_file))
-    if points_file.name not in POINT_FILES:
+    notes: list[str] = []
+    file = model_file(Path(folder_or_file), notes.append)
+    if file.name not in POINT_FILES:
         raise InputError(f"{folder_or_file}: expected a COLMAP model: a folder with {' or '.join(POINT_FILES)}")
-    return read_named(points_file, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), None)
+    for note in notes:
+        (on_warning or (lambda text: warnings.warn(text, stacklevel=3)))(f"{folder_or_file}: {note}")
+    return read_named(file, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), on_warning)
 
 
-def model_file(path: Path) -> Path:
-    """Return the points file of the COLMAP model in a folder; return any other path unchanged, for its reader."""
+def model_file(path: Path, warn: Warn | None = None) -> Path:
+    """Return the points file of the COLMAP model in a folder; return any other path unchanged, for its reader.
+
+    Args:
+        path: any path of a cloud.
+        warn: callback, called with one line, without the path, that names all of several models.
+    """
     try:
-        for subfolder in _MODEL_FOLDERS if path.is_dir() else ():
-            for name in POINT_FILES:
-                if has_entry(path / subfolder / name):
-                    return path / subfolder / name
+        folder = find_model(path, "points", warn) if path.is_dir() else None
     except OSError:  # no permission to list the folder
-        pass
-    return path
+        folder = None
+    return path if folder is None else points_file(folder) or path
 
 
 def read_colmap(path: Path, warn: Warn) -> Fields:
@@ -62,7 +67,7 @@ def read_colmap(path: Path, warn: Warn) -> Fields:
         InputError: the file is incomplete or contains no points.
         OSError: the file cannot be read.
     """
-    return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes())
+    return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes(), warn)
 
 
 def _read_binary(data: bytes) -> Fields:
@@ -92,12 +97,12 @@ def _read_binary(data: bytes) -> Fields:
     return _fields(rows["xyz"], rows["rgb"], rows["id"], rows["error"], rows["track_length"])
 
 
-def _read_text(data: bytes) -> Fields:
+def _read_text(data: bytes, warn: Warn) -> Fields:
     """Parse lines of id, x y z, r g b, error, then (image, keypoint) pairs. Lines that start with # are comments."""
     ids: list[int] = []
     values: list[list[float]] = []
-    for number, line in enumerate(data.splitlines(), 1):
-        if not line.strip() or line.lstrip().startswith(b"#"):
+    for number, line in data_lines(data):
+        if not line:
             continue
         words = line.split()
         try:
@@ -107,26 +112,17 @@ def _read_text(data: bytes) -> Fields:
             if not 0 <= int(words[0]) < 2**64 or not all(0 <= c <= 255 and c == int(c) for c in row[3:6]):
                 raise ValueError
         except (ValueError, OverflowError):
-            excerpt = repr(line.strip()[:60])[1:]
             raise InputError(
-                f"line {number}: expected id, x y z, r g b, error, then (image, keypoint) pairs; got {excerpt}"
+                f"line {number}: expected id, x y z, r g b, error, then (image, keypoint) pairs; got {excerpt(line)}:"
+                " copy or export the model again"
             ) from None
         ids.append(int(words[0]))
         values.append([*row, (len(words) - 8) / 2])
     if not values:
         raise InputError("expected at least one point, got a model without points: export it with its points")
-    declared = _declared_count(data)
-    if declared is not None and len(values) < declared:
-        raise InputError(f"truncated: got {len(values)} of {declared} points: copy or export the model again")
+    check_complete(data, "points", len(values), warn)
     table = np.array(values)
     return _fields(table[:, :3], table[:, 3:6].astype(np.uint8), np.array(ids, np.uint64), table[:, 6], table[:, 7])
-
-
-def _declared_count(data: bytes) -> int | None:
-    """Return the point count in COLMAP's comment line, `# Number of points: 7, mean track length: 3`."""
-    _, separator, rest = data[:4096].partition(b"# Number of points:")
-    word = rest.split(b",")[0].strip()
-    return int(word) if separator and word.isdigit() and len(word) < 19 else None
 
 
 def _fields(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], ids: NDArray[np.uint64], error: NDArray[np.float64],

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import struct
+import warnings
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,9 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write
+from pcbench.io.colmap_folders import MAX_MODEL_BYTES
+from pcbench.io.colmap_text import ImagePose, check_complete, data_lines, excerpt, parse_images
+from pcbench.io.files import Warn, atomic_write
 from pcbench.regular_files import has_entry, open_regular, read_bytes
 
 # Name and parameter count of the camera models, by COLMAP's model ID.
@@ -26,38 +30,51 @@ _MODELS_BY_ID = {
     2: ("SIMPLE_RADIAL", 4),
     3: ("RADIAL", 5),
     4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
+_SUPPORTED_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _PARAMETER_COUNTS = dict(_MODELS_BY_ID.values())
-
-
-_MAX_MODEL_BYTES = 64 << 30  # of the cameras or images file; the latter stores all keypoints
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # written by `write_colmap_model`
 
 
-def is_colmap_model(folder: Path) -> bool:
-    """Return whether a folder contains the cameras and images files of a model, text or binary."""
-    return any(has_entry(folder / f"cameras{e}") and has_entry(folder / f"images{e}") for e in (".bin", ".txt"))
-
-
-def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
+def read_colmap_cameras(folder: Path, on_warning: Warn | None = None) -> tuple[Camera, ...]:
     """Read the cameras of a COLMAP model, sorted by image name. Binary files take precedence over text.
 
+    Args:
+        folder: folder that holds the model itself.
+        on_warning: callback, called with one line per warning. Defaults to `warnings.warn`.
+
     Raises:
-        InputError: there is no model, it is damaged, a camera model is not supported, or a quaternion is not a
-            rotation. The message starts with the path.
+        InputError: there is no model, it is damaged or incomplete, a camera model is not supported, or a quaternion is
+            not a rotation. The message starts with the path.
     """
+    report = on_warning if on_warning is not None else lambda text: warnings.warn(text, stacklevel=3)
     binary = has_entry(folder / "cameras.bin") and has_entry(folder / "images.bin")
     names = ("cameras.bin", "images.bin") if binary else ("cameras.txt", "images.txt")
     intrinsics: dict[int, Intrinsics] = {}
     for name in names:
         path = folder / name
+        warn = partial(_report_named, report, path)
         try:
-            data = read_bytes(path, _MAX_MODEL_BYTES)
+            data = read_bytes(path, MAX_MODEL_BYTES)
             if name.startswith("cameras"):
-                intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data)
+                intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data, warn)
             else:
-                cameras = _binary_images(data, intrinsics) if binary else _text_images(data, intrinsics)
+                images = _binary_images(data) if binary else parse_images(data, warn)
+                cameras = [_camera(image, intrinsics) for image in images]
         except FileNotFoundError:
             raise InputError(f"{path}: no such file: expected the cameras and images of a COLMAP model") from None
         except OSError as error:
@@ -69,8 +86,12 @@ def read_colmap_cameras(folder: Path) -> tuple[Camera, ...]:
         except struct.error:
             raise InputError(f"{path}: truncated: copy or export the model again") from None
     if not cameras:
-        raise InputError(f"{path}: expected at least one image, got a model without images")
+        raise InputError(f"{path}: expected at least one image, got a model without images: export it with its images")
     return tuple(sorted(cameras, key=lambda camera: camera.name))
+
+
+def _report_named(report: Warn, path: Path, text: str) -> None:
+    report(f"{path}: {text}")
 
 
 def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[float]) -> Intrinsics:
@@ -85,10 +106,12 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
     Raises:
         InputError: `Intrinsics` does not support the model, or the parameter count is wrong.
     """
-    if model not in _PARAMETER_COUNTS:
-        known = ", ".join(_PARAMETER_COUNTS)
+    if model not in _SUPPORTED_MODELS or (model == "FULL_OPENCV" and any(p[8:])):
+        known = ", ".join(_SUPPORTED_MODELS)
+        distorted = " with k3 to k6" if model == "FULL_OPENCV" else ""
         raise InputError(
-            f"expected a camera model of {known}, got {model}: undistort the images with COLMAP's image_undistorter"
+            f"expected a camera model of {known}, got {model}{distorted}: undistort the images with COLMAP's"
+            " image_undistorter"
         )
     if len(p) != _PARAMETER_COUNTS[model]:
         raise InputError(
@@ -96,99 +119,103 @@ def intrinsics_from_colmap(model: str, width: int, height: int, p: Sequence[floa
         )
     if model == "PINHOLE":
         return Intrinsics(width, height, p[0], p[1], p[2], p[3])
-    if model == "OPENCV":
+    if model in ("OPENCV", "FULL_OPENCV"):
         return Intrinsics(width, height, p[0], p[1], p[2], p[3], (p[4], p[5], p[6], p[7]))
     k1, k2 = [*p[3:], 0.0, 0.0][:2]
     return Intrinsics(width, height, p[0], p[0], p[1], p[2], (k1, k2, 0.0, 0.0))
 
 
-def _camera(name: str, number: int, pose: Sequence[float], intrinsics: Mapping[int, Intrinsics]) -> Camera:
-    if number not in intrinsics:
-        raise InputError(f"image {name}: camera {number} is missing in the cameras file: export the model again")
-    quaternion = np.array(pose[:4], dtype=np.float64)
+def _camera(image: ImagePose, intrinsics: Mapping[int, Intrinsics]) -> Camera:
+    if image.camera not in intrinsics:
+        raise InputError(
+            f"image {image.name}: camera {image.camera} is missing in the cameras file: export the model again"
+        )
+    quaternion = np.array(image.pose[:4], dtype=np.float64)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < 1e-3:
         raise InputError(
-            f"image {name}: expected a unit quaternion, got one of length {length:.6g}: export the model again"
+            f"image {image.name}: expected a unit quaternion, got one of length {length:.6g}: export the model again"
         )
-    return Camera(name, intrinsics[number], Similarity(_rotation(quaternion / length), np.array(pose[4:])))
+    pose = Similarity(_rotation(quaternion / length), np.array(image.pose[4:]))
+    return Camera(image.name, intrinsics[image.camera], pose)
 
 
-def _text_intrinsics(data: bytes) -> dict[int, Intrinsics]:
-    intrinsics = {}
-    for line in data.decode().splitlines():
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            if len(words) < 5:
-                raise ValueError(f"expected id, model, width, height, parameters; got {line.strip()[:60]!r}")
-            values = [float(word) for word in words[4:]]
-            intrinsics[int(words[0])] = intrinsics_from_colmap(words[1], int(words[2]), int(words[3]), values)
+def _text_intrinsics(data: bytes, warn: Warn) -> dict[int, Intrinsics]:
+    intrinsics: dict[int, Intrinsics] = {}
+    for number, line in data_lines(data):
+        if not line:
+            continue
+        try:
+            camera, model, width, height, *parameters = line.decode().split()
+            key, size, values = int(camera), (int(width), int(height)), [float(word) for word in parameters]
+        except ValueError:
+            raise InputError(
+                f"line {number}: expected id, model, width, height, parameters; got {excerpt(line)}: copy or export the"
+                " model again"
+            ) from None
+        _add_camera(intrinsics, key, intrinsics_from_colmap(model, *size, values))
+    check_complete(data, "cameras", len(intrinsics), warn)
     return intrinsics
 
 
-def _text_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
-    """Parse two lines per image: id, quaternion, translation, camera, name; then (x, y, point) triples or nothing."""
-    cameras = []
-    lines = iter(data.decode().splitlines())
-    for line in lines:
-        words = line.split(maxsplit=9)
-        if not words or words[0].startswith("#"):
-            continue
-        if len(words) < 10:
-            raise ValueError(f"expected id, qw qx qy qz, tx ty tz, camera, name; got {line.strip()[:60]!r}")
-        cameras.append(_camera(words[9].strip(), int(words[8]), [float(w) for w in words[1:8]], intrinsics))
-        # Without this check, a missing line would make every second image the keypoints of the one before.
-        if len(next(lines, "").split()) % 3:
-            raise ValueError(f"expected a line of (x, y, point) triples (or an empty line) after image {words[9]!r}")
-    return cameras
+def _add_camera(intrinsics: dict[int, Intrinsics], number: int, camera: Intrinsics) -> None:
+    if intrinsics.setdefault(number, camera) != camera:
+        raise InputError(f"expected each camera once, got two different cameras {number}: export the model again")
 
 
 def _binary_intrinsics(data: bytes) -> dict[int, Intrinsics]:
     (count,) = struct.unpack_from("<Q", data)
-    intrinsics, offset = {}, 8
+    intrinsics: dict[int, Intrinsics] = {}
+    offset = 8
     for _ in range(count):
         number, model, width, height = struct.unpack_from("<iiQQ", data, offset)
         if model not in _MODELS_BY_ID:
             raise InputError(
-                f"camera model {model} is not supported: undistort the images with COLMAP's image_undistorter"
+                f"expected a camera model of {', '.join(_SUPPORTED_MODELS)}, got one with the unknown number {model}:"
+                " undistort the images with COLMAP's image_undistorter"
             )
         name, parameters = _MODELS_BY_ID[model]
         values = struct.unpack_from(f"<{parameters}d", data, offset + 24)
-        intrinsics[number] = intrinsics_from_colmap(name, width, height, values)
+        _add_camera(intrinsics, number, intrinsics_from_colmap(name, width, height, values))
         offset += 24 + 8 * parameters
+    _check_end(data, offset, f"{count} cameras")
     return intrinsics
 
 
-def _binary_images(data: bytes, intrinsics: Mapping[int, Intrinsics]) -> list[Camera]:
+def _binary_images(data: bytes) -> list[ImagePose]:
     (count,) = struct.unpack_from("<Q", data)
-    cameras: list[Camera] = []
+    images: list[ImagePose] = []
     offset = 8
     for _ in range(count):
-        _, *pose, number = struct.unpack_from("<I7di", data, offset)
+        _, *pose, camera = struct.unpack_from("<I7di", data, offset)
         start = offset + struct.calcsize("<I7di")
         end = data.index(b"\0", start)
         (points,) = struct.unpack_from("<Q", data, end + 1)
         offset = end + 9 + 24 * points
         if offset > len(data):
-            raise ValueError(f"truncated: got {len(cameras)} of {count} images: copy or export the model again")
-        cameras.append(_camera(data[start:end].decode(), number, pose, intrinsics))
-    return cameras
+            raise InputError(f"truncated: got {len(images)} of {count} images: copy or export the model again")
+        images.append(ImagePose(data[start:end].decode(), camera, tuple(pose)))
+    _check_end(data, offset, f"{count} images")
+    return images
 
 
-def has_points(folder: Path) -> bool:
-    """Return whether a model contains points. The points3D file of a model made of known poses is empty.
+def _check_end(data: bytes, offset: int, items: str) -> None:
+    if offset < len(data):
+        raise InputError(
+            f"expected the end of the file after {items}, got {len(data) - offset} more bytes: export the model again"
+        )
+
+
+def has_points(path: Path) -> bool:
+    """Return whether a points file contains points. That of a model made of known poses is empty.
 
     Raises:
-        InputError: points3D is not a regular file. The message starts with the path.
+        InputError: it is not a regular file. The message starts with the path.
         OSError: the file cannot be read.
     """
-    binary, text = folder / "points3D.bin", folder / "points3D.txt"
-    path = binary if has_entry(binary) else text
-    if not has_entry(path):
-        return False
     try:
         with open_regular(path) as file:
-            if path == binary:
+            if path.suffix == ".bin":
                 return any(file.read(8))
             return any(line.strip() and not line.lstrip().startswith(b"#") for line in file)
     except InputError as error:

@@ -126,9 +126,19 @@ class _Reader:
         points = self._points()
         if self._has_transform():
             warn("ignored the transform to other coordinates: cameras and points are read as stored")
-        cameras = [camera for image in images if (camera := _camera(image, platforms, size_of)) is not None]
-        if not cameras:
+        posed = [image for image in images if image.pose != _NO_POSE]
+        if not posed:
             raise InputError("expected at least one image with a pose, got none: export the scene again")
+        cameras = [camera for image in posed if (camera := _camera(image, platforms, size_of)) is not None]
+        if not cameras:
+            raise InputError(
+                f"expected cameras of these images or with a size, got {len(posed)} without a size of other images,"
+                f" such as {posed[0].name!r}: use the images of these cameras"
+            )
+        if len(cameras) < len(posed):
+            warn(
+                f"left out {len(posed) - len(cameras)} of {len(posed)} cameras without a size, whose images are missing"
+            )
         return OpenMvsScene(tuple(cameras), finite_cloud(points, warn) if len(points["points"]) else None)
 
     def _platform(self) -> _Platform:
@@ -232,9 +242,7 @@ class _Reader:
 def _camera(
     image: _Image, platforms: list[_Platform], size_of: Callable[[str], tuple[int, int] | None]
 ) -> Camera | None:
-    """Return the camera of an image, from its camera and pose on a platform; None without a pose or size."""
-    if image.pose == _NO_POSE:
-        return None
+    """Return the camera of an image, from its camera and pose on a platform; None without a size."""
     try:
         platform = platforms[image.platform]
         mounted, (platform_rotation, center) = platform.cameras[image.camera], platform.poses[image.pose]

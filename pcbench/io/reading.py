@@ -19,9 +19,14 @@ from pcbench.io.tiles import StatedCrs, common_crs, concatenate, merge_warnings
 from pcbench.regular_files import has_entry
 
 
-def cloud_file(path: Path) -> Path:
-    """Return the points file of a COLMAP model or the ept.json in a folder; return any other path unchanged."""
-    file = model_file(path)
+def cloud_file(path: Path, warn: Warn | None = None) -> Path:
+    """Return the points file of a COLMAP model or the ept.json in a folder; return any other path unchanged.
+
+    Args:
+        path: path of a cloud.
+        warn: callback, called with one line, without the path, if the folder holds several models.
+    """
+    file = model_file(path, warn)
     return path / EPT if file == path and path.is_dir() and has_entry(path / EPT) else file
 
 

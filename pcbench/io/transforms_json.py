@@ -67,19 +67,34 @@ def read_transforms(
     names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in document["frames"]]
     _check_duplicates(path, names, size_of)  # before poses are parsed: a file may repeat one frame many times
     cameras = []
+    without_size = []
     for number, (name, frame) in enumerate(zip(names, document["frames"], strict=True)):
         try:
             if not isinstance(name, str):
                 raise InputError("expected a file_path, got none: add the name of the image")
             values = {**document, **frame}
             intrinsics = _intrinsics(values, size_of(name))
-            if intrinsics is not None:
+            if intrinsics is None:
+                without_size.append(name)
+            else:
                 cameras.append(Camera(name, intrinsics, _pose(values.get("transform_matrix"))))
         except InputError as error:
             raise InputError(f"{path}: frame {number} ({name}): {error}") from None
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: frame {number} ({name}): expected numbers: {what}") from None
+    if not names:
+        raise InputError(f"{path}: expected at least one frame, got none: export it again")
+    if not cameras:
+        raise InputError(
+            f"{path}: expected frames with w and h, or of these images; got neither, such as {names[0]!r}: use the"
+            " images of these cameras"
+        )
+    if without_size:
+        warn(
+            f"{path}: left out {len(without_size)} of {len(names)} frames without w and h, whose images are missing:"
+            f" {', '.join(without_size[:3])}{', ...' if len(without_size) > 3 else ''}"
+        )
     objects = [document, *document["frames"]]
     if ignored := [
         key for key, neutral in _IGNORED_KEYS.items() if any(v.get(key, neutral) != neutral for v in objects)

@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 
 from pcbench.errors import InputError
-from pcbench.io.colmap_model import is_colmap_model
-from pcbench.io.files import read_json
+from pcbench.io.colmap_folders import find_model
+from pcbench.io.files import Warn, read_json
 from pcbench.io.image_header import EXTENSIONS
 from pcbench.regular_files import has_entry, read_bytes
 
 # In order of search: COLMAP and nerfstudio; NeRF's synthetic scenes; RGB-D data sets; Earth Studio.
 _IMAGE_FOLDERS = ("images", "train", "rgb", "footage")
-_MODEL_FOLDERS = (".", "sparse/0", "sparse", "colmap/sparse/0")  # possible folders of a COLMAP model in a scene
 _TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
 _CAMERA_FOLDERS = (".", "gt_dense_cameras", "images")  # possible folders of Strecha's files
 _CALIBRATION_NAMES = re.compile(
@@ -69,15 +68,18 @@ def unread_calibrations(folder: Path, cameras: Path | None) -> tuple[str, ...]:
     return tuple(name for name in names if cameras is None or (folder / name).resolve() != cameras.resolve())
 
 
-def find_cameras(path: Path) -> Path | None:
+def find_cameras(path: Path, warn: Warn) -> Path | None:
     """Find the cameras of a scene's folder: the first of the supported formats that exists, or None.
+
+    Args:
+        path: folder of the scene.
+        warn: callback, called with one line that names all COLMAP models if there are several.
 
     Raises:
         InputError: there are two Earth Studio exports, or several OpenMVS scenes none of which is named scene.mvs.
     """
-    for subfolder in _MODEL_FOLDERS:
-        if is_colmap_model(path / subfolder):
-            return path / subfolder
+    if (model := find_model(path, "images", lambda line: warn(f"{path}: {line}"))) is not None:
+        return model
     for name in _TRANSFORMS_FILES:
         if has_entry(path / name):
             return path / name
@@ -92,6 +94,17 @@ def find_cameras(path: Path) -> Path | None:
             f"{path}: expected one camera export, got {exports[0].name} and {exports[1].name}: choose one by its file"
         )
     return exports[0] if exports else None
+
+
+def named_cameras(path: Path, warn: Warn) -> Path:
+    """Return the folder of the COLMAP model in a folder that a user names; return any other path unchanged.
+
+    Args:
+        path: file or folder with cameras.
+        warn: callback, called with one line that names all COLMAP models if there are several.
+    """
+    model = find_model(path, "images", lambda line: warn(f"{path}: {line}")) if path.is_dir() else None
+    return model or path
 
 
 def _openmvs_scene(path: Path) -> Path | None:

@@ -17,7 +17,8 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps
 from pcbench.io.colmap import read_points3d
-from pcbench.io.colmap_model import has_points, is_colmap_model, read_colmap_cameras
+from pcbench.io.colmap_folders import CAMERA_FILES, is_colmap_model, points_file
+from pcbench.io.colmap_model import has_points, read_colmap_cameras
 from pcbench.io.earth_studio import PROJECT_FILE_HINT, describe_sphere_scale, read_earth_studio
 from pcbench.io.image_header import ImageHeader, read_image_header
 from pcbench.io.k_matrix import K_MATRIX_FILE, intrinsics_from_k, read_k_matrix
@@ -26,7 +27,7 @@ from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.regular_files import has_entry, read_text
 from pcbench.scenes.decode import Size
-from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, unread_calibrations
+from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, named_cameras, unread_calibrations
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 
@@ -49,11 +50,11 @@ def read_scene(
     Args:
         path: folder of the scene.
         cameras: "auto", "none", or a camera file or folder. "auto" uses the first that exists: a COLMAP model (in the
-            folder, sparse/0, sparse or colmap/sparse/0), transforms.json, transforms_train.json, Strecha's `.camera`
-            files (in the folder, gt_dense_cameras or images), an OpenMVS scene (`.mvs`), an Earth Studio export.
-            Cameras are matched to images by name, frames of Earth Studio by order or number. Images without a camera
-            get the intrinsics of a `K.txt` next to them or in the folder. Intrinsics for another image size are scaled
-            if the aspect ratio is equal.
+            folder, sparse or colmap/sparse, or the largest of those in their subfolders 0, 1, ...), transforms.json,
+            transforms_train.json, Strecha's `.camera` files (in the folder, gt_dense_cameras or images), an OpenMVS
+            scene (`.mvs`), an Earth Studio export. Cameras are matched to images by name, frames of Earth Studio by
+            order or number. Images without a camera get the intrinsics of a `K.txt` next to them or in the folder.
+            Intrinsics for another image size are scaled if the aspect ratio is equal.
         masks: folder with a mask NAME.png for an image NAME (with or without its extension). Defaults to `masks/` in
             the folder.
         image_scale: scale of the working size, 0 < scale <= 1.
@@ -154,7 +155,7 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     """Add the cameras of a file or folder to a scene; return it unchanged if there are none."""
     if choice == "none":
         return scene
-    source = find_cameras(path) if choice == "auto" else Path(choice)
+    source = find_cameras(path, warn) if choice == "auto" else named_cameras(Path(choice), warn)
     if source is None:
         _warn_of_unread(scene, None, scene.images, warn)
         if projects := sorted(path.glob("*.esp")):
@@ -184,9 +185,9 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
             raise InputError(f"{source}: {name}: {wrong}")
         matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
     if not matched:
-        missing = unmatched[0] if unmatched else "a file_path"
         raise InputError(
-            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as {missing!r}"
+            f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as"
+            f" {unmatched[0]!r}: use the images of these cameras"
         )
     if unmatched:
         count = f"{len(unmatched)} of {len(camera_file.cameras)}"
@@ -246,9 +247,11 @@ class _CameraFile(NamedTuple):
 
 def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[str], None]) -> _CameraFile:
     """Read the cameras of a file or folder in any supported format."""
+    if source.name in CAMERA_FILES:
+        return _read_model(source.parent, warn)
     if source.is_dir():
         if is_colmap_model(source):
-            return _CameraFile(read_colmap_cameras(source), read_points3d(source) if has_points(source) else None)
+            return _read_model(source, warn)
         if files := sorted(source.glob("*.camera")):
             return _CameraFile([read_strecha(file) for file in files])
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files, got neither")
@@ -262,6 +265,13 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
         frames, origin = read_earth_studio(source)
         return _CameraFile(_frames_to_images(source, frames, scene.images), origin=origin)
     return _CameraFile(read_transforms(source, lambda name: scene.sizes.get(find(name) or ""), warn))
+
+
+def _read_model(folder: Path, warn: Callable[[str], None]) -> _CameraFile:
+    """Read the cameras and points of the COLMAP model that a folder holds itself."""
+    points = points_file(folder)
+    cameras = read_colmap_cameras(folder, warn)
+    return _CameraFile(cameras, read_points3d(points, warn) if points is not None and has_points(points) else None)
 
 
 def _frames_to_images(source: Path, frames: Sequence[Camera], images: Sequence[str]) -> list[Camera]:

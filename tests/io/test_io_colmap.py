@@ -82,18 +82,6 @@ def test_files_written_by_pycolmap(tmp_path):
         np.testing.assert_array_equal(cloud.attributes["track_length"], 0)
 
 
-@pytest.mark.parametrize("subfolder", [".", "0", "sparse", "sparse/0"])
-def test_model_folders(tmp_path, subfolder):
-    folder = tmp_path / subfolder
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "points3D.txt").write_bytes(MODEL_TEXT)
-    assert len(read_cloud(tmp_path)) == 3
-    (folder / "points3D.bin").write_bytes(model_bytes(5))
-    assert len(read_cloud(tmp_path)) == 5  # binary first
-    for source in (tmp_path, str(folder), folder / "points3D.bin"):
-        assert len(read_points3d(source)) == 5
-
-
 def test_folders_without_a_model(tmp_path):
     with check_error():
         read_points3d(tmp_path)

@@ -102,6 +102,21 @@ def test_transforms_with_a_field_of_view_and_names_without_extension(photographs
     check_text(warnings[0])
 
 
+def test_frames_without_a_size_and_image_are_left_out_with_a_warning(photographs):
+    def write(*names):
+        frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names]
+        (photographs / "transforms.json").write_text(json.dumps({"camera_angle_x": 1, "frames": frames}))
+
+    write("images/3.png", "images/30.png", "images/31.png")
+    notes = []
+    assert list(read_scene(photographs, on_warning=notes.append).cameras) == ["3.png"]
+    check_text("\n".join(notes))
+    for names in (["images/30.png"], []):
+        write(*names)
+        with check_error():
+            read_scene(photographs)
+
+
 def test_transforms_apply_the_pose(tmp_path):
     """The expected pixel is computed from the axes of the format: x right, y up, z backwards."""
     document = {
@@ -321,8 +336,9 @@ def test_damaged_binary_models_give_a_one_line_error(tmp_path):
             with pytest.raises(InputError, match=name):  # many cases, so only the file name is checked
                 read_colmap_cameras(tmp_path / "model")
         (tmp_path / "model" / name).write_bytes(data)
-    (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 5, 64, 48))
-    with check_error():
-        read_colmap_cameras(tmp_path / "model")
+    for number in (5, 6, 99):
+        (tmp_path / "model/cameras.bin").write_bytes(struct.pack("<QiiQQ12d", 1, 1, number, 64, 48, *range(1, 13)))
+        with check_error():
+            read_colmap_cameras(tmp_path / "model")
     with check_error():
         write_colmap_model(tmp_path / "model", orbit(NAMES))

@@ -53,6 +53,20 @@ def test_intrinsics_without_a_size_use_the_image_size(tmp_path):
     assert (k.fx, k.fy, k.cx, k.cy) == pytest.approx((50, 51, 31, 25), rel=1e-12)
 
 
+def test_cameras_without_a_size_and_image_are_left_out_with_a_warning(photographs):
+    (photographs / "scene.mvs").write_bytes(scene_bytes(CAMERAS, normalized=True))
+    for name in NAMES[2:4]:
+        (photographs / "images" / name).unlink()
+    notes = []
+    assert len(read_scene(photographs, on_warning=notes.append).cameras) == 8
+    check_text("\n".join(notes))
+    (photographs / "scene.mvs").write_bytes(
+        scene_bytes([replace(c, name=f"other{k}.png") for k, c in enumerate(CAMERAS)], normalized=True)
+    )
+    with check_error():
+        read_scene(photographs)
+
+
 def test_images_without_a_pose_normals_and_transforms(tmp_path):
     data = scene_bytes(CAMERAS, normals=np.eye(3), transform=np.diag([2.0, 2, 2, 1]), has_pose=lambda k: k % 2)
     (cameras, points), notes = read(tmp_path / "a.mvs", data)

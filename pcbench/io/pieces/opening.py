@@ -55,7 +55,8 @@ def open_cloud(
     """
     if piece_points < 1:
         raise InputError(f"expected pieces of at least one point, got {piece_points}")
-    path = cloud_file(as_path(path))
+    named, lines = as_path(path), list[tuple[Path, str]]()
+    path = cloud_file(named, lambda line: lines.append((named, line)))
     filters = parse_filters(classes, returns)
     with errors_named(path):
         if is_tiled(path):
@@ -63,7 +64,7 @@ def open_cloud(
         else:
             check_readable(path)
             tiles = TileFiles((path,))
-    lines = [(path, line) for line in tiles.warnings]
+    lines += [(path, line) for line in tiles.warnings]
 
     def warn(line: str) -> None:
         lines.append((path, line))
