@@ -163,6 +163,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.argument("out", type=FILE)
 @las_options("a LAS file")
 @splat_options
+@click.option("--drop-nodata", is_flag=True, help="Remove points that stand for missing data, such as z = -9999.")
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
@@ -172,6 +173,7 @@ def convert(
     returns: str | None,
     min_opacity: float | None,
     max_axis: float | None,
+    drop_nodata: bool,
     sample: int | None,
     quiet: bool,
 ) -> None:
@@ -197,8 +199,8 @@ def convert(
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     is_mesh = sample is not None or is_mesh_only(cloud)
-    if is_mesh and any(value is not None for value in filters.values()):
-        raise InputError(f"{cloud}: a mesh has no classes, returns or splats to filter")
+    if is_mesh and (drop_nodata or any(value is not None for value in filters.values())):
+        raise InputError(f"{cloud}: a mesh has no classes, returns, splats or missing data to filter")
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
@@ -207,7 +209,7 @@ def convert(
             mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
             data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
         else:
-            data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+            data = read_cloud(cloud, on_warning=warn_unless(quiet), drop_nodata=drop_nodata, **filters)
         step(f"writing {out}")
         write_cloud(out, data)
     if not quiet:

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
-from pcbench.io.files import as_path, check_output, count_null_points, errors_named, finite_cloud, null_points_warning
+from pcbench.io.files import as_path, check_output, errors_named, finite_cloud
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
+from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning, without_nodata
 from pcbench.io.reading import cloud_file, has_filters, read_fields
 
 __all__ = [
@@ -42,6 +43,7 @@ def read_cloud(
     returns: str | Collection[int] | None = None,
     min_opacity: float | None = None,
     max_axis: float | None = None,
+    drop_nodata: bool = False,
 ) -> Cloud:
     """Read a point cloud from one or many files and drop points with NaN or Inf coordinates.
 
@@ -58,6 +60,8 @@ def read_cloud(
         min_opacity: minimum opacity (0 to 1) of the Gaussian splats to keep. PLY files of splats only; stored logits of
             opacity and logarithms of the axes are converted.
         max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
+        drop_nodata: whether points that stand for missing data, such as z = -9999, are removed, with a warning that
+            gives their number. Otherwise they are kept, with a warning.
 
     Raises:
         InputError: a file cannot be read or does not match its extension, files have different coordinate reference
@@ -73,7 +77,9 @@ def read_cloud(
     fields = read_fields(path, lines.append, classes, returns)
     with errors_named(path):
         cloud = finite_cloud(fields, warn)
-        if line := null_points_warning(count_null_points(cloud.points), len(cloud)):
+        if drop_nodata:
+            cloud = without_nodata(cloud, warn)
+        elif line := nodata_warning(Nodata.of(CoordinateCounts.of(cloud.points))):
             warn(line)
         cloud = filter_splats(cloud, min_opacity, max_axis)
     for line in lines:
