@@ -7,7 +7,7 @@ and single outliers are none of these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,7 +24,8 @@ _KNOWN_VALUES = (  # as programs for rasters, point clouds and depth maps write 
     *(sign * float(np.finfo(np.float32).max) for sign in (-1, 1)),
 )
 _SAME = 1e-7  # relative difference of values that are the same: float32, and LAS integers times a scale, are rounded
-_MIN_ABSURD = 1e15  # no coordinate in metres, feet or millimetres is as large
+MIN_ABSURD = 1e15
+"""Smallest value that is no coordinate in metres, feet or millimetres."""
 _SAMPLE_POINTS = 500  # per piece, from which the range of the other points is estimated
 _MIN_OTHERS = 10  # points in the sample, for a range
 _MAX_REPEATED_SHARE = 0.5  # of the points with a repeated value; more are a surface
@@ -39,6 +40,7 @@ _MAX_DISTINCT_SAMPLE = 200  # points in which these are counted: in more, height
 _MIN_NULL_POINTS, _MIN_NULL_SHARE = 100, 0.001  # of points at (0, 0, 0), which may lie in the midst of a scan
 
 _AXES = "xyz"
+_REMEDY = "remove them with pcbench convert FILE OUT --drop-nodata"
 
 
 class ValueCount(NamedTuple):
@@ -184,7 +186,14 @@ def nodata_warning(nodata: Nodata) -> str | None:
     """Return the warning about the fill values of a cloud; None if it has none."""
     if not nodata:
         return None
-    return f"{nodata.text()}: they count in all numbers; remove them with pcbench convert FILE OUT --drop-nodata"
+    return f"{nodata.text()}: they count in all numbers; {_REMEDY}"
+
+
+def nodata_reason(clouds: Mapping[str, Cloud]) -> str:
+    """Return why a computation with clouds, by their names in messages, may have failed; "" without fill values."""
+    found = {name: Nodata.of(CoordinateCounts.of(cloud.points)) for name, cloud in clouds.items()}
+    reasons = [f"in the {name}, {nodata.text()}" for name, nodata in found.items() if nodata]
+    return f"{'; '.join(reasons)}: {_REMEDY}; " if reasons else ""
 
 
 def without_nodata(cloud: Cloud, warn: Callable[[str], None] = lambda _: None) -> Cloud:
@@ -214,7 +223,7 @@ class _Others:
     def of(cls, counts: CoordinateCounts) -> _Others | None:
         """Return the other points; None if the sample has too few."""
         assert counts.sample is not None
-        sample = counts.sample[(np.abs(counts.sample) < _MIN_ABSURD).all(axis=1)]
+        sample = counts.sample[(np.abs(counts.sample) < MIN_ABSURD).all(axis=1)]
         for axis, value, _ in counts.known:
             if value != 0:
                 sample = sample[~_is_same(sample[:, axis], value)]
@@ -237,7 +246,7 @@ class _Others:
 
     def contradict_end(self, found: ValueCount) -> bool:
         """Return whether the smallest or largest value of an axis stands for missing data."""
-        if abs(found.value) >= _MIN_ABSURD:
+        if abs(found.value) >= MIN_ABSURD:
             return True
         return found.points >= _MIN_REPEATS and self._is_isolated(found, _MIN_REPEATED_GAP, _MIN_REPEATED_GAP_ACROSS)
 
