@@ -178,6 +178,7 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.option("--crs", metavar="CRS", help="Project x and y to this coordinate system, such as EPSG:32617.")
 @click.option("--from-crs", metavar="CRS", help="Coordinate system of CLOUD, if its file states none.")
 @click.option("--unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
+@click.option("--drop-nodata", is_flag=True, help="Remove points that stand for missing data, such as z = -9999.")
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
 @quiet_option
 def convert(
@@ -191,6 +192,7 @@ def convert(
     crs: str | None,
     from_crs: str | None,
     unit: str | None,
+    drop_nodata: bool,
     sample: int | None,
     quiet: bool,
 ) -> None:
@@ -222,8 +224,8 @@ def convert(
     }
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
-    if (sample is not None or is_mesh_only(cloud)) and any(value is not None for value in filters.values()):
-        raise InputError(f"{cloud}: a mesh has no classes, returns, splats or 16-bit colours")
+    if (sample is not None or is_mesh_only(cloud)) and (drop_nodata or any(v is not None for v in filters.values())):
+        raise InputError(f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data")
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
@@ -235,7 +237,7 @@ def convert(
             data = vertex_cloud(mesh)
             warn_unless(quiet)(f"{cloud}: {left_out_surface(len(data), pluralize(len(mesh), 'face'))}")
         else:
-            data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+            data = read_cloud(cloud, on_warning=warn_unless(quiet), drop_nodata=drop_nodata, **filters)
         with errors_named(cloud):
             if crs is not None:
                 data = project(data, crs, from_crs, lambda line: warn_unless(quiet)(f"{cloud}: {line}"))

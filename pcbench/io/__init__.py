@@ -17,16 +17,9 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.crs import degrees_hint
 from pcbench.geometry.splats import filter_splats
-from pcbench.io.files import (
-    Warn,
-    as_path,
-    check_output,
-    count_null_points,
-    errors_named,
-    finite_cloud,
-    null_points_warning,
-)
+from pcbench.io.files import Warn, as_path, check_output, errors_named, finite_cloud
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
+from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning, without_nodata
 from pcbench.io.reading import cloud_file, has_filters, read_fields
 
 __all__ = [
@@ -52,6 +45,7 @@ def read_cloud(
     min_opacity: float | None = None,
     max_axis: float | None = None,
     color_depth: int | None = None,
+    drop_nodata: bool = False,
 ) -> Cloud:
     """Read a point cloud from one or many files and drop points with NaN or Inf coordinates.
 
@@ -70,6 +64,8 @@ def read_cloud(
         max_axis: maximum length of the largest axis (standard deviation) of the splats to keep, in the file's unit.
         color_depth: significant bits of the colours in LAS, LAZ, COPC and EPT files, 8 or 16. None: 16 if a value of
             the cloud exceeds 255, also of points that are filtered out, else 8.
+        drop_nodata: whether points that stand for missing data, such as z = -9999, are removed, with a warning that
+            gives their number. Otherwise they are kept, with a warning.
 
     Raises:
         InputError: a file cannot be read or does not match its extension, files have different coordinate reference
@@ -85,7 +81,9 @@ def read_cloud(
     fields = read_fields(path, lines.append, classes, returns, color_depth)
     with errors_named(path):
         cloud = finite_cloud(fields, warn)
-        if line := null_points_warning(count_null_points(cloud.points), len(cloud)):
+        if drop_nodata:
+            cloud = without_nodata(cloud, warn)
+        elif line := nodata_warning(Nodata.of(CoordinateCounts.of(cloud.points))):
             warn(line)
         if cloud.crs is None and cloud.unit is None and (line := degrees_hint(*cloud.bounds)):
             warn(line)

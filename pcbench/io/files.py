@@ -26,7 +26,6 @@ Warn = Callable[[str], None]
 T = TypeVar("T")
 
 _MAX_JSON_BYTES = 1 << 30  # for results and cameras
-_MIN_NULL_POINTS, _MIN_NULL_SHARE = 100, 0.001  # of points at the origin, for a warning
 _FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name a file
 
 
@@ -136,22 +135,6 @@ def finite_cloud(fields: Fields, warn: Warn) -> Cloud:
 def dropped_warning(dropped: int, count: int) -> str:
     """Return the warning that points of a cloud were dropped because they are not finite."""
     return f"dropped {dropped} of {count} points with NaN or Inf coordinates"
-
-
-def count_null_points(points: NDArray[np.float64]) -> int:
-    """Return how many points are exactly (0, 0, 0)."""
-    x, y, z = points.T
-    return int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-
-
-def null_points_warning(null: int, count: int) -> str | None:
-    """Return a warning if many of `count` points, `null` of them, are exactly (0, 0, 0)."""
-    if null < max(_MIN_NULL_POINTS, _MIN_NULL_SHARE * count):
-        return None
-    return (
-        f"{null:,} of {count:,} points are exactly (0, 0, 0), as some scanners write missing returns: remove them, or"
-        " they count as points"
-    )
 
 
 def as_path(value: object) -> Path:

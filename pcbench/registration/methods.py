@@ -19,6 +19,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike
 from pcbench.io.meshes import to_shape
+from pcbench.io.nodata import nodata_reason
 from pcbench.registration.control_points import ControlPoints, fit_pairs
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
@@ -111,7 +112,8 @@ def register(
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
-        raise RegistrationError(f"{explanation}{error}") from error
+        missing = nodata_reason({"reference": reference, "candidate": candidate})
+        raise RegistrationError(f"{missing}{explanation}{error}") from error
 
     quality, scale, sampling = fit.quality, fit.T_local.scale, list[Notice]()
     if isinstance(moved, Mesh):

@@ -13,9 +13,11 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index, median_spacing
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import cell_means, robust_extent
+from pcbench.io.nodata import MIN_ABSURD
 from pcbench.registration.contrast import roughness
 
 MIN_EXTENT = 1e-150  # of a reference: squares of smaller values underflow
+_MEDIAN_POINTS = 100_000  # as in an evenly thinned cloud on disk
 _BLOCK_ROWS = 65_536  # rows compared at a time: fits into the processor's cache
 _MAX_NOISE_SAMPLE = 30_000  # points for a candidate's noise: sparse enough to include blur
 _MAX_CANDIDATE_SPACING = 1 / 500  # of the extent: sparse points are not inaccurate
@@ -124,12 +126,18 @@ def local_origin(cloud: Cloud) -> FloatArray:
     UTM coordinates and the same cloud at the origin get identical coordinates. For a cloud smaller than 1, it has
     multiples of a power of two.
     """
-    return local_origin_of_box(*cloud.bounds)
+    return local_origin_of_box(*cloud.bounds, cloud.points)
 
 
-def local_origin_of_box(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the `local_origin` of a cloud from the corners (3,) of its box."""
+def local_origin_of_box(lower: FloatArray, upper: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the `local_origin` of a cloud from the corners (3,) of its box, and all or evenly thinned points (M, 3).
+
+    If missing data are stored as coordinates such as -3.4e38, the median of the points replaces the centre of the box,
+    minus which all others would be equal.
+    """
     extent = float((upper - lower).max())
     step = 2.0 ** min(0, np.frexp(extent)[1] - 1) if extent > 0 else 2.0**-1000
     center: FloatArray = 0.5 * lower + 0.5 * upper
+    if np.abs(center).max() >= MIN_ABSURD:
+        center = np.median(points[:: max(1, len(points) // _MEDIAN_POINTS)], axis=0)
     return np.floor(center / step) * step if extent > 0 else center

@@ -214,3 +214,15 @@ def test_lengths_from_a_candidate_follow_its_scale(scene):
     assert spacing > target.spacing
     assert target.for_candidate(1000 * points, scale=1e-3).spacing == pytest.approx(spacing, rel=1e-9)
     assert target.for_candidate(points[:2]) is target
+
+
+@pytest.mark.parametrize("value", [-3.4028234663852886e38, 1e30])
+def test_values_of_missing_data_are_named_as_the_cause_of_a_failure(value):
+    clouds = [np.random.default_rng(seed).uniform(0, 100, (3_000, 3)) * [1, 1, 0.02] + 5e5 for seed in range(2)]
+    filled = clouds[1].copy()
+    filled[::50, 2] = value
+    for reference, candidate in ((clouds[0], filled), (filled, clouds[0])):
+        with check_error(RegistrationError, masked=True) as caught:
+            register(reference, candidate)
+        assert "60 of 3,000 points): remove them with pcbench convert FILE OUT --drop-nodata" in str(caught.value)
+        assert register(reference, candidate, "none").overlap > 0.4  # the others keep their places

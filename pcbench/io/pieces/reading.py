@@ -9,11 +9,12 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
-from pcbench.io.files import count_null_points, dropped_warning, errors_named, null_points_warning
+from pcbench.io.files import dropped_warning, errors_named
 from pcbench.io.formats import format_of
 from pcbench.io.las_checks import LasCounts
 from pcbench.io.las_header import LasHeader, read_header
 from pcbench.io.las_records import LasFilters
+from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning
 from pcbench.io.paths import EPT
 from pcbench.io.pieces.formats import piece_format
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes, PiecePoints
@@ -51,7 +52,7 @@ def read_piece(cloud: CloudOnDisk, piece: Piece) -> PiecePoints:
             classification = None if classification is None else classification[finite]
         if (largest := np.abs(points).max(initial=0.0)) > MAX_COORDINATE:
             raise InputError(f"expected coordinates up to {MAX_COORDINATE:g}, got {largest:g}; larger squares overflow")
-    notes = PieceNotes(len(points), total - len(points), count_null_points(points), counts, tuple(lines))
+    notes = PieceNotes(len(points), total - len(points), CoordinateCounts.of(points), counts, tuple(lines))
     return PiecePoints(
         points,
         None if normals is None else np.ascontiguousarray(normals, dtype=np.float64),
@@ -79,7 +80,7 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
     finite, dropped = sum(note.finite for _, note in found), sum(note.dropped for _, note in found)
     if dropped:
         lines.append((cloud.path, dropped_warning(dropped, finite + dropped)))
-    if line := null_points_warning(sum(note.at_origin for _, note in found), finite):
+    if line := nodata_warning(Nodata.of(CoordinateCounts.merge(note.coordinates for _, note in found))):
         lines.append((cloud.path, line))
     known = set(cloud.file_warnings)
     return tuple(merge_warnings(pair for pair in lines if pair not in known))

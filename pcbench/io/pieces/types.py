@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.las_checks import LasCounts
+from pcbench.io.nodata import CoordinateCounts
 from pcbench.io.tiles import merge_warnings
 
 Corner = tuple[float, float, float]
@@ -140,14 +141,14 @@ class PieceNotes(NamedTuple):
     Attributes:
         finite: points that passed the filters and are finite.
         dropped: points that passed the filters and have NaN or Inf coordinates.
-        at_origin: finite points that are exactly (0, 0, 0).
+        coordinates: counts of the coordinates of the finite points, to find values that stand for missing data.
         las: counts over the LAS points of the piece before filters, or None for other formats.
         lines: other warnings, without the path.
     """
 
     finite: int = 0
     dropped: int = 0
-    at_origin: int = 0
+    coordinates: CoordinateCounts = CoordinateCounts()
     las: LasCounts | None = None
     lines: tuple[str, ...] = ()
 

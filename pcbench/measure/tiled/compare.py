@@ -253,7 +253,7 @@ class _Run:
             raise InputError(
                 f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
             )
-        origin = local_origin_of_box(cloud.low, cloud.high)
+        origin = local_origin_of_box(cloud.low, cloud.high, cloud.even)
         crop = self.settings.crop
         if isinstance(crop, str) and crop.strip().lower() == "reference":
             crop = Box(cloud.low, cloud.high)

@@ -1,0 +1,183 @@
+"""The step in which the coordinates of a cloud are stored, measured from the coordinates.
+
+Files round coordinates: LAS to multiples of a scale, texts to some decimals, float32 to 24 significant bits, which far
+from the origin are steps of centimetres to metres. A rounded coordinate is off by up to half a step, with a variance of
+step^2 / 12 (Widrow & Kollar 2008, "Quantization Noise", eq. 4.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity
+
+_SAMPLE_POINTS = 100_000  # every n-th point, as in an evenly thinned cloud on disk
+_MIN_VALUES = 10  # distinct values on a lattice; fewer may be levels of a model
+_MIN_LEVELS, _MAX_LEVEL_STEP = 3, 1.0  # or this many, without a gap and with a step that files have
+_MIN_SHARE = 0.99  # of the differences between neighbouring values that are multiples of the step
+_MAX_ERROR = 0.05  # of these multiples, in steps
+_DECIMAL_FACTORS = (1.0, 0.5, 0.25, 0.2)
+_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+_RANKS = (0.0, 1.0, 10.0)  # percentiles of the differences that may be one step
+_MAX_GRID_DOUBLES, _MIN_GRID_SHARE = 0.05, 0.3  # points that share a node, and nodes with a point, of a regular grid
+_NEGLIGIBLE_SHARE = 1e-7  # of the largest coordinate range: float32 without an offset
+
+
+@dataclass(frozen=True, eq=False)
+class Quantisation:
+    """The lattice on which the coordinates of a cloud lie.
+
+    Attributes:
+        steps: (3,) step of each axis, root mean square if it varies; 0 if no rounding coarser than float64 is visible.
+        offsets: (3,) a coordinate of each axis on the lattice.
+    """
+
+    steps: FloatArray
+    offsets: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray) -> Quantisation:
+        """Measure the steps of points (N, 3), in the coordinates in which they were stored.
+
+        The positions of a regular grid are no rounding: the step of its axes is 0.
+        """
+        sample = points[:: max(1, len(points) // _SAMPLE_POINTS)]
+        axes = [_axis_lattice(np.ascontiguousarray(values)) for values in sample.T]
+        steps = np.array([axis.step for axis in axes])
+        offsets = np.array([axis.offset for axis in axes])
+        for first, second in ((0, 1), (0, 2), (1, 2)):
+            pair = [first, second]
+            if steps[pair].all() and _is_grid(sample[:, pair], steps[pair], offsets[pair]):
+                steps[pair] = 0.0
+        return cls(steps, offsets)
+
+    @property
+    def coarsest(self) -> float:
+        """The largest step of the three axes."""
+        return float(self.steps.max())
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the rounding error of a point."""
+        covariance: FloatArray = np.diag(np.square(self.steps) / 12)
+        return covariance
+
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Return points (N, 3) as this cloud stores them."""
+        has_steps = self.steps > 0
+        steps = np.where(has_steps, self.steps, 1.0)
+        on_lattice = np.round((points - self.offsets) / steps) * steps + self.offsets
+        return np.where(has_steps, on_lattice, points)
+
+    def is_negligible(self, extent: float) -> bool:
+        """Return whether the steps are no larger than those of float32 in a scene of this extent at the origin."""
+        return self.coarsest <= _NEGLIGIBLE_SHARE * extent
+
+
+class PlacedQuantisation(NamedTuple):
+    """The lattice of a cloud, and the motion from the cloud's coordinates to those of a comparison."""
+
+    lattice: Quantisation
+    pose: Similarity
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the rounding error of a moved point."""
+        linear = self.pose.matrix[:3, :3]
+        covariance: FloatArray = linear @ self.lattice.covariance @ linear.T
+        return covariance
+
+    def normal_variances(self, normals: FloatArray) -> FloatArray:
+        """Return the variance (N,) of the rounding error along unit normals (N, 3)."""
+        variances: FloatArray = np.einsum("ni,ij,nj->n", normals, self.covariance, normals)
+        return variances
+
+    def rounded(self, points: FloatArray) -> FloatArray:
+        """Return points (N, 3) of the comparison as the cloud stores them."""
+        stored = self.lattice.rounded(self.pose.inverse().apply(points))
+        return self.pose.apply(stored)
+
+    def moved_in_cells(self, points: FloatArray, normals: FloatArray | None, seed: int) -> FloatArray:
+        """Return places (N, 3) on the surface that could have been rounded to these points: random ones in their cells.
+
+        Args:
+            points: (N, 3) points of the comparison.
+            normals: (N, 3) unit normals of the surface, to which the places are restricted; None: they are not.
+            seed: random seed.
+        """
+        cells = np.random.default_rng(seed).uniform(-0.5, 0.5, points.shape) * self.lattice.steps
+        shifts = cells @ self.pose.matrix[:3, :3].T
+        if normals is not None:
+            shifts -= np.einsum("ni,ni->n", shifts, normals)[:, None] * normals
+        return points + shifts
+
+
+class _AxisLattice(NamedTuple):
+    step: float
+    offset: float
+
+
+def _axis_lattice(values: FloatArray) -> _AxisLattice:
+    """Return the lattice of the coordinates (N,) of one axis."""
+    distinct = np.unique(values)
+    if len(distinct) < 2:
+        return _AxisLattice(0.0, float(values[0]))
+    with np.errstate(over="ignore"):
+        is_single = bool((distinct == distinct.astype(np.float32)).all())
+    spacings = np.spacing(np.abs(distinct.astype(np.float32))).astype(np.float64) if is_single else None
+    binary = 0.0
+    if spacings is not None:
+        by_value = np.spacing(np.abs(values.astype(np.float32))).astype(np.float64)
+        binary = float(np.sqrt(np.mean(np.square(by_value))))
+    errors = np.spacing(np.abs(distinct)) if spacings is None else 0.5 * spacings
+    step = _common_step(np.diff(distinct), errors[1:] + errors[:-1])
+    if step <= binary:
+        return _AxisLattice(binary, 0.0)
+    return _AxisLattice(step, float(distinct[len(distinct) // 2]))
+
+
+def _common_step(gaps: FloatArray, errors: FloatArray) -> float:
+    """Return the largest step of which gaps (M,) between distinct values are multiples up to errors (M,); 0 if none."""
+    for step in sorted(set(_possible_steps(gaps)), reverse=True):
+        multiples = np.maximum(np.round(gaps / step), 1.0)
+        off = np.abs(gaps - multiples * step)
+        is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * step)
+        if np.count_nonzero(is_multiple) < _MIN_SHARE * len(gaps):
+            continue
+        if len(gaps) + 1 >= _MIN_VALUES:
+            return step
+        has_all_levels = len(gaps) + 1 >= _MIN_LEVELS and (multiples == 1).all()
+        return step if has_all_levels and step <= _MAX_LEVEL_STEP else 0.0
+    return 0.0
+
+
+def _possible_steps(gaps: FloatArray) -> Iterator[float]:
+    """Yield steps that files have, and small gaps themselves, from about the smallest gap downwards."""
+    least = [float(gap) for gap in np.percentile(gaps, _RANKS)]
+    yield from least
+    limit = 1.01 * least[1]
+    decade = int(np.ceil(np.log10(limit))) + 1
+    for exponent in range(decade, decade - 12, -1):
+        for factor in _DECIMAL_FACTORS:
+            for unit in (1.0, _FOOT, _SURVEY_FOOT):
+                if (step := unit * factor * 10.0**exponent) <= limit:
+                    yield step
+    octave = int(np.floor(np.log2(limit)))
+    yield from (2.0**exponent for exponent in range(octave, octave - 24, -1))
+
+
+def _is_grid(places: FloatArray, steps: FloatArray, offsets: FloatArray) -> bool:
+    """Return whether coordinates (N, 2) fill a regular grid with one point per node."""
+    nodes = np.round((places - offsets) / steps)
+    if np.abs(nodes).max() > 2**31:
+        return False
+    shifted = (nodes - nodes.min(axis=0)).astype(np.int64)
+    rows, columns = (int(count) + 1 for count in shifted.max(axis=0))
+    occupied = len(np.unique(shifted[:, 0] * columns + shifted[:, 1]))
+    is_single = occupied >= (1 - _MAX_GRID_DOUBLES) * len(places)
+    return is_single and min(rows, columns) > 1 and occupied >= _MIN_GRID_SHARE * rows * columns
