@@ -15,9 +15,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -81,6 +80,7 @@ from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
+from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import write_result
 
 T = TypeVar("T")
@@ -141,10 +141,15 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
     }
     how = tiling.tile_points, tiling.max_distance
     pose, crop = known_pose(settings), file_in_setting(settings.crop)
-    region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
-    read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
+    region = fingerprint(_plain_region(settings.crop) if crop is None else crop.read_bytes())
+    read = None if pose is None else pose.matrix.tolist(), region
     found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
+
+
+def _plain_region(region: str | Region) -> Any:
+    """Return a region for its fingerprint; of a class that is no data class, its attributes."""
+    return region if isinstance(region, str) or is_dataclass(region) else [region.text, vars(region)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +318,7 @@ class _Run:
             pair = self._pair(
                 reference, stage, TiledCloud.of(self.folder / stage / "tiles", summaries), sample.registration
             )
-            directions = forth, back = self._measure_tiles(pair, stage, name)
+            directions = forth, back = self._measure_tiles(pair, stage, name, reference.region)
         with record_time(timings, "metrics"):
             spreads = [self._spreads(direction) for direction in directions]
             to_reference, to_candidate = (
@@ -407,7 +412,6 @@ class _Run:
             candidate=candidate,
             forth=self.folder / stage / "forth",
             back=self.folder / stage / "back",
-            region=reference.region,
             grid=reference.grid,
             voxel=reference.voxel,
             corner=reference.corner,
@@ -417,8 +421,10 @@ class _Run:
             pixels=pixels,
         )
 
-    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
-        """Measure both directions, c→r and r→c, tile by tile."""
+    def _measure_tiles(
+        self, pair: TiledPair, stage: str, name: str, region: Region | None
+    ) -> tuple[MeasuredDirection, MeasuredDirection]:
+        """Measure both directions, c→r and r→c, tile by tile, inside a region."""
         file, key = self.folder / f"{stage}.pair", f"{self.key}{stage}"
         write_result(file, key, pair)
 
@@ -426,7 +432,7 @@ class _Run:
             way: str, function: Callable[..., DistanceSums], queries: TiledCloud, folder: Path, title: str
         ) -> MeasuredDirection:
             folder.mkdir(parents=True, exist_ok=True)
-            tasks = _tile_tasks(queries, lambda number: (file, key, number))
+            tasks = _tile_tasks(queries, lambda number: (file, key, number, region))
             found = self._results(f"{stage}-{way}", function, tasks, title)
             return MeasuredDirection(f"{stage}-{way}", queries, folder, DistanceSums.merge(found))
 
@@ -452,10 +458,9 @@ class _Run:
                 candidate=self._crop(stage, pair.candidate, reference.region),
                 forth=pair.forth / "cropped",
                 back=pair.back / "cropped",
-                region=None,
                 pixels=None,
             )
-            directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+            directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets", None)
         forth, back = (direction.sums.totals for direction in directions)
         return dict(presets_of(forth, back, pair.thresholds, names))
 
@@ -559,8 +564,7 @@ class _Run:
             if len(files) == 1:
                 return map(function, files)
             tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
-            arguments = hashlib.sha256(pickle.dumps(function)).hexdigest()  # of a `partial`
-            key = f"{self.key}{arguments}"
+            key = f"{self.key}{fingerprint(getattr(function, 'keywords', {}))}"  # of a `partial`
             results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
             return (found for _, found in results)
 

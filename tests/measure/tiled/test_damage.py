@@ -1,0 +1,102 @@
+"""Comparisons in tiles that continue after a kill, in a workspace that was damaged or that somebody else has made."""
+
+import os
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+from tiled_clouds import with_stored_results
+from tiled_pairs import Pair, noisy, surface
+from tiled_runs import as_document
+
+COLUMNS = ("points", "order", "normals", "rows", "spacings", "distance", "plane_distance")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A pair whose comparison has finished in the folder `work`, and its result."""
+    rng = np.random.default_rng(0)
+    points = surface(rng, 1500)
+    pair = Pair(tmp_path_factory.mktemp("pair"), points, noisy(rng, points[::2]), crop="box:1,1,-9,9,9,9")
+    with pytest.MonkeyPatch.context() as patch:
+        with_stored_results(patch)
+        return pair, as_document(pair.tiled())
+
+
+@pytest.fixture
+def killed(finished, tmp_path, monkeypatch):
+    """The same pair with a copy of its workspace, whose last stages have no results: the run was killed there."""
+    pair, expected = finished
+    with_stored_results(monkeypatch)
+    work = tmp_path / "work"
+    shutil.copytree(pair.folder / "work", work)
+    for late in work.glob("*/results/candidate-1-*"):
+        shutil.rmtree(late)
+    return pair, work, expected
+
+
+def truncate(file):
+    os.truncate(file, file.stat().st_size // 2)
+
+
+def zero(file):
+    """As after a power failure: the header is there, the values are not."""
+    with file.open("r+b") as opened:
+        opened.seek(128)
+        opened.write(bytes(file.stat().st_size - 128))
+
+
+def edit(file):
+    values = np.load(file)
+    np.save(file, values + values.dtype.type(1))
+
+
+def flip(file):
+    data = bytearray(file.read_bytes())
+    data[-3] ^= 1
+    file.write_bytes(data)
+
+
+def swap(file):
+    other = next(path for path in sorted(file.parent.glob("*.npy"), reverse=True) if path != file)
+    content = file.read_bytes()
+    file.write_bytes(other.read_bytes())
+    other.write_bytes(content)
+
+
+def delete(file):
+    file.unlink()
+
+
+@pytest.mark.parametrize("first", [0, 2, 4])
+def test_damaged_columns_are_computed_again(killed, first):
+    pair, work, expected = killed
+    columns = [sorted(work.rglob(f"*.{name}.npy")) for name in COLUMNS]
+    assert all(columns)
+    for number, files in enumerate(columns, first):
+        damage = (truncate, zero, edit, flip, swap, delete)[number % 6]
+        damage(files[len(files) // 2])
+    assert as_document(pair.tiled(work)) == expected
+
+
+def test_a_repeat_of_a_finished_run_checks_its_columns(killed):
+    pair, work, expected = killed
+    assert as_document(pair.tiled(work)) == expected
+    for file in work.rglob("*.distance.npy"):
+        edit(file)
+    assert as_document(pair.tiled(work)) == expected
+
+
+class Attack:
+    def __reduce__(self):
+        return os.mkdir, ("attacked",)
+
+
+def test_a_workspace_of_somebody_else_runs_no_code(killed, tmp_path, monkeypatch):
+    pair, work, expected = killed
+    monkeypatch.chdir(tmp_path)
+    for file in [path for path in work.rglob("*") if path.is_file()]:
+        file.write_bytes(pickle.dumps(Attack()))
+    assert as_document(pair.tiled(work)) == expected
+    assert not (tmp_path / "attacked").exists()
