@@ -8,6 +8,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
+from pcbench.io.contents import FileState
 from pcbench.io.pieces import open_cloud
 from pcbench.measure.tiled import compare
 from pcbench.measure.tiled.lattice import Lattice
@@ -28,7 +29,7 @@ def stored_runs(folder, points, *, piece_points=1000, step=7, lattice=None, norm
     lattice = lattice or Lattice.around(points.min(axis=0), points.max(axis=0))
     summaries, first_row = [], 0
     for piece in cloud.pieces:
-        summaries.append(store_piece(cloud, piece, first_row, step, lattice, folder))
+        summaries.append(store_piece(cloud, piece, FileState.of(file), first_row, step, lattice, folder))
         first_row += piece.count
     return CloudRuns.of(folder, lattice, summaries), summaries
 

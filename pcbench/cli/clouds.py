@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,7 +86,8 @@ def register(
     """
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import read_cloud, write_cloud
-    from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
+    from pcbench.io.contents import read_with_digest
+    from pcbench.io.files import atomic_write, check_output, estimate_reading_seconds, file_in_setting
     from pcbench.progress import ProgressPlan
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
@@ -101,11 +103,13 @@ def register(
     with steps(quiet) as show:
         reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
         step = ProgressPlan(show, [*reading, 0.5 + 15 * sum(reading)])
-        clouds = []
+        clouds, digests = [], []
         for path in (reference, candidate):
             step(f"reading {path}")
             read_warnings.append([])
-            clouds.append(read_cloud(path, on_warning=read_warnings[-1].append))
+            cloud, found = read_with_digest(path, partial(read_cloud, path, on_warning=read_warnings[-1].append))
+            clouds.append(cloud)
+            digests.append(found)
             for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
         reference_cloud, cloud = clouds
@@ -126,8 +130,8 @@ def register(
         warn_unless(quiet)(str(warning))
     centroid, unit = cloud.points.mean(axis=0), reference_cloud.unit or cloud.unit
     if json_file is not None:
-        files = zip((reference, candidate), read_warnings, strict=True)
-        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in files)
+        files = zip((reference, candidate), digests, read_warnings, strict=True)
+        first, second = (InputFile(str(path), found, tuple(texts)) for path, found, texts in files)
         output.write(registration_document(result, first, second, centroid, unit))
     if not quiet and not output.on_stdout:
         for line in _motion_lines(result, centroid, unit):

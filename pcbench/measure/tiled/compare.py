@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
@@ -22,13 +23,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pcbench.errors import InputError, Notice
+from pcbench.errors import InputError, Notice, PcbenchError
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
 from pcbench.io import has_filters
+from pcbench.io.contents import FileState, cloud_contents, cloud_digest, cloud_files
 from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud
@@ -95,6 +97,7 @@ def compare_on_disk(
     tiling: TilingSettings,
     *,
     workspace: Path,
+    contents: Mapping[Path, FileState] | None = None,
     maps: Path | None = None,
     on_step: Callable[[str], None] | None = None,
 ) -> CandidateComparisons:
@@ -106,6 +109,7 @@ def compare_on_disk(
         settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
         tiling: settings of the tiles, of memory and of workers.
         workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
+        contents: state of each file of the clouds; None: they are read for it.
         maps: folder for the maps of all points, which is created; None: no maps are written.
         on_step: progress callback, called with a short description of each step.
 
@@ -113,17 +117,20 @@ def compare_on_disk(
         InputError: a file or a setting is not usable, or a file is damaged and such files are not left out.
         RegistrationError: a candidate does not overlap the reference.
         WorkerError: a tile needs too much memory, or the cluster is lost.
+        PcbenchError: a file changed while it was read.
     """
     report = on_step or (lambda _: None)
     paths = {_REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
     clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
-    key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
+    if contents is None:
+        contents = cloud_contents(cloud.path for cloud in clouds.values())
+    key = _key(clouds, contents, settings, replace(tiling, tile_points=tile_points), maps)
     workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
-        run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
+        run = _Run(runner, folder, key, contents, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
 
 
@@ -133,10 +140,16 @@ def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
     return open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
 
 
-def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
+def _key(
+    clouds: Mapping[str, CloudOnDisk],
+    contents: Mapping[Path, FileState],
+    settings: Settings,
+    tiling: TilingSettings,
+    maps: Path | None,
+) -> str:
     """Return a text that identifies the inputs and everything that stored results depend on."""
     files = {
-        name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
+        name: [[str(file.path) for file in cloud.files], cloud_digest(cloud.path, contents)]
         for name, cloud in clouds.items()
     }
     how = tiling.tile_points, tiling.max_distance
@@ -197,6 +210,7 @@ class _Run:
         runner: runs the tasks of all steps.
         folder: folder of intermediate files, with one folder per cloud.
         key: identifies the inputs and settings; stored results of another key are not used.
+        contents: state of each file of the clouds.
         settings: settings of the comparison.
         tiling: settings of the tiles.
         tile_points: largest number of points of a tile.
@@ -207,6 +221,7 @@ class _Run:
     runner: TaskRunner
     folder: Path
     key: str
+    contents: Mapping[Path, FileState]
     settings: Settings
     tiling: TilingSettings
     tile_points: int
@@ -243,8 +258,16 @@ class _Run:
         return CandidateComparisons(self.settings, summary, tuple(candidates), tuple(apart), tiling)
 
     def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
-        skip_bad = self.tiling.skip_bad
-        return store_cloud(name, cloud, lattice, self.folder / name / "runs", self.runner, self.key, skip_bad=skip_bad)
+        folder, skip_bad = self.folder / name / "runs", self.tiling.skip_bad
+        stored = store_cloud(name, cloud, lattice, folder, self.runner, self.key, self.contents, skip_bad=skip_bad)
+        try:
+            for file in cloud_files(cloud.path):  # also those that pieces do not name, such as nodes of EPT
+                if file in self.contents:
+                    self.contents[file].check()
+        except PcbenchError:
+            shutil.rmtree(self.folder)  # nobody knows which pieces have the recorded content
+            raise
+        return stored
 
     def _prepare(self, cloud: StoredCloud, *, are_small: bool) -> _TiledReference:
         """Cut the reference into tiles, compute its normals and its spacing, and prepare its sample."""

@@ -3,12 +3,17 @@
 import os
 import pickle
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tiled_clouds import with_stored_results
 from tiled_pairs import Pair, noisy, surface
 from tiled_runs import as_document
+
+from pcbench.errors import PcbenchError
+from pcbench.io import read_cloud, write_cloud
+from pcbench.measure.tiled import runs
 
 COLUMNS = ("points", "order", "normals", "rows", "spacings", "distance", "plane_distance")
 
@@ -100,3 +105,46 @@ def test_a_workspace_of_somebody_else_runs_no_code(killed, tmp_path, monkeypatch
         file.write_bytes(pickle.dumps(Attack()))
     assert as_document(pair.tiled(work)) == expected
     assert not (tmp_path / "attacked").exists()
+
+
+def shift(path):
+    """Move a cloud by a metre, and restore the time of its file."""
+    before = path.stat()
+    cloud = read_cloud(path)
+    write_cloud(path, replace(cloud, points=cloud.points + [0, 0, 1]))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size
+
+
+@pytest.mark.parametrize("name", ["ref", "a"])
+def test_an_input_with_another_content_and_the_same_time_starts_again(killed, tmp_path, name):
+    pair, work, expected = killed
+    moved = Pair(tmp_path / "moved", np.eye(3), np.eye(3))
+    moved.settings, original = pair.settings, {key: path.read_bytes() for key, path in pair.paths.items()}
+    moved.paths = pair.paths
+    try:
+        shift(pair.paths[name])
+        found = moved.tiled(work)
+        assert as_document(found) == as_document(moved.tiled(tmp_path / "new"))
+        assert as_document(found) != expected
+    finally:
+        pair.paths[name].write_bytes(original[name])
+    assert as_document(pair.tiled(work)) == expected
+
+
+def test_an_input_that_changes_while_it_is_read(finished, tmp_path, monkeypatch):
+    pair, expected = finished
+    with_stored_results(monkeypatch)
+    path = pair.paths["a"]
+    original, read_piece = path.read_bytes(), runs.read_piece
+
+    def changing(cloud, piece):
+        if piece.file == path:
+            shift(path)
+        return read_piece(cloud, piece)
+
+    with monkeypatch.context() as patch, pytest.raises(PcbenchError, match="changed while it was read"):
+        patch.setattr(runs, "read_piece", changing)
+        pair.tiled(tmp_path / "work")
+    path.write_bytes(original)
+    assert as_document(pair.tiled(tmp_path / "work")) == expected
