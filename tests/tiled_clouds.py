@@ -1,17 +1,21 @@
 """Clouds in tiles for tests: stored from files, with the worker processes replaced by calls in random order."""
 
 import pickle
+from concurrent.futures import Future
 
 import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
+from pcbench.io.contents import FileState
 from pcbench.io.pieces import open_cloud
 from pcbench.measure.tiled import compare
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.runs import CloudRuns, store_piece, tile_ranges
 from pcbench.measure.tiled.tiles import TiledCloud, make_tile
+from pcbench.tasks import runner
+from pcbench.tasks.codec import decode, encode, result_type, types_in
 
 ORIGIN = np.zeros(3)
 
@@ -25,7 +29,7 @@ def stored_runs(folder, points, *, piece_points=1000, step=7, lattice=None, norm
     lattice = lattice or Lattice.around(points.min(axis=0), points.max(axis=0))
     summaries, first_row = [], 0
     for piece in cloud.pieces:
-        summaries.append(store_piece(cloud, piece, first_row, step, lattice, folder))
+        summaries.append(store_piece(cloud, piece, FileState.of(file), first_row, step, lattice, folder))
         first_row += piece.count
     return CloudRuns.of(folder, lattice, summaries), summaries
 
@@ -69,7 +73,7 @@ class ShuffledRunner:
             self.calls.append((stage, task.name))
             arguments = pickle.loads(pickle.dumps(task.arguments))
             try:
-                found[task.name] = pickle.loads(pickle.dumps(function(*arguments)))
+                found[task.name] = decode(encode(function(*arguments)), types_in(result_type(function)))
             except InputError as error:
                 if skip is None:
                     raise
@@ -81,6 +85,33 @@ def in_this_process(monkeypatch, seed=0):
     """Let comparisons in tiles run their tasks in this process, in a random order."""
     runner = type("SeededRunner", (ShuffledRunner,), {"seed": seed})
     monkeypatch.setattr(compare, "TaskRunner", runner)
+
+
+class CallsHere:
+    """Runs the calls of `TaskRunner` in this process, in place of worker processes."""
+
+    slots = 1
+
+    def __init__(self, *_):
+        pass
+
+    def submit(self, call):
+        outcome = Future()
+        try:
+            outcome.set_result(call.run())
+        except Exception as error:
+            outcome.set_exception(error)
+        return outcome
+
+    def keep_connected(self):
+        pass
+
+    stop = keep_connected
+
+
+def with_stored_results(monkeypatch):
+    """Let comparisons in tiles run their tasks in this process, and store their results as workers do."""
+    monkeypatch.setattr(runner, "LocalWorkers", CallsHere)
 
 
 def clouds_of_all_kinds(rng, count):

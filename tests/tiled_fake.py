@@ -14,7 +14,7 @@ from pcbench.measure.results import LeftOut, Tiling
 STEP = 4  # of the sample in a map
 
 
-def compare_on_disk(reference, candidates, settings, tiling, *, workspace, maps, on_step):
+def compare_on_disk(reference, candidates, settings, tiling, *, workspace, contents, maps, on_step):
     """Compare in memory, and return the result as `pcbench.measure.tiled.compare.compare_on_disk` does."""
     on_step("sorting the reference")
     (workspace / "sorted.bin").write_bytes(b"sorted")

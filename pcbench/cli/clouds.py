@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,7 +94,8 @@ def register(
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
-    from pcbench.io.files import atomic_write, check_output, digest, estimate_reading_seconds, file_in_setting
+    from pcbench.io.contents import read_with_digest
+    from pcbench.io.files import atomic_write, check_output, estimate_reading_seconds, file_in_setting
     from pcbench.io.meshes import read_shape
     from pcbench.progress import ProgressPlan
     from pcbench.registration import register as register_clouds
@@ -110,11 +112,15 @@ def register(
     with steps(quiet) as show:
         reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
         step = ProgressPlan(show, [*reading, 0.5 + 15 * sum(reading)])
-        shapes = []
+        shapes, digests = [], []
         for path, as_vertices in ((reference, False), (candidate, vertices)):
             step(f"reading {path}")
             read_warnings.append([])
-            shapes.append(read_shape(path, on_warning=read_warnings[-1].append, vertices=as_vertices))
+            shape, found = read_with_digest(
+                path, partial(read_shape, path, on_warning=read_warnings[-1].append, vertices=as_vertices)
+            )
+            shapes.append(shape)
+            digests.append(found)
             for text in read_warnings[-1]:
                 warn_unless(quiet)(text)
             check_lengths(shapes[-1], str(path))
@@ -137,8 +143,8 @@ def register(
         warn_unless(quiet)(str(warning))
     centroid, unit = cloud.points.mean(axis=0), fixed.unit or cloud.unit
     if json_file is not None:
-        files = zip((reference, candidate), read_warnings, strict=True)
-        first, second = (InputFile(str(path), digest(path), tuple(texts)) for path, texts in files)
+        files = zip((reference, candidate), digests, read_warnings, strict=True)
+        first, second = (InputFile(str(path), found, tuple(texts)) for path, found, texts in files)
         output.write(registration_document(result, first, second, centroid, unit))
     if not quiet and not output.on_stdout:
         for line in _motion_lines(result, centroid, unit):

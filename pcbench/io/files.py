@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import warnings
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud, Storage
-from pcbench.io.paths import EPT, find_tiles, is_pattern, is_tiled
-from pcbench.regular_files import open_regular, read_bytes, regular_status
+from pcbench.io.paths import find_tiles, is_pattern, is_tiled
+from pcbench.regular_files import read_bytes, regular_status
 from pcbench.scratch import scratch_file
 from pcbench.systems import rename_open
 
@@ -172,24 +171,6 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
     return rest[:got]
 
 
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal; for several files, that of their names and contents.
-
-    Args:
-        path: a file, a folder, a pattern, a `.vpc` index with its tiles, or the ept.json of Entwine Point Tiles.
-
-    Raises:
-        InputError: the path is a pipe or a device, or an index is damaged. The message starts with the path.
-        OSError: a file is missing or cannot be read.
-    """
-    if path.name == EPT or (path / EPT).is_file():
-        folder = path.parent if path.name == EPT else path
-        return digest_files([file for file in folder.rglob("*") if file.is_file()])
-    if path.is_dir():
-        return digest_files([file for file in path.iterdir() if file.is_file()])
-    return digest_files(input_files(path)) if is_tiled(path) else _digest_file(path)
-
-
 def input_files(path: Path) -> list[Path]:
     """Return the files of a pattern or a `.vpc` index, including the index; a folder or file is returned itself.
 
@@ -200,22 +181,6 @@ def input_files(path: Path) -> list[Path]:
         return [path]
     try:
         return [*([] if is_pattern(path) else [path]), *find_tiles(path, ()).paths]
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def digest_files(paths: Sequence[Path]) -> str:
-    """Return the SHA-256 of the names and contents of files, sorted by path; raises the same errors as `digest`."""
-    combined = hashlib.sha256()
-    for path in sorted(paths):
-        combined.update(path.name.encode() + b"\0" + bytes.fromhex(_digest_file(path)))
-    return combined.hexdigest()
-
-
-def _digest_file(path: Path) -> str:
-    try:
-        with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

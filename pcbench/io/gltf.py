@@ -17,7 +17,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
 from pcbench.io.files import Warn
 from pcbench.io.polygons import merge_vertices
-from pcbench.regular_files import regular_status
+from pcbench.regular_files import read_bytes, regular_status
 from pcbench.scratch import scratch_folder
 
 _TRIANGLES, _FAN = "4", "6"  # modes of primitives: glTF 2.0, section 5.24.4
@@ -69,7 +69,7 @@ def read_gltf(path: Path, warn: Warn) -> Mesh:
     content = _parse(path.read_bytes())
     for uri in _external_uris(content):
         try:
-            regular_status(path.parent / unquote(uri))
+            regular_status(_local(path, uri))
         except InputError as error:
             raise InputError(f"referenced file {uri}: {error}") from error
         except OSError:  # trimesh reports missing files
@@ -111,6 +111,21 @@ def _check_geometry(content: Any, warn: Warn) -> None:
 def _entries(content: Any, name: str) -> list[Any]:
     entries = content.get(name) if isinstance(content, dict) else None
     return entries if isinstance(entries, list) else []
+
+
+def external_files(path: Path) -> list[Path]:
+    """Return the existing files that a glTF file refers to; none if it is no valid glTF file."""
+    if path.suffix.lower() != ".gltf":
+        return []
+    try:
+        uris = _external_uris(json.loads(read_bytes(path, path.stat().st_size)))
+    except (ValueError, RecursionError):  # `read_gltf` says so
+        return []
+    return [file for file in dict.fromkeys(_local(path, uri) for uri in uris) if file.is_file()]
+
+
+def _local(path: Path, uri: str) -> Path:
+    return path.parent / unquote(uri)
 
 
 def _external_uris(content: Any) -> list[str]:

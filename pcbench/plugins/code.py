@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
-from pcbench.io.files import digest
+from pcbench.io.contents import digest
 
 _SUFFIXES = frozenset({".py", ".so", ".pyd", ".dylib", ".cu", ".cuh", ".h", ".hpp"})
 _OWN_PACKAGES = ("pcbench", "reconstructors")

@@ -14,7 +14,8 @@ from pcbench.children import Limits, last_line, run_module
 from pcbench.errors import InputError, PcbenchError, ReconstructionError
 from pcbench.io import read_cloud
 from pcbench.io.colmap_model import read_colmap_cameras
-from pcbench.io.files import atomic_write, digest, read_json
+from pcbench.io.contents import digest
+from pcbench.io.files import atomic_write, read_json
 from pcbench.native import _core
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.progress import follow_log

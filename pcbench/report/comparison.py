@@ -26,7 +26,14 @@ from pcbench.report.folder import report_folder, write_report
 from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
 from pcbench.report.names import names_of
 from pcbench.report.on_disk import CloudsOnDisk, TilingChoice, choose_tiles
-from pcbench.report.reading import SceneLike, as_scene, named_files, read_input, viewing_cameras
+from pcbench.report.reading import (
+    SceneLike,
+    as_scene,
+    check_named_files,
+    named_files,
+    read_input,
+    viewing_cameras,
+)
 from pcbench.report.table import html
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.workspace import default_workspace, locked_workspace
@@ -244,6 +251,7 @@ def compare_inputs(
     filtered, named = _without_transparent_splats(reference, named, settings)
     within = step.within() if isinstance(step, ProgressPlan) else step
     measured = comparison.compare(filtered, named, settings, on_step=within)
+    check_named_files(setting_files)
     inputs = None
     if reference_file is not None and files.keys() == named.keys():  # all clouds came from files
         reference_file = replace(reference_file, warnings=(*reference_file.warnings, *scene_warnings))
@@ -285,9 +293,11 @@ def compare_tiled(
         settings,
         tiling,
         workspace=workspace,
+        contents=clouds.contents,
         maps=maps,
         on_step=step.within() if isinstance(step, ProgressPlan) else step,
     )
+    check_named_files(setting_files)
     cameras = None
     if scene is not None:
         sample, texts = measured.candidates[0].completeness.points, list[str]()

@@ -13,10 +13,7 @@ from pcbench.report.viewing import ViewingCameras
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file: its path as given, the SHA-256 of its bytes, and the warnings of its reader.
-
-    Clouds that were compared in tiles have a digest of parts instead, see `pcbench.report.on_disk.parts_digest`.
-    """
+    """An input file: its path as given, its digest (`pcbench.io.contents.cloud_digest`), and warnings of its reader."""
 
     path: str
     sha256: str

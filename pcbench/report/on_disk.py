@@ -1,6 +1,6 @@
 """Comparison of clouds on disk: whether a comparison fits into memory, and how it is computed in tiles if it does not.
 
-Only the headers of the files are read here. `pcbench.measure.tiled` computes.
+The headers of the files are read here, and the digests of their content. `pcbench.measure.tiled` computes.
 """
 
 from __future__ import annotations
@@ -9,15 +9,16 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import pcbench
 from pcbench.errors import InputError, MissingExtra
 from pcbench.io import has_filters
+from pcbench.io.contents import FileState, cloud_contents, cloud_digest, digest
 from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
@@ -33,7 +34,6 @@ _BYTES_PER_POINT = 240  # of the reference and of the largest candidate
 _BYTES_PER_FURTHER_POINT = 95  # of the other candidates
 _POINT_BYTES = 24  # x, y and z, which the figures above contain
 _MIN_FILE_BYTES_PER_POINT = 1.0  # no format stores a point in less
-_DIGEST_BYTES = 1 << 16
 
 When = Literal["always", "auto", "if-possible"]
 
@@ -83,17 +83,29 @@ class CloudsOnDisk:
         points = _BYTES_PER_POINT * (self.reference.count + largest) + _BYTES_PER_FURTHER_POINT * sum(others)
         return _BASE_BYTES + points + attributes
 
+    @cached_property
+    def contents(self) -> dict[Path, FileState]:
+        """State of each file of the clouds; all their bytes are read once.
+
+        Raises:
+            OSError: a file cannot be read.
+        """
+        return cloud_contents(cloud.path for cloud in (self.reference, *self.candidates.values()))
+
     def input_files(self) -> tuple[InputFile, dict[str, InputFile]]:
         """Return the records of the reference and of the candidates."""
-        return _input_file(self.reference), {name: _input_file(cloud) for name, cloud in self.candidates.items()}
+        return self._input_file(self.reference), {n: self._input_file(cloud) for n, cloud in self.candidates.items()}
+
+    def _input_file(self, cloud: CloudOnDisk) -> InputFile:
+        return InputFile(str(cloud.path), cloud_digest(cloud.path, self.contents), cloud.warnings)
 
     def key(self, settings: Settings, tiling: TilingSettings) -> str:
-        """Return a text that identifies the files, with their times, and all settings that change results or tiles."""
+        """Return a text that identifies the content of all files, and all settings that change results or tiles."""
+        reference, candidates = self.input_files()
         clouds = {
-            name: [(str(file.path.absolute()), file.count, *_status(file.path)) for file in cloud.files]
-            for name, cloud in {"": self.reference, **self.candidates}.items()
+            name: (str(Path(file.path).absolute()), file.sha256) for name, file in {"": reference, **candidates}.items()
         }
-        named = [_status(path) for path in map(file_in_setting, (settings.register, settings.crop)) if path is not None]
+        named = [digest(path) for path in map(file_in_setting, (settings.register, settings.crop)) if path is not None]
         size = tiling.memory, tiling.workers  # they determine the size of tiles
         how = record_tiling(replace(tiling, skip_bad=False))  # a run that met a damaged file continues without it
         parts = [pcbench.__version__, record(settings), how, size, clouds, named]
@@ -206,40 +218,3 @@ def _fits_surely(paths: list[Path], memory: int) -> bool:
         return True  # the reader in memory gives the error
     points = sum(sizes) / _MIN_FILE_BYTES_PER_POINT
     return len(sizes) == len(paths) and _BASE_BYTES + _BYTES_PER_POINT * points <= memory
-
-
-def _input_file(cloud: CloudOnDisk) -> InputFile:
-    return InputFile(str(cloud.path), parts_digest(cloud), cloud.warnings)
-
-
-def parts_digest(cloud: CloudOnDisk) -> str:
-    """Return a digest of the files of a cloud: the SHA-256 of their names, sizes, first and last 64 KiB.
-
-    Hashing all bytes would take as long as reading 1e9 points. The digest starts with `parts:`, because it is not the
-    SHA-256 of a file.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
-    found = hashlib.sha256()
-    for file in cloud.files:
-        size = file.path.stat().st_size
-        found.update(f"{file.path.name}\0{size}\0".encode(errors="surrogateescape"))
-        for block in _ends(file.path, size):
-            found.update(block)
-    return f"parts:{found.hexdigest()}"
-
-
-def _ends(path: Path, size: int) -> Iterator[bytes]:
-    with path.open("rb") as file:
-        yield file.read(_DIGEST_BYTES)
-        if size > _DIGEST_BYTES:
-            file.seek(max(size - _DIGEST_BYTES, _DIGEST_BYTES))
-            yield file.read(_DIGEST_BYTES)
-
-
-def _status(path: Path) -> tuple[int, int]:
-    with suppress(OSError):
-        status = path.stat()
-        return status.st_size, status.st_mtime_ns
-    return 0, 0

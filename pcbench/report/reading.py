@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -11,13 +11,13 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import digest, file_in_setting
+from pcbench.io.contents import changed_error, digest, read_with_digest
+from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import read_shape
-from pcbench.io.pieces import is_in_pieces, open_cloud
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.inputs import InputFile, SceneFolder
-from pcbench.report.on_disk import filters_for, parts_digest
+from pcbench.report.on_disk import filters_for
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
@@ -38,11 +38,14 @@ def read_input(path: Path, settings: Settings, *, vertices: bool = False) -> tup
     Raises:
         InputError: the file cannot be read; the message starts with the path.
         MissingExtra: the format needs an optional library.
+        PcbenchError: the file changed while it was read.
     """
     warnings: list[str] = []
-    shape = read_shape(path, on_warning=warnings.append, vertices=vertices, **filters_for(path, settings))
+    filters = filters_for(path, settings)
+    shape, found = read_with_digest(
+        path, lambda: read_shape(path, on_warning=warnings.append, vertices=vertices, **filters)
+    )
     check_lengths(shape, str(path))
-    found = parts_digest(open_cloud(path)) if is_in_pieces(path) else digest(path)
     return shape, InputFile(str(path), found, tuple(warnings))
 
 
@@ -55,6 +58,17 @@ def paths_in(settings: Settings) -> list[Path]:
 def named_files(settings: Settings) -> tuple[InputFile, ...]:
     """Record the files named in settings."""
     return tuple(InputFile(str(path), digest(path)) for path in paths_in(settings))
+
+
+def check_named_files(files: Iterable[InputFile]) -> None:
+    """Check that files named in settings have not changed since they were recorded.
+
+    Raises:
+        PcbenchError: one has.
+    """
+    for file in files:
+        if digest(Path(file.path)) != file.sha256:
+            raise changed_error(Path(file.path))
 
 
 def as_scene(scene: SceneLike) -> Scene | SceneFolder:

@@ -17,8 +17,8 @@ from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.geodesy import Gps, enu_from_wgs84
 from pcbench.geometry.transform import Similarity
+from pcbench.io.contents import digest
 from pcbench.io.earth_studio import wgs84_from_sphere
-from pcbench.io.files import digest
 from pcbench.scenes.decode import Size, decode_alpha, decode_image, decode_mask, opaque_pixels, resize_image
 from pcbench.scenes.folders import scene_name
 from pcbench.scenes.splits import Split, split_blocks, split_every

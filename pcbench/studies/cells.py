@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 from pcbench.progress import Step
 from pcbench.scratch import scratch_folder
 from pcbench.tasks import Task, TaskRunner, Workers
-from pcbench.tasks.results import read_shared, write_result
+from pcbench.tasks.codec import result_type
 
 C = TypeVar("C", contravariant=True)
 R = TypeVar("R", covariant=True)
@@ -48,8 +48,8 @@ def map_cells(
     time of a cell that ran alone.
 
     Args:
-        function: runs a cell; a function of a module.
-        shared: first argument of the function.
+        function: runs a cell; a function of a module. Its annotation states the type of its result.
+        shared: first argument of the function, small, because it travels with each cell.
         cells: cells that do not depend on each other.
         out: folder of the study, for temporary files.
         workers: where the cells run; None: in this process, one after another.
@@ -65,10 +65,8 @@ def map_cells(
         scratch_folder(out / "cells") as folder,
         TaskRunner(workers, folder, step, unit="runs", memory_advice=MEMORY_ADVICE) as runner,
     ):
-        file = folder.absolute() / "shared"
-        write_result(file, "", (function, shared))
-        tasks = [Task(f"cell-{number}", (file, Path.cwd(), cell)) for number, cell in enumerate(cells)]
-        for _, result in runner.run("cells", _run_cell, tasks, title="done"):
+        tasks = [Task(f"cell-{n}", (Path.cwd(), function, shared, cell)) for n, cell in enumerate(cells)]
+        for _, result in runner.run("cells", _run_cell, tasks, title="done", kind=result_type(function)):
             yield result
 
 
@@ -83,8 +81,7 @@ class _Steps:
         self._step(Step(f"{self._number}: {inner}", inner.expected, inner.after + self._after))
 
 
-def _run_cell(file: Path, folder: Path, cell: Any) -> Any:
+def _run_cell(folder: Path, function: CellFunction[Any, Any, Any], shared: Any, cell: Any) -> Any:
     """Run a cell in a worker, in the folder of the study's process, because paths may be relative."""
     os.chdir(folder)
-    function, shared = read_shared(file, "")
     return function(shared, cell, lambda _: None)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from pcbench.errors import PcbenchError
+from pcbench.tasks.files import files_written
 from pcbench.tasks.results import write_result
 
 _LENGTH = struct.Struct("<Q")
@@ -32,7 +33,9 @@ class Call(NamedTuple):
 
     def run(self) -> int:
         """Call the function, write its result, and return the size of the file in bytes."""
-        return write_result(self.file, self.key, self.function(*self.arguments))
+        with files_written() as files:
+            result = self.function(*self.arguments)
+        return write_result(self.file, self.key, result, files)
 
 
 class WorkerLost(Exception):

@@ -1,13 +1,16 @@
 """Files with the results of tasks: written atomically by the worker, checked when they are used.
 
-A file is the format's name, the SHA-256 of the key of its stage, the pickled result, and the SHA-256 of all of this.
+A file is the format's name, the SHA-256 of the key of its stage, the length of a JSON text, the text, the arrays to
+which it refers, and the SHA-256 of all of this. The text has the result (`pcbench.tasks.codec`), and the names, sizes
+and digests of the other files that the task has written. Such a file holds no code, whoever wrote it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-import pickle
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,13 +18,17 @@ from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
 
 from pcbench.errors import InputError
 from pcbench.scratch import workspace_file
+from pcbench.tasks.codec import Encoded, as_json, decode, encode, read_array, types_in, write_array
+from pcbench.tasks.files import HashingFile, TaskFile
 
 T = TypeVar("T")
 
 SUFFIX = ".result"
-_FORMAT = b"pcbench result 1"
+_FORMAT = b"pcbench result 2"
 _HEADER_BYTES = len(_FORMAT) + 32
+_LENGTH = struct.Struct("<Q")
 _BLOCK_BYTES = 1 << 20
+_INVALID = (ValueError, TypeError, RecursionError)  # errors of content that pcbench has not written
 
 
 class Task(NamedTuple):
@@ -38,6 +45,14 @@ class Task(NamedTuple):
     size: float = 1.0
 
 
+class _Content(NamedTuple):
+    """The JSON text of a file."""
+
+    tree: Any  # of the result
+    arrays: int  # number of arrays after the text
+    files: list[tuple[str, int, str]]  # names relative to the file, sizes and digests of the task's other files
+
+
 class StageResults(Generic[T]):
     """Results of a stage in the order of its tasks, loaded from disk one at a time.
 
@@ -45,11 +60,13 @@ class StageResults(Generic[T]):
         tasks: the tasks that have results.
         files: file of the result of each task by name.
         key: key of the stage.
+        kind: type of the results, as in annotations.
     """
 
-    def __init__(self, tasks: Sequence[Task], files: Mapping[str, Path], key: str) -> None:
+    def __init__(self, tasks: Sequence[Task], files: Mapping[str, Path], key: str, kind: Any = None) -> None:
         self.tasks = tuple(tasks)
         self._files, self._key = {task.name: files[task.name] for task in tasks}, key
+        self._types = types_in(kind)
 
     def __len__(self) -> int:
         return len(self.tasks)
@@ -65,52 +82,72 @@ class StageResults(Generic[T]):
             KeyError: there is no such task, or it was skipped.
             InputError: the file was damaged or removed after it had been written.
         """
-        result: T = read_result(self._files[name], self._key)
+        result: T = read_result(self._files[name], self._key, self._types)
         return result
 
 
-def write_result(path: Path, key: str, result: object) -> int:
+def write_result(path: Path, key: str, result: object, files: Sequence[TaskFile] = ()) -> int:
     """Write a result atomically and return the size of the file in bytes.
 
+    Args:
+        path: the file.
+        key: key of the stage.
+        result: a value that `pcbench.tasks.codec.encode` accepts.
+        files: other files that the task has written, which belong to the result.
+
     Raises:
+        TypeError: the result has another type.
         OSError: the file cannot be written; the error names it.
     """
+    tree, arrays = encode(result)
+    content = as_json(_Content(tree, len(arrays), [(_relative(file.path, path), *file[1:]) for file in files]))
     with workspace_file(path) as file:
-        hashed = _HashingFile(file)
-        hashed.write(_header(key))
-        pickle.dump(result, hashed, protocol=pickle.HIGHEST_PROTOCOL)
+        hashed = HashingFile(file)
+        hashed.write(_header(key) + _LENGTH.pack(len(content)) + content)
+        for array in arrays:
+            write_array(hashed, array)
         file.write(hashed.sha256.digest())
         return file.tell()
 
 
 def is_intact(path: Path, key: str) -> bool:
-    """Return whether a file is the complete and undamaged result of a task of a stage with this key."""
+    """Return whether a file is the undamaged result of a task of a stage with this key, and its other files are too."""
     try:
         with path.open("rb") as file:
-            return _is_intact(file, key)
-    except OSError:
+            if not _is_intact(file, key):
+                return False
+            names = _read_content(file).files
+        return all(TaskFile(path.parent / name, size, sha256).is_unchanged() for name, size, sha256 in names)
+    except (OSError, *_INVALID):
         return False
 
 
-def read_result(path: Path, key: str) -> Any:
+def read_result(path: Path, key: str, types: Mapping[str, type]) -> Any:
     """Read a result after checking its file.
 
+    Args:
+        path: the file.
+        key: key of the stage.
+        types: types of its objects by name, see `pcbench.tasks.codec.types_in`.
+
     Raises:
-        InputError: the file is missing or damaged.
+        InputError: the file is missing or damaged. A damaged file is removed, so that its task runs again.
     """
     try:
         with path.open("rb") as file:
             if _is_intact(file, key):
-                file.seek(_HEADER_BYTES)
-                return pickle.load(file)
+                content = _read_content(file)
+                return decode(Encoded(content.tree, [read_array(file) for _ in range(content.arrays)]), types)
     except FileNotFoundError:
         pass
+    except _INVALID:  # its checksum is right, but pcbench has not written it
+        path.unlink(missing_ok=True)
     raise InputError(f"{path}: the file was damaged or removed after it had been written: run the same command again")
 
 
 @lru_cache(maxsize=2)
-def read_shared(path: Path, key: str) -> Any:
-    """Read a value that many tasks share; a worker reads it once, so it must not be changed.
+def read_shared(path: Path, key: str, kind: type[T]) -> T:
+    """Read a value of a type that many tasks share; a worker reads it once, so it must not be changed.
 
     Arguments of tasks travel with each of them. Such a value is stored by `write_result` instead, and only its path and
     its key travel. The key must identify the value.
@@ -118,22 +155,30 @@ def read_shared(path: Path, key: str) -> Any:
     Raises:
         InputError: see `read_result`.
     """
-    return read_result(path, key)
-
-
-class _HashingFile:
-    """A file open for writing that computes the SHA-256 of what is written."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self.sha256 = file, hashlib.sha256()
-
-    def write(self, data: bytes) -> int:
-        self.sha256.update(data)
-        return self._file.write(data)
+    value: T = read_result(path, key, types_in(kind))
+    return value
 
 
 def _header(key: str) -> bytes:
     return _FORMAT + hashlib.sha256(key.encode()).digest()
+
+
+def _relative(path: Path, result: Path) -> str:
+    """Return a path relative to the folder of a result, which stays valid if the workspace is moved."""
+    return os.path.relpath(path, result.parent)
+
+
+def _read_content(file: BinaryIO) -> _Content:
+    """Read the JSON text of a file; the arrays follow.
+
+    Raises:
+        ValueError, TypeError, RecursionError: it is not such a text.
+    """
+    file.seek(_HEADER_BYTES)
+    (length,) = _LENGTH.unpack(file.read(_LENGTH.size))
+    if length > os.fstat(file.fileno()).st_size:
+        raise ValueError(f"expected a text in the file, got one of {length} bytes")
+    return _Content(*json.loads(file.read(length)))
 
 
 def _is_intact(file: BinaryIO, key: str) -> bool:

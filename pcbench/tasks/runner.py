@@ -8,17 +8,18 @@ import re
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from pcbench.errors import InputError, WorkerError
 from pcbench.scratch import PARTIAL_SUFFIX
 from pcbench.systems import cpu_count
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
+from pcbench.tasks.codec import result_type
 from pcbench.tasks.processes import LocalWorkers
 from pcbench.tasks.progress import StageProgress
 from pcbench.tasks.results import SUFFIX, StageResults, Task, is_intact
@@ -120,6 +121,7 @@ class TaskRunner:
         key: str = "",
         title: str = "",
         skip: Callable[[Task, InputError], None] | None = None,
+        kind: Any = None,
     ) -> StageResults[T]:
         """Run a function with the arguments of each task, unless its result is stored already.
 
@@ -127,13 +129,15 @@ class TaskRunner:
 
         Args:
             stage: name of the stage and of its subfolder.
-            function: function of a module that workers can import. What it returns is pickled by the worker.
+            function: function of a module that workers can import. Its annotation states the type of its result, which
+                `pcbench.tasks.codec` stores.
             tasks: independent tasks; no two have the same name.
             key: identifies everything that the results depend on, such as digests of inputs, settings and code. Results
                 with another key are not used.
             title: name of the stage in progress messages; by default `stage`.
             skip: called with each task whose function raised an InputError, and with the error. Such a task has no
                 result, and runs again the next time. None: the error ends the stage.
+            kind: type of the results if the function's annotation does not state it.
 
         Returns:
             The results in the order of the tasks, which are read from disk when they are needed.
@@ -148,7 +152,7 @@ class TaskRunner:
         folder.mkdir(exist_ok=True)
         files = {task.name: folder / f"{task.name}{SUFFIX}" for task in tasks}
         _remove_other_files(folder, {file.name for file in files.values()})
-        missing = [task for task in tasks if not is_intact(files[task.name], key)]
+        missing = _missing(tasks, files, key)
         progress = StageProgress(title or stage, self._unit, tasks, missing, self._on_progress)
         skipped: set[str] = set()
         try:
@@ -164,7 +168,8 @@ class TaskRunner:
         except BaseException:  # also Ctrl-C and SIGTERM
             self._stop()
             raise
-        return StageResults([task for task in tasks if task.name not in skipped], files, key)
+        kind = kind or result_type(function)
+        return StageResults([task for task in tasks if task.name not in skipped], files, key, kind)
 
     def _outcomes(self, tasks: Sequence[Task], calls: Mapping[str, Call]) -> Iterator[tuple[Task, InputError | None]]:
         """Run calls on workers, and yield each task when it is done, with the InputError that it raised."""
@@ -228,6 +233,14 @@ def _remove_other_files(folder: Path, names: Container[str]) -> None:
         for entry in entries:
             if entry.name.endswith((SUFFIX, PARTIAL_SUFFIX)) and entry.name not in names:
                 Path(entry.path).unlink(missing_ok=True)
+
+
+def _missing(tasks: Sequence[Task], files: Mapping[str, Path], key: str) -> list[Task]:
+    """Return the tasks without an intact result of an earlier run; threads compute the digests of what is there."""
+    kept = [name for name, file in files.items() if file.exists()]
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        intact = dict(zip(kept, pool.map(lambda name: is_intact(files[name], key), kept), strict=True))
+    return [task for task in tasks if not intact.get(task.name)]
 
 
 def _check_visible(file: Path, size: int) -> None:

@@ -5,7 +5,6 @@ import os
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import tiled_fake
 from command_line import is_one_line, read_comparison, without_timings
@@ -14,8 +13,7 @@ from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.errors import InputError
-from pcbench.io.pieces import CloudFile, CloudOnDisk
-from pcbench.report import on_disk, workspace
+from pcbench.report import workspace
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +90,7 @@ def test_settings_repeat_a_tiled_comparison(run):
     assert run("compare", "ref.ply", "a.ply", *options, "--out", "one")[0] == 0
     recorded = json.loads(Path("one/settings.json").read_text())
     assert recorded["tiling"] == {"tile_points": 2000, "max_distance": 0.5, "skip_bad": False}
-    assert recorded["reference"]["sha256"].startswith("parts:")
+    assert recorded["reference"]["sha256"].startswith("files:")
     assert run("compare", "--settings", "one/settings.json", "--workers", 2, "--out", "two")[0] == 0
     one, two = without_timings(read_comparison("one")), without_timings(read_comparison("two"))
     for values in (one, two):
@@ -338,24 +336,4 @@ def test_candidates_in_several_files_are_named_after_their_folder(kind, run):
     assert run("compare", "ref.ply", path, "--tiles", "2k", "--out", "report", "-q")[0] == 0
     (candidate,) = read_comparison("report")["candidates"]
     assert (candidate["name"], candidate["points"]) == ("flight.2", 1500)
-    assert candidate["sha256"].startswith("parts:")
-
-
-def test_the_digest_of_parts_follows_names_sizes_and_ends(tmp_path):
-    rng = np.random.default_rng(0)
-    data = bytearray(rng.bytes(300_000))
-
-    def digest(name="cloud.bin"):
-        (tmp_path / name).write_bytes(data)
-        file = CloudOnDisk(tmp_path, (CloudFile(tmp_path / name, 1),), ())
-        return on_disk.parts_digest(file)
-
-    found = digest()
-    assert digest() == found
-    assert digest("other.bin") != found
-    for place in (5, 299_990):
-        data[place] ^= 1
-        assert digest() != found
-        data[place] ^= 1
-    data.append(0)
-    assert digest() != found
+    assert candidate["sha256"].startswith("files:")

@@ -16,7 +16,8 @@ from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import has_filters, read_cloud, write_cloud
-from pcbench.io.files import check_output, digest
+from pcbench.io.contents import digest
+from pcbench.io.files import check_output
 from pcbench.io.pieces import is_in_pieces, open_cloud, read_piece
 
 

@@ -262,10 +262,16 @@ def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):
             for changed in ({"workers": 2}, {"tile_points": 500}, {"memory": 1 << 30})
         ),
     }
-    for name in ("matrix.txt", "a.ply"):
-        os.utime(tmp_path / name, ns=(1, 1))
+    for name in ("matrix.txt", "a.ply"):  # another content, with the same size and time
+        before = (tmp_path / name).stat()
+        data = bytearray((tmp_path / name).read_bytes())
+        data[len(data) // 2] ^= 1
+        (tmp_path / name).write_bytes(data)
+        os.utime(tmp_path / name, ns=(before.st_atime_ns, before.st_mtime_ns))
         found.add(key())
     assert len(found) == 7
+    os.utime(tmp_path / "a.ply", ns=(1, 1))  # another time, with the same content
+    assert key() in found
     assert key(tiling=TilingSettings(cluster="tcp://host:8786")) == key()
 
 

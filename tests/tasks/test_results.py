@@ -1,8 +1,12 @@
 """Files with the results of tasks: damage is noticed, and nothing is half-written."""
 
 import errno
+import hashlib
+import os
 import pickle
 import resource
+from io import BytesIO
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +14,8 @@ import pytest
 from wording import check_error
 
 from pcbench.errors import InputError
+from pcbench.tasks.codec import types_in, write_array
+from pcbench.tasks.files import files_written, record_file, task_file
 from pcbench.tasks.results import StageResults, Task, is_intact, read_result, write_result
 
 
@@ -27,7 +33,7 @@ def file(tmp_path):
 
 
 def test_results_return(file):
-    sums = read_result(file, "key")
+    sums = read_result(file, "key", types_in(Sums))
     assert isinstance(sums, Sums) and sums.count == 3
     np.testing.assert_array_equal(sums.values, np.arange(100.0))
     assert [path.name for path in file.parent.iterdir()] == ["a.result"]
@@ -49,21 +55,21 @@ def test_each_truncation_and_changed_byte_is_noticed(file):
 def test_results_belong_to_one_key(file):
     assert not is_intact(file, "another key")
     with pytest.raises(InputError):
-        read_result(file, "another key")
+        read_result(file, "another key", {})
 
 
 def test_missing_and_damaged_results_are_refused(file):
     file.write_bytes(file.read_bytes()[:-1])
     with check_error():
-        read_result(file, "key")
+        read_result(file, "key", types_in(Sums))
     file.unlink()
     assert not is_intact(file, "key")
     with check_error():
-        read_result(file, "key")
+        read_result(file, "key", types_in(Sums))
 
 
-def test_a_result_that_cannot_be_pickled_leaves_no_file(tmp_path):
-    with pytest.raises((pickle.PicklingError, AttributeError, TypeError)):
+def test_a_result_that_cannot_be_stored_leaves_no_file(tmp_path):
+    with pytest.raises(TypeError):
         write_result(tmp_path / "a.result", "key", [np.zeros(10_000), lambda: None])
     assert list(tmp_path.iterdir()) == []
 
@@ -78,7 +84,72 @@ def test_a_full_disk_names_the_result_and_keeps_the_former(file):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(file))
     assert list(file.parent.iterdir()) == [file]
-    assert read_result(file, "key").count == 3
+    assert read_result(file, "key", types_in(Sums)).count == 3
+
+
+class Attack:
+    def __reduce__(self):
+        return os.mkdir, ("attacked",)
+
+
+@pytest.mark.parametrize("version", [b"pcbench result 1", b"pcbench result 2"])
+@pytest.mark.parametrize("form", ["pickle", "pickled array", "type", "nested"])
+def test_a_result_of_somebody_else_runs_no_code(file, monkeypatch, version, form):
+    """The attacker knows the key and the format: the checksum is right."""
+    monkeypatch.chdir(file.parent)
+    if form == "pickle":
+        content = pickle.dumps(Attack())
+    elif form == "pickled array":
+        array = BytesIO()
+        np.save(array, np.array([Attack()]))
+        content = array.getvalue()
+        text = b'[["array",0],1,[]]'
+        content = len(text).to_bytes(8, "little") + text + content
+    else:
+        text = b'[["type","pathlib.Path",{"args":"x"}],0,[]]' if form == "type" else b"[" * 100_000
+        content = len(text).to_bytes(8, "little") + text
+    content = version + hashlib.sha256(b"key").digest() + content
+    file.write_bytes(content + hashlib.sha256(content).digest())
+    with pytest.raises(InputError):
+        read_result(file, "key", types_in(Sums))
+    assert not Path("attacked").exists() and not is_intact(file, "key")
+
+
+def test_the_files_of_a_task_belong_to_its_result(tmp_path):
+    with files_written() as files:
+        with task_file(tmp_path / "a.npy") as file:
+            write_array(file, np.arange(6.0).reshape(3, 2).T)
+        (tmp_path / "b.txt").write_text("text")
+        record_file(tmp_path / "b.txt")
+    result = tmp_path / "results" / "a.result"
+    result.parent.mkdir()
+    write_result(result, "key", 1, files)
+    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), np.arange(6.0).reshape(3, 2).T)
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for path in ("a.npy", "b.txt", "results"):
+        (tmp_path / path).rename(moved / path)
+    result = moved / "results" / "a.result"
+    assert is_intact(result, "key")
+    for name in ("a.npy", "b.txt"):
+        content = (moved / name).read_bytes()
+        for damaged in (
+            content[:-1],
+            content + b"x",
+            bytes(len(content)),
+            content[:-1] + bytes([content[-1] ^ 1]),
+            None,
+        ):
+            (moved / name).unlink()
+            if damaged is not None:
+                (moved / name).write_bytes(damaged)
+            else:
+                (moved / name).mkdir()  # also: what is no file
+            assert not is_intact(result, "key")
+        (moved / name).rmdir()
+        assert not is_intact(result, "key")
+        (moved / name).write_bytes(content)
+        assert is_intact(result, "key")
 
 
 def test_results_are_loaded_when_they_are_needed(tmp_path):

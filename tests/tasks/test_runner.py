@@ -127,8 +127,8 @@ def test_programming_errors_show_where_they_happened(runner):
     assert "return 1 // (x - x)" in caught.value.__notes__[0]
 
 
-def test_results_that_cannot_be_pickled_are_programming_errors(runner):
-    with pytest.raises(Exception, match="function_in_result"):
+def test_results_that_cannot_be_stored_are_programming_errors(runner):
+    with pytest.raises(TypeError, match="got function"):
         runner.run("stage", task_functions.function_in_result, [Task("a", ())])
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.scratch import workspace_file
+from pcbench.tasks.codec import write_array
+from pcbench.tasks.files import task_file
 
 
 def column_file(folder: Path, number: int, column: str) -> Path:
@@ -23,6 +24,6 @@ def load_column(folder: Path, number: int, column: str) -> NDArray[Any]:
 
 
 def save_column(folder: Path, number: int, column: str, values: NDArray[Any]) -> None:
-    """Store a column of a part of a cloud; a killed task leaves no partial file under this name."""
-    with workspace_file(column_file(folder, number, column)) as file:
-        np.save(file, values)
+    """Store a column of a part of a cloud, and keep its digest with the result of the task."""
+    with task_file(column_file(folder, number, column)) as file:
+        write_array(file, values)

@@ -15,15 +15,15 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import pickle
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pcbench.errors import InputError, Notice
+from pcbench.errors import InputError, Notice, PcbenchError
 from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
@@ -32,6 +32,7 @@ from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.voxels import robust_bounds, robust_extent
 from pcbench.io import has_filters
+from pcbench.io.contents import FileState, cloud_contents, cloud_digest, cloud_files
 from pcbench.io.files import file_in_setting
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk, open_cloud, read_piece
@@ -83,6 +84,7 @@ from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
+from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import write_result
 
 T = TypeVar("T")
@@ -97,6 +99,7 @@ def compare_on_disk(
     tiling: TilingSettings,
     *,
     workspace: Path,
+    contents: Mapping[Path, FileState] | None = None,
     maps: Path | None = None,
     on_step: Callable[[str], None] | None = None,
 ) -> CandidateComparisons:
@@ -108,6 +111,7 @@ def compare_on_disk(
         settings: settings of the comparison. Maps, the presets mpeg and tnt, and a tolerance are not computed in tiles.
         tiling: settings of the tiles, of memory and of workers.
         workspace: folder for intermediate files, which exists. The same call continues from finished tiles in it.
+        contents: state of each file of the clouds; None: they are read for it.
         maps: folder for the maps of all points, which is created; None: no maps are written.
         on_step: progress callback, called with a short description of each step.
 
@@ -115,17 +119,20 @@ def compare_on_disk(
         InputError: a file or a setting is not usable, or a file is damaged and such files are not left out.
         RegistrationError: a candidate does not overlap the reference.
         WorkerError: a tile needs too much memory, or the cluster is lost.
+        PcbenchError: a file changed while it was read.
     """
     report = on_step or (lambda _: None)
     paths = {_REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
     clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
-    key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
+    if contents is None:
+        contents = cloud_contents(cloud.path for cloud in clouds.values())
+    key = _key(clouds, contents, settings, replace(tiling, tile_points=tile_points), maps)
     workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
-        run = _Run(runner, folder, key, settings, tiling, tile_points, maps, report)
+        run = _Run(runner, folder, key, contents, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
 
 
@@ -139,18 +146,29 @@ def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
     return cloud
 
 
-def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
+def _key(
+    clouds: Mapping[str, CloudOnDisk],
+    contents: Mapping[Path, FileState],
+    settings: Settings,
+    tiling: TilingSettings,
+    maps: Path | None,
+) -> str:
     """Return a text that identifies the inputs and everything that stored results depend on."""
     files = {
-        name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
+        name: [[str(file.path) for file in cloud.files], cloud_digest(cloud.path, contents)]
         for name, cloud in clouds.items()
     }
     how = tiling.tile_points, tiling.max_distance
     pose, crop = known_pose(settings), file_in_setting(settings.crop)
-    region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
-    read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
+    region = fingerprint(_plain_region(settings.crop) if crop is None else crop.read_bytes())
+    read = None if pose is None else pose.matrix.tolist(), region
     found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
     return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
+
+
+def _plain_region(region: str | Region) -> Any:
+    """Return a region for its fingerprint; of a class that is no data class, its attributes."""
+    return region if isinstance(region, str) or is_dataclass(region) else [region.text, vars(region)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +216,7 @@ class _Run:
         runner: runs the tasks of all steps.
         folder: folder of intermediate files, with one folder per cloud.
         key: identifies the inputs and settings; stored results of another key are not used.
+        contents: state of each file of the clouds.
         settings: settings of the comparison.
         tiling: settings of the tiles.
         tile_points: largest number of points of a tile.
@@ -208,6 +227,7 @@ class _Run:
     runner: TaskRunner
     folder: Path
     key: str
+    contents: Mapping[Path, FileState]
     settings: Settings
     tiling: TilingSettings
     tile_points: int
@@ -244,8 +264,16 @@ class _Run:
         return CandidateComparisons(self.settings, summary, tuple(candidates), tuple(apart), tiling)
 
     def _store(self, name: str, cloud: CloudOnDisk, lattice: Lattice) -> StoredCloud:
-        skip_bad = self.tiling.skip_bad
-        return store_cloud(name, cloud, lattice, self.folder / name / "runs", self.runner, self.key, skip_bad=skip_bad)
+        folder, skip_bad = self.folder / name / "runs", self.tiling.skip_bad
+        stored = store_cloud(name, cloud, lattice, folder, self.runner, self.key, self.contents, skip_bad=skip_bad)
+        try:
+            for file in cloud_files(cloud.path):  # also those that pieces do not name, such as nodes of EPT
+                if file in self.contents:
+                    self.contents[file].check()
+        except PcbenchError:
+            shutil.rmtree(self.folder)  # nobody knows which pieces have the recorded content
+            raise
+        return stored
 
     def _prepare(self, cloud: StoredCloud, *, are_small: bool) -> _TiledReference:
         """Cut the reference into tiles, compute its normals and its spacing, and prepare its sample."""
@@ -319,7 +347,7 @@ class _Run:
             pair = self._pair(
                 reference, stage, TiledCloud.of(self.folder / stage / "tiles", summaries), sample.registration
             )
-            directions = forth, back = self._measure_tiles(pair, stage, name)
+            directions = forth, back = self._measure_tiles(pair, stage, name, reference.region)
         with record_time(timings, "metrics"):
             spreads = [self._spreads(direction) for direction in directions]
             to_reference, to_candidate = (
@@ -413,7 +441,6 @@ class _Run:
             candidate=candidate,
             forth=self.folder / stage / "forth",
             back=self.folder / stage / "back",
-            region=reference.region,
             grid=reference.grid,
             voxel=reference.voxel,
             corner=reference.corner,
@@ -423,8 +450,10 @@ class _Run:
             pixels=pixels,
         )
 
-    def _measure_tiles(self, pair: TiledPair, stage: str, name: str) -> tuple[MeasuredDirection, MeasuredDirection]:
-        """Measure both directions, c→r and r→c, tile by tile."""
+    def _measure_tiles(
+        self, pair: TiledPair, stage: str, name: str, region: Region | None
+    ) -> tuple[MeasuredDirection, MeasuredDirection]:
+        """Measure both directions, c→r and r→c, tile by tile, inside a region."""
         file, key = self.folder / f"{stage}.pair", f"{self.key}{stage}"
         write_result(file, key, pair)
 
@@ -432,7 +461,7 @@ class _Run:
             way: str, function: Callable[..., DistanceSums], queries: TiledCloud, folder: Path, title: str
         ) -> MeasuredDirection:
             folder.mkdir(parents=True, exist_ok=True)
-            tasks = _tile_tasks(queries, lambda number: (file, key, number))
+            tasks = _tile_tasks(queries, lambda number: (file, key, number, region))
             found = self._results(f"{stage}-{way}", function, tasks, title)
             return MeasuredDirection(f"{stage}-{way}", queries, folder, DistanceSums.merge(found))
 
@@ -458,10 +487,9 @@ class _Run:
                 candidate=self._crop(stage, pair.candidate, reference.region),
                 forth=pair.forth / "cropped",
                 back=pair.back / "cropped",
-                region=None,
                 pixels=None,
             )
-            directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets")
+            directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets", None)
         forth, back = (direction.sums.totals for direction in directions)
         return dict(presets_of(forth, back, pair.thresholds, names))
 
@@ -565,8 +593,7 @@ class _Run:
             if len(files) == 1:
                 return map(function, files)
             tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
-            arguments = hashlib.sha256(pickle.dumps(function)).hexdigest()  # of a `partial`
-            key = f"{self.key}{arguments}"
+            key = f"{self.key}{fingerprint(getattr(function, 'keywords', {}))}"  # of a `partial`
             results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
             return (found for _, found in results)
 

@@ -34,7 +34,6 @@ class TiledPair:
         candidate: tiles of the aligned candidate.
         forth: folder for the distances of the candidate's points.
         back: folder for the distances of the reference's points.
-        region: measured region in local coordinates; None: everything.
         grid: correlation cells of the intervals.
         voxel, corner: side and origin (3,) of the voxels of area weighting.
         thresholds: distance thresholds of the F-score.
@@ -47,7 +46,6 @@ class TiledPair:
     candidate: TiledCloud
     forth: Path
     back: Path
-    region: Region | None
     grid: CorrelationGrid
     voxel: float
     corner: FloatArray
@@ -114,16 +112,17 @@ def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
     )
 
 
-def measure_candidate_tile(file: Path, key: str, number: int) -> DistanceSums:
+def measure_candidate_tile(file: Path, key: str, number: int, region: Region | None) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the candidate to the reference.
 
     Args:
         file: the shared `TiledPair`.
         key: identifies its content.
         number: number of the tile.
+        region: measured region in local coordinates; None: everything.
     """
-    pair: TiledPair = read_shared(file, key)
-    points, rows, inside = _queries(pair, pair.candidate, number)
+    pair = read_shared(file, key, TiledPair)
+    points, rows, inside = _queries(pair.candidate, number, region)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
     planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
@@ -132,13 +131,13 @@ def measure_candidate_tile(file: Path, key: str, number: int) -> DistanceSums:
     return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
 
 
-def measure_reference_tile(file: Path, key: str, number: int) -> DistanceSums:
+def measure_reference_tile(file: Path, key: str, number: int, region: Region | None) -> DistanceSums:
     """Measure and store the distances of the points of a tile of the reference to the candidate.
 
     Arguments are as for `measure_candidate_tile`.
     """
-    pair: TiledPair = read_shared(file, key)
-    points, rows, inside = _queries(pair, pair.reference, number)
+    pair = read_shared(file, key, TiledPair)
+    points, rows, inside = _queries(pair.reference, number, region)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
     closest = matches.column(pair.candidate, "points")[:, 0]
     normals = pair.reference.load(number, "normals")
@@ -157,12 +156,12 @@ class _Distances(NamedTuple):
     to_planes: FloatArray  # (n,)
 
 
-def _queries(pair: TiledPair, cloud: TiledCloud, number: int) -> tuple[FloatArray, IntArray, IntArray | None]:
+def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[FloatArray, IntArray, IntArray | None]:
     """Return the points of a tile inside the region, their rows, and their positions in the tile; None: all."""
     points, rows = cloud.load(number, "points"), cloud.load(number, "rows")
-    if pair.region is None:
+    if region is None:
         return points, rows, None
-    inside = np.flatnonzero(pair.region.contains(points))
+    inside = np.flatnonzero(region.contains(points))
     return points[inside], rows[inside], inside
 
 

@@ -13,6 +13,7 @@ from pcbench.io.map_tiles import write_map_tile
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.tiled.columns import column_file, load_column
 from pcbench.measure.tiled.directions import DISTANCE, MEASURED, PLANE_DISTANCE
+from pcbench.tasks.files import record_file
 
 MAP_SAMPLE = 300_000
 """Points of the map that a report shows, besides the largest deviations."""
@@ -50,6 +51,7 @@ def write_tile_of_map(tiles: Path, folder: Path, number: int, origin: FloatArray
     if not len(found.points):
         return False
     write_map_tile(path, found.points + origin, found.distances, found.plane_distances, crs=crs)
+    record_file(path)
     return True
 
 

@@ -39,7 +39,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     Returns:
         The histogram of the spacings.
     """
-    cloud: TiledCloud = read_shared(file, key)
+    cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
     distances, directions = _local_planes(cloud, number, points, k)
     if cloud.file(number, "given_normals").exists():

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.io.contents import FileState
 from pcbench.io.pieces import CloudOnDisk, Piece, PieceNotes, read_piece
 from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.lattice import CODE_BITS, Codes, Lattice
@@ -48,19 +49,26 @@ class RunSummary:
 
 
 def store_piece(
-    cloud: CloudOnDisk, piece: Piece, first_row: int, step: int, lattice: Lattice, folder: Path
+    cloud: CloudOnDisk, piece: Piece, state: FileState, first_row: int, step: int, lattice: Lattice, folder: Path
 ) -> RunSummary:
     """Read a piece and store it as a run.
 
     Args:
         cloud: the cloud.
         piece: a piece of it.
+        state: state of its file when the digest of the cloud was computed.
         first_row: row of its first point in the cloud, before filters.
         step: every point whose row is a multiple of it is returned too.
         lattice: lattice of the Morton curve.
         folder: folder for the files of the run, which exists.
+
+    Raises:
+        PcbenchError: the file has changed since.
     """
-    found = read_piece(cloud, piece)
+    try:
+        found = read_piece(cloud, piece)
+    finally:
+        state.check()  # before damage is blamed on the file
     points, count = found.points, len(found.points)
     if not count:
         return RunSummary(piece.number, 0, None, None, np.zeros(0, np.uint64), 0, 1, points, found.notes)

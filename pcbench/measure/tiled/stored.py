@@ -13,6 +13,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
+from pcbench.io.contents import FileState
 from pcbench.io.las_records import LasFilters
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
@@ -103,7 +104,15 @@ def lattice_around(
 
 
 def store_cloud(
-    name: str, cloud: CloudOnDisk, lattice: Lattice, folder: Path, runner: TaskRunner, key: str, *, skip_bad: bool
+    name: str,
+    cloud: CloudOnDisk,
+    lattice: Lattice,
+    folder: Path,
+    runner: TaskRunner,
+    key: str,
+    contents: Mapping[Path, FileState],
+    *,
+    skip_bad: bool,
 ) -> StoredCloud:
     """Read all pieces of a cloud and store them as sorted runs.
 
@@ -114,10 +123,12 @@ def store_cloud(
         folder: folder for the runs.
         runner: runs one task for each piece.
         key: key of the results.
+        contents: state of each file of the cloud.
         skip_bad: whether damaged pieces are left out.
 
     Raises:
         InputError: a piece is damaged, or no point is left.
+        PcbenchError: a file changed while it was read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     step = max(1, cloud.count // EVEN_POINTS)
@@ -125,7 +136,11 @@ def store_cloud(
     tasks, pieces, first_row = list[Task](), dict[str, Piece](), 0
     for piece in cloud.pieces:
         one_file = replace(cloud, files=(files[piece.file],), pieces=())  # arguments travel to the worker
-        task = Task(f"{piece.number:06d}", (one_file, piece, first_row, step, lattice, folder), piece.count)
+        task = Task(
+            f"{piece.number:06d}",
+            (one_file, piece, contents[piece.file], first_row, step, lattice, folder),
+            piece.count,
+        )
         tasks.append(task)
         pieces[task.name] = piece
         first_row += piece.count

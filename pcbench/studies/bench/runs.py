@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.errors import InputError, PcbenchError, RegistrationError, record_error
 from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
-from pcbench.io.files import digest
+from pcbench.io.contents import digest
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step

@@ -13,7 +13,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
 from pcbench.io import read_cloud, write_cloud
-from pcbench.io.files import digest, read_json
+from pcbench.io.contents import digest
+from pcbench.io.files import read_json
 from pcbench.measure.presets import Gao2025
 from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings

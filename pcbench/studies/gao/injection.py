@@ -19,7 +19,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud
-from pcbench.io.files import digest, read_json
+from pcbench.io.contents import digest
+from pcbench.io.files import read_json
 from pcbench.plugins.stages import stage
 from pcbench.report import to_json
 from pcbench.studies.gao.plan import MVS

@@ -17,7 +17,8 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write, digest
+from pcbench.io.contents import digest
+from pcbench.io.files import atomic_write
 from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.report.markup import csv_text as csv_of
