@@ -147,7 +147,7 @@ def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
     return (
         f"{parts} exceed --max-distance and count as {limit}: means, mean squares, Chamfer and Hausdorff distances, and"
         f" percentiles that reach {limit}, are lower bounds, and {unknown}; raise"
-        "  --max-distance, or leave out what one cloud lacks (--crop)"
+        " --max-distance, or leave out what one cloud lacks (--crop)"
     )
 
 

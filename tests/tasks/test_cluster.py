@@ -1,10 +1,12 @@
 """Tasks on a Dask cluster: lost workers, a scheduler that is started again, and clusters that cannot be used."""
 
+import gc
 import json
 import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -113,6 +115,56 @@ def test_no_scheduler(folder, monkeypatch):
     for address in ("tcp://127.0.0.1:9", "nonsense://a", "no-such-file.json"):
         with TaskRunner(Workers(cluster=address), folder) as runner, check_error():
             runner.run("stage", task_functions.square, numbered(1))
+
+
+@pytest.fixture
+def eager_collector():
+    """Collect garbage at each allocation."""
+    thresholds = gc.get_threshold()
+    gc.set_threshold(1)
+    yield
+    gc.set_threshold(*thresholds)
+
+
+def io_threads():
+    return {thread for thread in threading.enumerate() if thread.name == "IO loop"}
+
+
+def unclosed_clients():
+    return [client for client in gc.get_objects() if isinstance(client, distributed.Client) and client.status != "closed"]
+
+
+def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
+    before = io_threads()
+    for _ in range(5):
+        with pytest.raises(InputError):
+            cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
+        assert io_threads() <= before and not unclosed_clients()
+    assert gc.isenabled()
+
+
+def test_lost_connections_leave_nothing_to_the_collector(monkeypatch, eager_collector):
+    before = io_threads()
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
+    ) as local:
+        pool = cluster.ClusterWorkers(local.scheduler_address, None, lambda _: None)
+        monkeypatch.setattr(pool._client, "close", lambda _: 1 / 0)
+        lost = pool._client
+        pool._reconnect()
+        assert lost.status == "closed" and pool._client.status == "running"
+        pool.stop()
+        pool.stop()
+    assert io_threads() <= before and not unclosed_clients()
+
+
+def test_a_client_whose_workers_cannot_be_counted_is_closed(address, monkeypatch):
+    before = io_threads()
+    monkeypatch.setattr(cluster, "_count_threads", lambda client: client.no_such_attribute)
+    with pytest.raises(AttributeError):
+        cluster.ClusterWorkers(address, None, lambda _: None)
+    assert io_threads() <= before and not unclosed_clients()
 
 
 def test_dask_is_missing(tmp_path):

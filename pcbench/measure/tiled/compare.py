@@ -398,16 +398,21 @@ class _Run:
             return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
         sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
         # The region may be smaller than a window, and few windows may have no points in their inner parts.
+        measured = len(sample)
         for limit in (None, region):
             inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            if inner.contains(sampled.points).any() and inner.contains(aligned).any():
-                settings = replace(settings, crop=inner)
+            inside = np.count_nonzero(inner.contains(aligned))
+            if inner.contains(sampled.points).any() and inside:
+                settings, measured = replace(settings, crop=inner), inside
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        forth, back = found.floors
+        if measured < windows.MIN_CANDIDATE_POINTS:  # a mean of so few distances says nothing
+            forth = dict.fromkeys(forth)
         if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
             # The floors r→c are those of the candidate's density, which the sample does not have.
-            found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
-        return found
+            back = dict.fromkeys(back)
+        return replace(found, floors=(forth, back))
 
     def _pair(
         self, reference: _TiledReference, stage: str, candidate: TiledCloud, registration: Registration
