@@ -28,11 +28,15 @@ from pcbench.tasks.calls import ConnectionLost
 distributed = import_or_skip("distributed")
 
 
+def local_cluster():
+    return distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
+    )
+
+
 @pytest.fixture(scope="module")
 def address():
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
-    ) as local:
+    with local_cluster() as local:
         yield local.scheduler_address
 
 
@@ -88,9 +92,11 @@ def test_tasks_of_a_killed_worker_run_again(runner, tmp_path):
 
 
 @pytest.mark.long
-def test_a_task_that_ends_its_workers_is_an_error(runner, tmp_path):
-    with check_error(WorkerError):
-        runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
+def test_a_task_that_ends_its_workers_is_an_error(tmp_path, folder):
+    """On a cluster of its own: Dask does not always start workers again that end while they start."""
+    with local_cluster() as local, TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner:
+        with check_error(WorkerError):
+            runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
     assert task_functions.calls(tmp_path) == [0, 0, 0, 0]
 
 
@@ -137,7 +143,7 @@ def unclosed_clients():
 def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
     before = io_threads()
-    for _ in range(5):
+    for _ in range(3):
         with pytest.raises(InputError):
             cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
         assert io_threads() <= before and not unclosed_clients()
