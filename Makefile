@@ -40,7 +40,7 @@ variations: $(VENV)/.all
 	$(BIN)/python tests/variations.py
 
 slow: $(VENV)/.all
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -o faulthandler_timeout=14400
 
 # Build a portable wheel in dist/ and test it. It contains libgomp, which minimal containers lack.
 wheel: $(VENV)/.all

@@ -67,6 +67,15 @@ def pytest_xdist_make_scheduler(config, log):
             file = nodeid.partition("::")[0]
             return file if _shares_fixtures(config.rootpath / file) else nodeid
 
+        def remove_node(self, node):
+            """Do not repeat the test that ended the worker, as one does that hangs."""
+            units = self.assigned_work[node].values()
+            unit, ended = next(((unit, test) for unit in units for test in unit if not unit[test]), (None, None))
+            if unit is not None:
+                unit[ended] = True
+            super().remove_node(node)
+            return ended
+
     return Scheduler(config, log)
 
 

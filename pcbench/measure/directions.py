@@ -47,6 +47,8 @@ class MeanMetric(NamedTuple):
     ranks: tuple[tuple[int | None, int | None], tuple[int | None, int | None]] = ((None, None), (None, None))
 
 
+PLANE_METRIC = "d2_mse"
+"""Name of the metric that needs distances to tangent planes."""
 MEAN_METRICS = (
     MeanMetric(
         "d1_mse",
@@ -59,7 +61,7 @@ MEAN_METRICS = (
         has_symmetric_max=True,
     ),
     MeanMetric(
-        "d2_mse",
+        PLANE_METRIC,
         "D2 MSE",
         "mean square, point to tangent plane of the reference",
         2,

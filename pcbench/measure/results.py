@@ -242,8 +242,10 @@ class Candidate:
         timings_s: seconds per step.
         peak_rss_bytes: peak memory of the process so far.
         warnings: warnings about the clouds; registration and deformation have their own.
-        censored: share of the distances of each direction that reach the maximum distance of the search, by
-            `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum.
+        censored: share of the points of each direction without a closest point within the maximum distance, by
+            `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum. Their distances
+            count as the maximum, so that means, mean squares and extremes are lower bounds. Their distances to planes
+            are unknown, and so are D2, and the standard deviation and the NMAD of distances.
         faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
     """
 

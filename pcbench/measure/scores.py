@@ -95,7 +95,9 @@ class _ScoreTable(NamedTuple):
     spreads: Mapping[str, ScoreUncertainty]
 
     def estimate(self, name: str) -> Estimate:
-        """The value and its interval."""
+        """The value and its interval; no values without a score."""
+        if name not in self.sampled:
+            return Estimate()
         score = self.sampled[name]
         return Estimate(score.value, interval=intervals.interval(score, self.spreads[name]))
 
@@ -105,13 +107,12 @@ def _directed_metrics(ways: Mapping[str, DirectionSummary], known: _ScoreTable) 
     found = {}
     for metric in MEAN_METRICS:
         key = metric.name
-        if f"{key}/{CANDIDATE_TO_REFERENCE}" not in known.sampled:  # no normals, no distances to planes
-            found[key] = DirectedMetric(symmetric_max=Estimate() if metric.has_symmetric_max else None)
-            continue
         forth, back = (
             known.estimate(f"{key}/{way}")._replace(
                 floor=direction.floors[key], area_weighted=direction.area_weighted[key]
             )
+            if key in direction.means
+            else Estimate()
             for way, direction in ways.items()
         )
         larger = known.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
@@ -141,10 +142,9 @@ def _linearized_scores(
     forth, back = means[CANDIDATE_TO_REFERENCE], means[REFERENCE_TO_CANDIDATE]
     for metric in MEAN_METRICS:
         key = metric.name
-        if key in forth and key in back:
-            found[f"{key}/{CANDIDATE_TO_REFERENCE}"], found[f"{key}/{REFERENCE_TO_CANDIDATE}"] = forth[key], back[key]
-            if metric.has_symmetric_max:
-                found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
+        found |= {f"{key}/{way}": direction[key] for way, direction in means.items() if key in direction}
+        if metric.has_symmetric_max and key in forth and key in back:
+            found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
     for name, key in _CHAMFER.items():
         a, b = forth[key], back[key]
         found[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)

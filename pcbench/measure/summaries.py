@@ -33,7 +33,7 @@ class DirectionSummary:
         count: number of queries.
         cell_counts: (B,) number of queries in each correlation cell.
         means: mean and sums of each quantity: of the mean metrics by name, and of being within each threshold (1 or 0)
-            by `within_key`. Without distances to tangent planes, their metric is missing.
+            by `within_key`. Without distances of all queries to tangent planes, their metric is missing.
         area_weighted: area-weighted mean of the mean metrics by name; None if it is not defined.
         floors: sampling floor of each mean metric by name; None if it does not exist.
         spreads: distribution of `distance` and, if there are normals, of `plane_distance`.

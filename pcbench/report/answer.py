@@ -151,9 +151,11 @@ class _Writer:
         return [self._how_far(candidate), self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
 
     def _how_far(self, candidate: Candidate) -> str:
-        name, off = self.names[candidate.name], _off_surface(candidate)
+        name, off = self.names[candidate.name], _off_surface(candidate, with_planes=_has_d2(candidate))
         if off.value <= rounding_limit(self.comparison):
             return f"Each point of {name} lies on the reference's {off.target}, up to rounding."
+        if candidate.censored.get(CANDIDATE_TO_REFERENCE):
+            return f"{name} lies at least {self.length(off.value)} {off.label} off the reference's {off.target}."
         interval = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._overlap_warning(candidate):
@@ -168,14 +170,14 @@ class _Writer:
 
     def _how_complete(self, candidate: Candidate) -> str:
         away = _away(candidate)
-        text = f"Mean reference-to-candidate distance: {self.length(away.value)}"
+        at_least = "at least " if candidate.censored.get(REFERENCE_TO_CANDIDATE) else ""
+        text = f"Mean reference-to-candidate distance: {at_least}{self.length(away.value)}"
         if away.floor is None:
             return f"{text}."
-        if away.is_sampling:
+        if away.is_sampling and not at_least:
             return f"{text}, about what the point spacing explains ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
         position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
-        at_least = "at least " if candidate.censored.get(REFERENCE_TO_CANDIDATE) else ""
         return (
             f"{text}, of which the point spacing explains {self.length(away.floor)}: parts are missing. 5% of the"
             f" reference is farther than {self.length(worst.p95)} from the candidate; the farthest point,"
@@ -201,7 +203,9 @@ class _Writer:
 
     def of_several(self, candidates: Sequence[Candidate]) -> list[str]:
         """Return the sentences for several candidates: accuracy, completeness and deformation."""
-        off, away = ({c.name: measure(c) for c in candidates} for measure in (_off_surface, _away))
+        with_planes = all(map(_has_d2, candidates))  # means and RMS have no common order
+        off = {c.name: _off_surface(c, with_planes=with_planes) for c in candidates}
+        away = {c.name: _away(c) for c in candidates}
         to = f"to the reference's {off[candidates[0].name].target}"
         accuracy = self._ranking(off, f"closer {to}", f"closest {to}", f"distance {to}")
         complete = self._ranking(away, "more complete", "most complete", "completeness")
@@ -332,10 +336,14 @@ def _verdict(candidate: Candidate) -> str:
     return "undecided" if is_open(candidate) and verdict in CLAIMS else verdict
 
 
-def _off_surface(candidate: Candidate) -> _Distance:
-    """Return the RMS distance to the reference's surface, or the mean distance to its points without normals."""
+def _has_d2(candidate: Candidate) -> bool:
+    return candidate.metrics.d2_mse.accuracy.value is not None
+
+
+def _off_surface(candidate: Candidate, *, with_planes: bool) -> _Distance:
+    """Return the RMS distance to the reference's surface, or the mean distance to its points."""
     d2 = candidate.metrics.d2_mse.accuracy
-    if d2.value is not None:
+    if with_planes and d2.value is not None:
         floor = None if d2.floor is None else d2.floor**0.5
         ends = None if d2.interval is None else Interval(d2.interval.low**0.5, d2.interval.high**0.5)
         return _Distance(d2.value**0.5, floor, ends, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")

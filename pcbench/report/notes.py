@@ -143,9 +143,11 @@ def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
         return ""
     limit = length(comparison.tiling.max_distance, comparison.reference.unit)
     parts = join_words([f"{_percentage(share)} of the distances {arrow}" for arrow, share in shares])
+    unknown = f"{join_words([f'D2 {arrow}' for arrow, _ in shares])} {'is' if len(shares) == 1 else 'are'} unknown"
     return (
-        f"{parts} reach --max-distance and count as {limit}, also as distances to planes: mean distances, high"
-        " percentiles and Hausdorff distances are too small, and D2 may be too large; raise --max-distance"
+        f"{parts} exceed --max-distance and count as {limit}: means, mean squares, Chamfer and Hausdorff distances, and"
+        f" percentiles that reach {limit}, are lower bounds, and {unknown}; raise"
+        " --max-distance, or leave out what one cloud lacks (--crop)"
     )
 
 

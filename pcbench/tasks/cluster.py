@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import pickle
 import platform
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, InvalidStateError
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,7 @@ class ClusterWorkers:
             return
         self._next_count = time.monotonic() + _RETRY_INTERVAL_S
         try:
-            self._threads = self._count_threads()
+            self._threads = _count_threads(self._client)
         except Exception:  # the connection was lost at this moment: the next call connects again
             return
         if self._threads == 0 and not self._waits_for_workers:
@@ -105,22 +106,23 @@ class ClusterWorkers:
 
     def stop(self) -> None:
         """Cancel all tasks that have not started; those that run end by themselves."""
-        with suppress(Exception):  # the connection may be lost
-            self._client.close(_CLOSE_S)
+        _close_client(self._client)
 
     def _connect(self) -> None:
         distributed: Any = require("distributed", "cluster")
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # TaskRunner reports a lost connection
         where = {"scheduler_file": self._cluster} if Path(self._cluster).is_file() else {"address": self._cluster}
-        with warnings.catch_warnings():  # `run_call` compares the versions, and says what to do
-            warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
-            self._client = distributed.Client(**where, timeout=_CONNECT_S, name="pcbench", set_as_default=False)
-        self._executor = self._client.get_executor()
-        self._threads = self._count_threads()
-
-    def _count_threads(self) -> int:
-        client = self._client
-        return sum(client.sync(client.scheduler.ncores, callback_timeout=_CONNECT_S).values())
+        client = distributed.Client.__new__(distributed.Client)  # a client that cannot connect has to be closed too
+        try:
+            with warnings.catch_warnings(), _no_collection():
+                # `run_call` compares the versions, and says what to do.
+                warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
+                client.__init__(**where, timeout=_CONNECT_S, name="pcbench", set_as_default=False)
+            executor, threads = client.get_executor(), _count_threads(client)
+        except BaseException:
+            _close_client(client)
+            raise
+        self._client, self._executor, self._threads = client, executor, threads
 
     def _reconnect(self) -> None:
         """Replace the client by a new one; tasks of the old one count as lost, because it forgets some of them."""
@@ -158,6 +160,35 @@ class ClusterWorkers:
                 f"for its scheduler and its workers ({_one_line(error)})"
             )
         return error if isinstance(error, Exception) else WorkerError(_one_line(error))
+
+
+def _count_threads(client: Any) -> int:
+    return sum(client.sync(client.scheduler.ncores, callback_timeout=_CONNECT_S).values())
+
+
+def _close_client(client: Any) -> None:
+    """Close a client and end its thread, also if its constructor failed or the connection is lost.
+
+    Otherwise the garbage collector closes it at any moment, and waits forever if the same thread holds Dask's lock.
+    """
+    with _no_collection(), suppress(Exception):  # there may be no connection
+        client.close(_CLOSE_S)
+    with _no_collection(), suppress(Exception):  # what a failed `close` or constructor leaves
+        client._loop_runner.stop()
+    client.status = "closed"  # nothing is left to close for the garbage collector
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Let the garbage collector close unused clients of others now, and not while Dask holds its lock."""
+    was_enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def run_call(message: bytes, versions: Mapping[str, str]) -> int | Exception:

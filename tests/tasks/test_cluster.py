@@ -1,10 +1,12 @@
 """Tasks on a Dask cluster: lost workers, a scheduler that is started again, and clusters that cannot be used."""
 
+import gc
 import json
 import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -26,11 +28,15 @@ from pcbench.tasks.calls import ConnectionLost
 distributed = import_or_skip("distributed")
 
 
+def local_cluster():
+    return distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
+    )
+
+
 @pytest.fixture(scope="module")
 def address():
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
-    ) as local:
+    with local_cluster() as local:
         yield local.scheduler_address
 
 
@@ -86,9 +92,11 @@ def test_tasks_of_a_killed_worker_run_again(runner, tmp_path):
 
 
 @pytest.mark.long
-def test_a_task_that_ends_its_workers_is_an_error(runner, tmp_path):
-    with check_error(WorkerError):
-        runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
+def test_a_task_that_ends_its_workers_is_an_error(tmp_path, folder):
+    """On a cluster of its own: Dask does not always start workers again that end while they start."""
+    with local_cluster() as local, TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner:
+        with check_error(WorkerError):
+            runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])
     assert task_functions.calls(tmp_path) == [0, 0, 0, 0]
 
 
@@ -113,6 +121,58 @@ def test_no_scheduler(folder, monkeypatch):
     for address in ("tcp://127.0.0.1:9", "nonsense://a", "no-such-file.json"):
         with TaskRunner(Workers(cluster=address), folder) as runner, check_error():
             runner.run("stage", task_functions.square, numbered(1))
+
+
+@pytest.fixture
+def eager_collector():
+    """Collect garbage at each allocation."""
+    thresholds = gc.get_threshold()
+    gc.set_threshold(1)
+    yield
+    gc.set_threshold(*thresholds)
+
+
+def io_threads():
+    return {thread for thread in threading.enumerate() if thread.name == "IO loop"}
+
+
+def unclosed_clients():
+    return [
+        client for client in gc.get_objects() if isinstance(client, distributed.Client) and client.status != "closed"
+    ]
+
+
+def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
+    before = io_threads()
+    for _ in range(3):
+        with pytest.raises(InputError):
+            cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
+        assert io_threads() <= before and not unclosed_clients()
+    assert gc.isenabled()
+
+
+def test_lost_connections_leave_nothing_to_the_collector(monkeypatch, eager_collector):
+    before = io_threads()
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
+    ) as local:
+        pool = cluster.ClusterWorkers(local.scheduler_address, None, lambda _: None)
+        monkeypatch.setattr(pool._client, "close", lambda _: 1 / 0)
+        lost = pool._client
+        pool._reconnect()
+        assert lost.status == "closed" and pool._client.status == "running"
+        pool.stop()
+        pool.stop()
+    assert io_threads() <= before and not unclosed_clients()
+
+
+def test_a_client_whose_workers_cannot_be_counted_is_closed(address, monkeypatch):
+    before = io_threads()
+    monkeypatch.setattr(cluster, "_count_threads", lambda client: client.no_such_attribute)
+    with pytest.raises(AttributeError):
+        cluster.ClusterWorkers(address, None, lambda _: None)
+    assert io_threads() <= before and not unclosed_clients()
 
 
 def test_dask_is_missing(tmp_path):

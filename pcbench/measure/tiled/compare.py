@@ -78,7 +78,7 @@ from pcbench.measure.tiled.presets import crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
 from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
-from pcbench.measure.tiled.spreads import spread_of
+from pcbench.measure.tiled.spreads import Distribution, spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
 from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
@@ -182,6 +182,7 @@ class _TiledReference:
         region: measured region in local coordinates; None: everything.
         inside: number of its points inside the region.
         spacing: median point spacing.
+        thresholds: distance thresholds of the F-score.
         grid: correlation cells of the intervals.
         voxel, corner: side and origin (3,) of the voxels of area weighting.
         complete: the reference in memory if all clouds are small: no samples are needed. None otherwise.
@@ -193,6 +194,7 @@ class _TiledReference:
     region: Region | None
     inside: int
     spacing: float
+    thresholds: tuple[float, ...]
     grid: CorrelationGrid
     voxel: float
     corner: FloatArray
@@ -295,13 +297,15 @@ class _Run:
         measured = local if region is None else local[region.contains(local)]
         if region is not None and len(local) < cloud.count:
             measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
+        spacing = self._add_normals(tiles)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
             origin=origin,
             region=region,
             inside=inside,
-            spacing=self._add_normals(tiles),
+            spacing=spacing,
+            thresholds=self._thresholds(spacing),
             grid=CorrelationGrid.covering(*robust_bounds(local)),
             voxel=robust_extent(measured) / VOXELS_ALONG or 1.0,
             corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
@@ -324,6 +328,16 @@ class _Run:
             arguments = (cloud.runs.overlapping(codes), number, codes, origin, pose, region, folder)
             tasks.append(Task(f"{number:06d}", arguments, self.tile_points))
         return list(self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles"))
+
+    def _thresholds(self, spacing: float) -> tuple[float, ...]:
+        """Return the thresholds of the F-score; raises an InputError if distances up to them are not searched."""
+        found, limit = self.settings.thresholds or default_thresholds(spacing), self.tiling.max_distance
+        if limit is not None and found and max(found) > limit:
+            raise InputError(
+                f"expected a maximum distance of at least {max(found):.4g}, the largest threshold of the F-score, got"
+                f" {limit:g}: use --max-distance {1.01 * max(found):.3g}, or smaller --thresholds"
+            )
+        return found
 
     def _add_normals(self, tiles: TiledCloud) -> float:
         """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
@@ -358,7 +372,7 @@ class _Run:
             )
             measurement = measure(to_reference, to_candidate, pair.thresholds, cells=_cells(pair.grid))
         with record_time(timings, "maps"):
-            deviation = self._map(forth, spreads[0], reference.origin, with_planes=True)
+            deviation = self._map(forth, spreads[0], reference.origin, with_planes=forth.sums.totals.has_planes)
             completeness = self._map(back, spreads[1], reference.origin, with_planes=False)
             if self.maps is not None:
                 self.maps.mkdir(parents=True, exist_ok=True)
@@ -374,8 +388,8 @@ class _Run:
             *(Notice("reader", text) for text in cloud.warnings[len(cloud.source.warnings) :]),
         ]
         censored = {
-            CANDIDATE_TO_REFERENCE: forth.sums.censored / inside,
-            REFERENCE_TO_CANDIDATE: back.sums.censored / reference.inside,
+            CANDIDATE_TO_REFERENCE: forth.sums.totals.censored / inside,
+            REFERENCE_TO_CANDIDATE: back.sums.totals.censored / reference.inside,
         }
         candidate = Candidate(
             name=name,
@@ -418,16 +432,21 @@ class _Run:
             return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
         sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
         # The region may be smaller than a window, and few windows may have no points in their inner parts.
+        measured = len(sample)
         for limit in (None, region):
             inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            if inner.contains(sampled.points).any() and inner.contains(aligned).any():
-                settings = replace(settings, crop=inner)
+            inside = np.count_nonzero(inner.contains(aligned))
+            if inner.contains(sampled.points).any() and inside:
+                settings, measured = replace(settings, crop=inner), inside
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+        forth, back = found.floors
+        if measured < windows.MIN_CANDIDATE_POINTS:  # a mean of so few distances says nothing
+            forth = dict.fromkeys(forth)
         if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
             # The floors r→c are those of the candidate's density, which the sample does not have.
-            found = replace(found, floors=(found.floors[0], dict.fromkeys(found.floors[1])))
-        return found
+            back = dict.fromkeys(back)
+        return replace(found, floors=(forth, back))
 
     def _pair(
         self, reference: _TiledReference, stage: str, candidate: TiledCloud, registration: Registration
@@ -444,7 +463,7 @@ class _Run:
             grid=reference.grid,
             voxel=reference.voxel,
             corner=reference.corner,
-            thresholds=self.settings.thresholds or default_thresholds(reference.spacing),
+            thresholds=reference.thresholds,
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
             pixels=pixels,
@@ -505,12 +524,17 @@ class _Run:
     def _spreads(self, direction: MeasuredDirection) -> dict[str, Spread]:
         """Return the summary statistics of the distances to points and to planes, by the names of their columns."""
         totals = direction.sums.totals
-        distributions = {DISTANCE: totals.distances, PLANE_DISTANCE: totals.plane_distances}
-        return {
-            name: spread_of(direction.files(name), found, map_files=self._file_map(f"{direction.stage}-{name}"))
-            for name, found in distributions.items()
-            if found is not None
-        }
+
+        def spread(name: str, found: Distribution) -> Spread:
+            return spread_of(direction.files(name), found, map_files=self._file_map(f"{direction.stage}-{name}"))
+
+        spreads = {DISTANCE: spread(DISTANCE, totals.distances)}
+        if totals.censored:  # these are not even bounds
+            spreads[DISTANCE] = replace(spreads[DISTANCE], std=None, nmad=None)
+        if totals.plane_distances is not None:
+            has_planes = totals.has_planes  # False: distances of points beyond the maximum distance are unknown
+            spreads[PLANE_DISTANCE] = spread(PLANE_DISTANCE, totals.plane_distances) if has_planes else Spread()
+        return spreads
 
     def _map(
         self, direction: MeasuredDirection, spreads: Mapping[str, Spread], origin: FloatArray, *, with_planes: bool

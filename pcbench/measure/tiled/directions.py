@@ -60,13 +60,11 @@ class DistanceSums(NamedTuple):
 
     Attributes:
         totals: counts and sums for the metrics.
-        censored: number of distances that reach the maximum distance.
         near: sums over the points within the overlap distance of squared distances to planes, as `square`.
         pixels: sums per pixel of the overview, if one is made.
     """
 
     totals: DirectionTotals
-    censored: int
     near: GroupSums
     pixels: PixelSums | None
 
@@ -106,7 +104,6 @@ def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
     pixels = [part.pixels for part in parts if part.pixels is not None]
     return DistanceSums(
         DirectionTotals.merge([part.totals for part in parts]),
-        sum(part.censored for part in parts),
         GroupSums.merge([part.near for part in parts]),
         PixelSums.merge(pixels) if pixels else None,
     )
@@ -167,16 +164,20 @@ def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[Flo
 
 def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> DistanceSums:
     """Store the distances of a tile and add them up."""
-    censored = 0
-    if pair.max_distance < np.inf:
-        censored = int(np.count_nonzero(found.to_points >= pair.max_distance))
-        found = found._replace(to_planes=np.where(np.isnan(found.to_planes), pair.max_distance, found.to_planes))
     save_column(folder, number, DISTANCE, found.to_points)
     save_column(folder, number, PLANE_DISTANCE, found.to_planes)
     if inside is not None:
         save_column(folder, number, MEASURED, inside)
-    totals = DirectionTotals.of(*found, thresholds=pair.thresholds, voxel=pair.voxel, corner=pair.corner)
-    is_near = found.to_points <= pair.overlap_distance
+    is_censored = np.isnan(found.to_planes) if pair.max_distance < np.inf else np.zeros(len(found.rows), bool)
+    found = found._replace(to_planes=np.where(is_censored, 0.0, found.to_planes))
+    totals = DirectionTotals.of(
+        *found,
+        thresholds=pair.thresholds,
+        voxel=pair.voxel,
+        corner=pair.corner,
+        is_censored=is_censored,
+    )
+    is_near = (found.to_points <= pair.overlap_distance) & ~is_censored
     near = GroupSums.of(None, {"square": np.square(found.to_planes[is_near])})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
-    return DistanceSums(totals, censored, near, pixels)
+    return DistanceSums(totals, near, pixels)

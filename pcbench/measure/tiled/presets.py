@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pcbench.geometry.regions import Region
+from pcbench.measure.directions import PLANE_METRIC
 from pcbench.measure.metrics import FScore, harmonic_mean
 from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
 from pcbench.measure.summaries import within_key
@@ -51,7 +52,7 @@ def presets_of(
     d1_forth, d1_back = (way.by_cell.mean("d1_mse") for way in (forth, back))
     for name in names:
         if name == "gao2025":
-            d2 = None if forth.plane_distances is None else forth.by_cell.mean("d2_mse")
+            d2 = forth.by_cell.mean(PLANE_METRIC) if forth.has_planes else None
             yield name, Gao2025(d1_forth, d2, None, largest, d1_forth + d1_back, d1_back)
         elif name == "open3d":
             chamfer = forth.by_cell.mean("mean_distance") + back.by_cell.mean("mean_distance")

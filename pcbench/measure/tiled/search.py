@@ -100,7 +100,8 @@ class _Search:
         """Return the tiles that may contain results of each block: no other tile certainly contains nearer ones."""
         near_all = self._near_box()
         upper = np.square(self.reach)
-        found = list[_NearTiles]()
+        nothing = np.zeros(0, np.int64)
+        found = [_NearTiles(nothing, nothing, np.zeros(0))]  # all tiles may lie beyond the maximum distance
         for start in range(0, len(near_all), _TILES_AT_ONCE):
             some = near_all[start : start + _TILES_AT_ONCE]
             gaps, largest = _squared_ranges(self.low, self.high, self.cloud.low[some], self.cloud.high[some])

@@ -10,8 +10,9 @@ import numpy as np
 
 from pcbench.geometry import voxels
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds, rounding_bound
+from pcbench.geometry.regions import Mask
 from pcbench.measure.deviation import Spread
-from pcbench.measure.directions import MEAN_METRICS
+from pcbench.measure.directions import MEAN_METRICS, PLANE_METRIC
 from pcbench.measure.metrics import Distances
 from pcbench.measure.results import Extremes
 from pcbench.measure.summaries import CellSums, DirectionSummary, within_key
@@ -46,6 +47,8 @@ class DirectionTotals:
         plane_distances: distribution of the signed distances to planes; None without normals.
         farthest: the query with the largest distance; None without queries.
         corners: (2, 3) lowest and highest corner of the queries; infinite without queries.
+        censored: number of queries without a closest point within the maximum distance. Their distances count as this
+            one. Their distances to planes are unknown, so all of the direction are: a part of them represents nothing.
     """
 
     by_cell: GroupSums
@@ -54,6 +57,7 @@ class DirectionTotals:
     plane_distances: Distribution | None
     farthest: Farthest | None
     corners: FloatArray
+    censored: int
 
     @classmethod
     def of(
@@ -67,6 +71,7 @@ class DirectionTotals:
         thresholds: tuple[float, ...],
         voxel: float,
         corner: FloatArray,
+        is_censored: Mask | None = None,
     ) -> DirectionTotals:
         """Add up the queries of one tile.
 
@@ -79,13 +84,16 @@ class DirectionTotals:
             thresholds: distance thresholds of the F-score.
             voxel: side of the voxels for area weighting.
             corner: (3,) origin of those voxels.
+            is_censored: (n,) whether a query has no closest point within the maximum distance. Its distance is that
+                maximum, its distance to planes any finite value. None: all have one.
 
         Raises:
             InputError: a distance is not finite, or not below 2e14.
         """
         measured = Distances(to_points, to_planes)
         means = {metric.name: values for metric in MEAN_METRICS if (values := metric.values_of(measured)) is not None}
-        within = {within_key(threshold): (to_points <= threshold).astype(np.float64) for threshold in thresholds}
+        is_found = True if is_censored is None else ~is_censored
+        within = {within_key(t): ((to_points <= t) & is_found).astype(np.float64) for t in thresholds}
         return cls(
             GroupSums.of(cells, {**means, **within}),
             GroupSums.of(_voxel_groups(points, voxel, corner), means),
@@ -93,6 +101,7 @@ class DirectionTotals:
             None if to_planes is None else Distribution.of(to_planes),
             _farthest(points, rows, to_points),
             np.array(bounds(points)) if len(points) else np.array([[np.inf] * 3, [-np.inf] * 3]),
+            0 if is_censored is None else int(np.count_nonzero(is_censored)),
         )
 
     @classmethod
@@ -111,7 +120,13 @@ class DirectionTotals:
             Distribution.merge(plane_distances) if plane_distances else None,
             farthest,
             np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)]),
+            sum(part.censored for part in parts),
         )
+
+    @property
+    def has_planes(self) -> bool:
+        """Return whether the distances of all queries to planes are known."""
+        return self.plane_distances is not None and not self.censored
 
     def summary(
         self,
@@ -131,15 +146,16 @@ class DirectionTotals:
             origin: (3,) offset that was subtracted from all coordinates.
         """
         assert self.farthest is not None
+        names = [name for name in self.by_cell.limbs if name != PLANE_METRIC or self.has_planes]
         ranks = spreads["distance"].percentiles or {}
         return DirectionSummary(
             self.by_cell.count,
             _dense(self.by_cell.keys, self.by_cell.counts, cells),
             {
                 name: CellSums(self.by_cell.mean(name), _dense(self.by_cell.keys, self.by_cell.sums(name), cells))
-                for name in self.by_cell.limbs
+                for name in names
             },
-            {name: float(np.mean(self.by_voxel.means(name))) for name in self.by_voxel.limbs},
+            {name: float(np.mean(self.by_voxel.means(name))) for name in self.by_voxel.limbs if name in names},
             floors,
             spreads,
             Extremes(self.farthest.distance, ranks["p95"], ranks["p99"], self.farthest.point + origin),

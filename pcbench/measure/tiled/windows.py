@@ -28,7 +28,10 @@ MAX_SAMPLE = 400_000
 """Largest number of points of a sample; clouds that all have fewer are used as they are."""
 _WINDOW_POINTS = 2_000  # 14 m wide for a scan with 10 points per square metre
 MIN_CANDIDATE_POINTS = 25
-"""Smallest mean number of a candidate's points in windows, for which their distances show its density."""
+"""Smallest mean number of a candidate's points in windows, for which their distances show its density.
+
+It is also the smallest number of points in the inner parts of all windows, for which there is a sampling floor c→r.
+"""
 _CANDIDATE_POINTS = 100  # in a window; in smaller ones, the neighbours of many points lie outside
 _MIN_WINDOWS = 16  # for which windows of a sparse candidate are not enlarged further
 _MARGIN = 0.25  # share of a window's side, at its border, where no point is measured: its neighbours may lie outside
@@ -57,7 +60,8 @@ class Windows:
 
         Args:
             cloud: the reference.
-            places: (M, 3) points of interest. Half of the windows are spread over the reference, half over these.
+            places: (M, 3) points of interest. Half of the windows are spread over the reference, and half over those
+                of the others that contain one of these.
             candidate_count: number of points of the candidate. If it is sparse, windows are fewer and larger.
         """
         if cloud.count <= MAX_SAMPLE:
@@ -67,9 +71,10 @@ class Windows:
         leaves, lattice = leaf_ranges(cloud.runs, points), cloud.runs.lattice
         wanted = max(1, MAX_SAMPLE * len(leaves) // cloud.count // 2)
         of_interest = np.unique(_range_of(lattice.codes(places), leaves))
-        of_interest = of_interest[of_interest >= 0]
-        rows = [_evenly(len(leaves), wanted), of_interest[_evenly(len(of_interest), wanted)]]
-        return cls(lattice, leaves[np.unique(np.concatenate(rows))])
+        everywhere = _evenly(len(leaves), wanted)
+        others = np.setdiff1d(of_interest[of_interest >= 0], everywhere)
+        rows = np.concatenate([everywhere, others[_evenly(len(others), wanted)]])
+        return cls(lattice, leaves[np.sort(rows)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +116,9 @@ class WindowRegion:
 
 
 def _evenly(count: int, most: int) -> IntArray:
-    """Return at most about `most` of the rows 0 to `count` - 1, at even steps."""
-    step = max(1, -(-count // max(most, 1)))
-    return np.arange(min(step // 2, max(count - 1, 0)), count, step)
+    """Return `most` of the rows 0 to `count` - 1, or all of fewer, at even steps."""
+    number = min(count, most)
+    return ((np.arange(number) + 0.5) * count / number).astype(np.int64) if number else np.zeros(0, np.int64)
 
 
 def _range_of(codes: Codes, ranges: Codes) -> IntArray:

@@ -16,6 +16,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.pieces import open_cloud
+from pcbench.measure.deviation import Spread
 
 
 def holes(rng):
@@ -165,8 +166,8 @@ def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypat
 
 def test_a_maximum_distance_caps_larger_distances_and_counts_them(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
-    pair = pair_of(tmp_path / "pair")
-    exact, limit = pair.memory(), 0.12
+    pair, limit = pair_of(tmp_path / "pair", thresholds=(0.05, 0.12)), 0.12
+    exact = pair.memory()
     capped = pair.tiled(max_distance=limit)
     shares = []
     for a, b in zip(capped, exact, strict=True):
@@ -176,17 +177,57 @@ def test_a_maximum_distance_caps_larger_distances_and_counts_them(tmp_path, monk
         ):
             distances, true = found.scalars["distance"], expected.scalars["distance"]
             np.testing.assert_array_equal(distances, np.minimum(true, limit))
-            assert a.censored[way] == np.mean(true >= limit)
+            assert a.censored[way] == np.mean(true > limit)
             shares.append(a.censored[way])
-        near = b.deviation.scalars["distance"] < limit
-        np.testing.assert_array_equal(
-            a.deviation.scalars["plane_distance"][near], b.deviation.scalars["plane_distance"][near]
-        )
-        assert (a.deviation.scalars["plane_distance"][~near] == limit).all()
+        assert ("plane_distance" in a.deviation.scalars) == (a.censored["candidate_to_reference"] == 0)
+        for score, full in zip(a.metrics.fscores, b.metrics.fscores, strict=True):
+            assert (score.precision.value, score.recall.value) == (full.precision.value, full.recall.value)
     assert min(shares) >= 0 and max(shares) > 0.2
     none_beyond = pair.tiled("work-2", max_distance=1e6)
     assert set(none_beyond["a"].censored.values()) == {0.0}
     assert as_document(replace_censored(none_beyond)) == as_document(pair.tiled("work-3"))
+
+
+def part_lifted(rng):
+    """A candidate that lies 3 m above the reference in one half."""
+    points = surface(rng, 1500)
+    lifted = points[::2].copy()
+    lifted[lifted[:, 0] > 5, 2] += 3
+    return points, lifted
+
+
+@pytest.mark.parametrize("tile_points", [100, 2000])
+@pytest.mark.parametrize(("crop", "share"), [("none", 0.5), ("box:6,0,-5,10,10,9", 1.0)])
+def test_tiles_wholly_beyond_the_maximum_distance(tmp_path, monkeypatch, tile_points, crop, share):
+    in_this_process(monkeypatch)
+    pair = Pair(tmp_path / "pair", *part_lifted(np.random.default_rng(0)), crop=crop, thresholds=(0.2, 1.0))
+    exact, found = (comparison["a"] for comparison in (pair.memory(), pair.tiled(max_distance=1.0)))
+    for way, censored in found.censored.items():
+        assert censored == pytest.approx(share, abs=0.1)
+        metrics = found.metrics
+        assert metrics.d2_mse[way].value is metrics.d2_mse[way].interval is None
+        spread = metrics.spreads["distance"][way]
+        assert metrics.spreads["plane_distance"][way] == Spread() and spread.nmad is spread.std is None
+        assert 0 < metrics.mean_distance[way].value < exact.metrics.mean_distance[way].value
+        assert spread.percentiles["p99"] == metrics.hausdorff[way].largest == 1.0
+    assert metrics.d2_mse.symmetric_max.value is None
+    assert metrics.presets["gao2025"].d2_mse is None
+    assert [score.fscore.value for score in metrics.fscores] == [s.fscore.value for s in exact.metrics.fscores]
+
+
+def test_one_direction_without_distances_beyond_the_maximum_keeps_its_d2(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    points = surface(np.random.default_rng(0), 1500)
+    pair = Pair(tmp_path / "pair", points, points[points[:, 0] < 5], thresholds=(0.2,))
+    exact, found = (comparison["a"].metrics.d2_mse for comparison in (pair.memory(), pair.tiled(max_distance=1.0)))
+    assert found.accuracy == exact.accuracy
+    assert (found.completeness.value, found.symmetric_max.value) == (None, None)
+
+
+def test_thresholds_beyond_the_maximum_distance_are_refused(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    with check_error(InputError):
+        pair_of(tmp_path / "pair", thresholds=(0.1, 0.5)).tiled(max_distance=0.3)
 
 
 def replace_censored(comparison):

@@ -62,6 +62,11 @@ def test_a_maximum_distance_is_inclusive(tmp_path):
     assert found.tiles.tolist() == [[0], [-1]]
 
 
+def test_a_cloud_beyond_the_maximum_distance_has_no_neighbors(tmp_path):
+    points = np.random.default_rng(0).random((50, 3))
+    check(points + 9, points, stored_tiles(tmp_path, points, 20), k=2, max_distance=1.0)
+
+
 def test_no_queries_give_no_neighbors(tmp_path):
     tiles = stored_tiles(tmp_path, np.random.default_rng(0).random((30, 3)), 10)
     found = nearest_in_tiles(np.zeros((0, 3)), tiles, 2)

@@ -1,9 +1,11 @@
 """Registration, floors and deformation of clouds that are too large for it, from windows at full density."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from data_folder import data_folder
-from tiled_clouds import in_this_process
+from tiled_clouds import in_this_process, stored_runs
 
 from pcbench.errors import RegistrationError
 from pcbench.geometry.cloud import Cloud
@@ -99,6 +101,20 @@ def small_windows(monkeypatch):
     monkeypatch.setattr(windows, "_WINDOW_POINTS", 500)
 
 
+@pytest.mark.parametrize("most", [7_000, 10_000, 13_000])
+def test_windows_have_the_wanted_number_of_points(tmp_path, monkeypatch, most):
+    """Those of the reference and those of the candidate differ, although both cover the same ground."""
+    monkeypatch.setattr(windows, "MAX_SAMPLE", most)
+    monkeypatch.setattr(windows, "_WINDOW_POINTS", 500)
+    points = surface(np.random.default_rng(0), 40_000)
+    stored = SimpleNamespace(count=len(points), runs=stored_runs(tmp_path / "runs", points)[0])
+    chosen = windows.Windows.of(stored, points[::9], len(points))
+    inside = windows._range_of(chosen.lattice.codes(points), chosen.ranges) >= 0
+    # The mean of some tens of windows with 250 to 500 points each is known to a few percent.
+    assert np.count_nonzero(inside) == pytest.approx(most, rel=0.15)
+    assert (chosen.ranges[1:, 0] >= chosen.ranges[:-1, 1]).all()
+
+
 def test_a_candidate_in_a_corner_is_registered_there(tmp_path, small_windows):
     rng = np.random.default_rng(0)
     points = surface(rng, 40_000)
@@ -152,7 +168,9 @@ def test_a_candidate_of_another_density(tmp_path, small_windows, ratio):
         assert ours.value == pytest.approx(theirs.value, rel=1e-12)
     # No window shows the density of such a candidate: a floor would be that of the sample.
     assert tiled["a"].metrics.directed["mean_distance"][WAYS[1]].floor is None
-    assert tiled["a"].metrics.directed["mean_distance"][WAYS[0]].floor == pytest.approx(theirs_forth(memory), rel=0.3)
+    forth = tiled["a"].metrics.directed["mean_distance"][WAYS[0]].floor
+    # Five points of the sparse candidate lie in inner parts of windows.
+    assert forth is None if ratio < 1 else forth == pytest.approx(theirs_forth(memory), rel=0.3)
 
 
 def test_a_candidate_of_one_point(tmp_path, small_windows):
