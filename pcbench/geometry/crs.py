@@ -156,7 +156,7 @@ def is_in_degrees(crs: str | None, unit: str | None) -> bool:
 
 
 class Located(Protocol):
-    """What tells where a cloud lies and in which unit."""
+    """Place and unit of a cloud, of a mesh or of files."""
 
     @property
     def crs(self) -> str | None:

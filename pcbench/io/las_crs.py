@@ -67,7 +67,7 @@ def _identify(text: str) -> tuple[str | None, tuple[str, ...]]:
 
 
 class _GeoKeys(NamedTuple):
-    """What the GeoTIFF keys of a file state.
+    """System and units that the GeoTIFF keys of a file state.
 
     Attributes:
         code: EPSG code of the system of x and y; 0 if it has none.
