@@ -158,6 +158,9 @@ def corpus():
     files |= {f"1.{minor}": las(1, 12, minor=minor, vlrs=[geo_keys(model=1, projected=32617)]) for minor in range(5)}
     files["extra bytes"] = las(3, 9, vlrs=[descriptions], tail=lambda i: struct.pack("<fHxx", i / 4, i))
     files["wkt"] = las(7, 9, vlrs=[wkt(UTM), vlr(b"other", 9, b"1234")])
+    units = geo_keys(projected=32767, unit=32767, unit_size=(0, 1), vertical_unit=9003)
+    files["units"] = las(0, 9, vlrs=[units, geo_doubles(0.3048)])
+    files["height unit"] = las(0, 9, vlrs=[geo_keys(projected=26917, unit=9003, vertical=5703, vertical_unit=9002)])
     files["extended"] = las(6, 9, evlrs=[vlr(b"LASF_Projection", 2112, UTM.encode(), extended=True)])
     return files
 

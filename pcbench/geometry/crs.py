@@ -16,6 +16,7 @@ from pcbench.geometry.transform import fit_similarity
 from pcbench.geometry.units import is_degree, metres, unit_of_length
 
 METRES_PER_DEGREE = 111_320.0  # of latitude, and of longitude at the equator
+_ANGLES = ("deg", "grad", "radian")
 _LONG_NAMES = {"m": "metre", "ft": "foot", "US-ft": "US survey foot"}
 _UNKNOWN_HEIGHTS = {
     "type": "VerticalCRS",
@@ -155,7 +156,7 @@ def is_in_degrees(crs: str | None, unit: str | None) -> bool:
 
 
 class Located(Protocol):
-    """What tells where a cloud lies and in which unit."""
+    """Place and unit of a cloud, of a mesh or of files."""
 
     @property
     def crs(self) -> str | None:
@@ -179,7 +180,7 @@ class AxisUnits(NamedTuple):
     @property
     def are_mixed(self) -> bool:
         """Return whether x, y and z are lengths in different units."""
-        return self.height is not None and self.height != self.horizontal and not is_degree(self.horizontal)
+        return self.height not in (None, self.horizontal) and self.horizontal not in _ANGLES
 
 
 def axis_units(text: str | None) -> AxisUnits | None:
@@ -190,6 +191,18 @@ def axis_units(text: str | None) -> AxisUnits | None:
         for axis in (() if crs is None else crs.axis_info)
     ]
     return AxisUnits(units[0], units[2] if len(units) > 2 else None) if len(units) > 1 else None
+
+
+def axis_lengths(text: str | None) -> tuple[float, float] | None:
+    """Return the lengths in metres of the units of x and y, and of z, in a CRS; None if it is unknown.
+
+    z is in the unit of x and y if the CRS has no heights, and in metres if x and y are angles.
+    """
+    units, crs = axis_units(text), None if text is None else parse_crs(text)
+    if units is None or crs is None:
+        return None
+    factors = [float(axis.unit_conversion_factor) for axis in crs.axis_info]
+    return factors[0], factors[2] if len(factors) > 2 else 1.0 if units.horizontal in _ANGLES else factors[0]
 
 
 def with_units(text: str, horizontal: str, height: str | None) -> str:
@@ -207,7 +220,7 @@ def with_units(text: str, horizontal: str, height: str | None) -> str:
 
     crs = _known(text)
     below, *above = crs.sub_crs_list or [crs]
-    parts = [below if is_degree(axis_units(text).horizontal) else _in_unit(below, horizontal)]  # type: ignore[union-attr]
+    parts = [below if below.is_geographic else _in_unit(below, horizontal)]
     if height is not None:
         parts.append(_in_unit(above[0] if above else CRS.from_json_dict(_UNKNOWN_HEIGHTS), height))
     if len(parts) == 1:
@@ -226,11 +239,11 @@ def unnamed_grid(horizontal: str, height: str) -> str:
 
 
 def _in_unit(crs: Any, unit: str) -> Any:
-    """Return a CRS with its axes in a unit of length, or the CRS itself if they are."""
+    """Return a CRS with its axes in a unit of length, or the CRS itself if they are, or if the unit is unknown."""
     from pyproj import CRS
 
     length = metres(unit)
-    if all(abs(axis.unit_conversion_factor / length - 1) < 1e-9 for axis in crs.axis_info):
+    if length is None or all(abs(axis.unit_conversion_factor / length - 1) < 1e-9 for axis in crs.axis_info):
         return crs
     values = crs.to_json_dict()
     values.pop("id", None)

@@ -12,7 +12,7 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import AxisUnits, axis_units, crs_name, is_in_degrees, is_known_crs, parse_crs, with_units
+from pcbench.geometry.crs import axis_lengths, axis_units, crs_name, is_in_degrees, parse_crs, with_units
 from pcbench.geometry.transform import Affine
 from pcbench.geometry.units import metres
 
@@ -28,25 +28,21 @@ def convert_unit(cloud: Cloud, unit: str) -> Cloud:
         InputError: a unit is unknown or no length.
         MissingExtra: the cloud has a CRS, and pyproj is not installed.
     """
-    if metres(unit) is None:
+    new = metres(unit)
+    if new is None:
         raise InputError(f"expected a unit of length such as m, ft, US-ft or mm, got {unit[:20]!r}")
     if cloud.crs is not None:
         require("pyproj")
     if is_in_degrees(cloud.crs, cloud.unit):
         raise InputError(f"expected lengths, got degrees, which have no length in {unit}: convert with --crs")
-    units = axis_units(cloud.crs)
-    if units is None or not units.are_mixed:
-        units = AxisUnits(cloud.unit or (units.horizontal if units else ""), None)
-    lengths = [metres(units.horizontal), metres(units.height or units.horizontal)]
-    if lengths[0] is None or lengths[1] is None:
-        raise InputError(
-            f"expected a cloud whose unit is known, got {units.horizontal[:20] or 'none'}: write the unit into its file"
-        )
-    horizontal, height = (length / (metres(unit) or 1.0) for length in lengths if length)
-    crs = cloud.crs
-    if crs is not None and is_known_crs(crs):
-        stated = axis_units(crs)
-        crs = with_units(crs, unit, unit if stated is not None and stated.height else None)
+    length = metres(cloud.unit)
+    lengths = axis_lengths(cloud.crs) if length is None else (length, length)
+    if lengths is None:
+        raise InputError(f"expected a cloud whose unit is known, got {cloud.unit or 'none'}: write it into the file")
+    horizontal, height = (length / new for length in lengths)
+    crs, units = cloud.crs, axis_units(cloud.crs)
+    if crs is not None and units is not None:
+        crs = with_units(crs, unit, unit if units.height else None)
     moved = cloud.transformed(Affine(np.diag([horizontal, horizontal, height]), np.zeros(3)))
     return replace(moved, crs=crs, unit=unit)
 
@@ -90,8 +86,9 @@ def project(
             f"expected a coordinate system without heights, got {crs_name(target)}: heights keep their datum, so name"
             " the system of x and y alone"
         )
-    units, new_units = axis_units(stated), axis_units(target)
-    assert units is not None and new_units is not None
+    lengths, new_lengths, new_units = axis_lengths(stated), axis_lengths(target), axis_units(target)
+    assert lengths is not None and new_lengths is not None and new_units is not None
+    (_, length), (_, new_length) = lengths, new_lengths
     x, y, z = cloud.points.T
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of pyproj about grids, which are reported below
@@ -103,14 +100,10 @@ def project(
         warn(f"the most accurate transformation to {crs_name(target)} needs a grid: install it with pyproj sync")
     if below.is_geocentric:
         x, y, z = transformer.transform(x, y, z)
-        height = metres(new_units.height or "m") or 1.0
-        z, height_unit = np.asarray(z) * (new.axis_info[2].unit_conversion_factor / height), new_units.height
+        z = np.asarray(z) * (new.axis_info[2].unit_conversion_factor / new_length)
     else:
         x, y = transformer.transform(x, y)
-        ours = units.height or (cloud.unit if metres(cloud.unit) else None) or units.horizontal
-        theirs = new_units.height or new_units.horizontal
-        length, new_length = metres(ours) or 1.0, metres(theirs) or 1.0  # degrees have heights in metres
-        z, height_unit = z * (length / new_length), new_units.height
+        z = z * (length / new_length)
     points = np.stack([x, y, z], axis=1)
     if outside := int(np.count_nonzero(~np.isfinite(points).all(axis=1))):
         raise InputError(
@@ -121,7 +114,7 @@ def project(
         warn("left out normals, which have other directions in the new system")
     moved = cloud.moved(points)
     crs = target
-    if heights and not new_heights and height_unit is None:
+    if heights and new_units.height is None:
         crs = _with_heights(target, stated, new_units.horizontal if metres(new_units.horizontal) else "m")
     unit = axis_units(crs)
     return replace(moved, crs=crs, unit=None if unit is None or unit.are_mixed else unit.horizontal)

@@ -130,6 +130,7 @@ def read_index(path: Path, warn: Warn) -> EptIndex:
         srs = content.get("srs") or {}
         wkt = srs.get("wkt") or ""
         code = f"{srs['authority']}:{srs['horizontal']}" if srs.get("authority") and srs.get("horizontal") else ""
+        code += f"+{srs['vertical']}" if code and srs.get("vertical") else ""
         names = tuple(name for name, *_ in dimensions)
         scales, offsets = tuple(scale for *_, scale, _ in dimensions), tuple(offset for *_, offset in dimensions)
         system = str(wkt or code)

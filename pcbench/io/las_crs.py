@@ -67,7 +67,7 @@ def _identify(text: str) -> tuple[str | None, tuple[str, ...]]:
 
 
 class _GeoKeys(NamedTuple):
-    """What the GeoTIFF keys of a file state.
+    """System and units that the GeoTIFF keys of a file state.
 
     Attributes:
         code: EPSG code of the system of x and y; 0 if it has none.
@@ -124,7 +124,11 @@ def _from_geo_keys(keys: _GeoKeys, warn: Warn) -> tuple[str | None, str | None]:
         height = known.height
     if (horizontal, height) == known:
         return _identified(code, warn)
-    crs = with_units(code, horizontal, height)
+    try:
+        crs = with_units(code, horizontal, height)
+    except require("pyproj").exceptions.ProjError:
+        warn(f"could not interpret the coordinate reference system: {code} cannot have heights in {height}")
+        return code, horizontal if height in (None, horizontal) else None
     return crs, single_unit(crs, warn)
 
 

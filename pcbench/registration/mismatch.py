@@ -58,7 +58,7 @@ def explain_failure(reference: Cloud, candidate: Cloud, ratio: float, *, any_sca
     if not reasons:
         return ""
     conversion = "" if any_scale else f", or {find_any_scale()}"
-    how = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Scale one of them"
+    how = f"Convert the candidate with pcbench convert FILE OUT{command}" if command else "Convert one of them"
     return f"{' and '.join(reasons)}{'' if reasons[-1].endswith('?') else '.'} {how}{conversion}: "
 
 

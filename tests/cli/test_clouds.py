@@ -72,7 +72,7 @@ def test_a_coordinate_system_is_one_line(files, run, monkeypatch, has_pyproj):
     if has_pyproj:
         import_or_skip("pyproj")
     else:
-        monkeypatch.setattr(crs, "_parse_crs", lambda text: None)
+        monkeypatch.setattr(crs, "parse_crs", lambda text: None)
     wkt = (
         'PROJCS["Somewhere / in the north",\n  GEOGCS["GRS 1980(IUGG, 1980)",DATUM["unknown",SPHEROID["GRS80",6378137,'
         '298.257222101]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'

@@ -155,7 +155,7 @@ def test_rounding_beyond_a_tenth_of_the_spacing_gives_a_warning(tmp_path):
 
 @pytest.mark.parametrize("scale", [0.01, 0.00025, 0.0078125, 3.048e-4, 1.7e-5])
 def test_steps_of_the_source_are_kept(tmp_path, scale):
-    """Coordinates keep their bits, also of a selection; a transformed cloud has steps of its own."""
+    """Coordinates keep their bits, also of a selection; a transformed cloud has other steps."""
     (tmp_path / "a.las").write_bytes(las_bytes.las(6, 50, scales=(scale, -scale, scale), offsets=(5e5, 0.25, 1e-3)))
     cloud = read_cloud(tmp_path / "a.las")
     write_cloud(tmp_path / "b.las", cloud.select(np.arange(0, 50, 2)))
