@@ -11,6 +11,7 @@ from wording import check_text
 
 from pcbench import Cloud, Mesh, Settings, compare
 from pcbench.deformation import size
+from pcbench.geometry import mesh_samples
 from pcbench.measure import directions, quantities, scores, summaries
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
