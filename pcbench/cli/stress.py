@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
+from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import (
     FILE,
     is_given,
@@ -16,6 +16,7 @@ from pcbench.cli.options import (
     seed_option,
     split_names,
 )
+from pcbench.cli.pairs import read_pair
 from pcbench.cli.workers import workers_options
 
 
@@ -103,7 +104,7 @@ def stress(
              pcbench stress --reconstructors --quick --out photos/
     """
     from pcbench.errors import InputError
-    from pcbench.io import read_cloud
+    from pcbench.geometry.mesh_samples import sample_reference
     from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
     from pcbench.studies.stress.results import StressSettings
     from pcbench.studies.stress.study import GivenClouds, run_stress
@@ -121,7 +122,8 @@ def stress(
         for path in (reference, candidate):
             if path.resolve().is_relative_to(out.resolve()):
                 raise InputError(f"{path}: the study replaces files in {out}: choose another --out")
-        clouds = GivenClouds(*(read_cloud(path, on_warning=warn_unless(quiet)) for path in (reference, candidate)))
+        first, second = read_pair(reference, candidate, seed, quiet=quiet)
+        clouds = GivenClouds(sample_reference(first, seed), second)
     elif is_given(context, "register"):
         raise click.UsageError("--register applies only to a given pair: REFERENCE and CANDIDATE")
     settings = StressSettings(

@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
-from pcbench.cli.messages import name_files, steps, warn_of_missing, warn_unless
+from pcbench.cli.messages import name_files, steps, warn_of_missing
 from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, share, split_names
+from pcbench.cli.pairs import read_pair
 
 
 @click.command(short_help="Find a cheaper comparison that is accurate enough.")
@@ -69,8 +70,6 @@ def tradeoff(
     Example: pcbench tradeoff ref.ply cloud.ply --tolerance 1% --out tradeoff/
     """
     from pcbench.errors import InputError
-    from pcbench.geometry.mesh_samples import sample_candidate
-    from pcbench.io.meshes import read_shape
     from pcbench.studies.tradeoff.results import TradeoffSettings, document
     from pcbench.studies.tradeoff.study import run_tradeoff
     from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
@@ -90,10 +89,8 @@ def tradeoff(
         if out is not None and path.resolve().is_relative_to(out.resolve()):
             raise InputError(f"{path}: the study replaces files in {out}: choose another --out")
     with steps(quiet) as step:
-        step(f"reading {reference}")
-        first = read_shape(reference, on_warning=warn_unless(quiet))
-        step(f"reading {candidate}")
-        second = sample_candidate(read_shape(candidate, on_warning=warn_unless(quiet)), first, seed)
+        step(f"reading {reference} and {candidate}")
+        first, second = read_pair(reference, candidate, seed, quiet=quiet)
         outcome = run_tradeoff(first, second, settings, out=out, figures=not no_figures, step=step)
     if json_file is not None:
         output.write(document(outcome.study))

@@ -14,6 +14,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 
 _MERGE_TOLERANCE = 1e-5  # of the diagonal of the mesh: wider than rounding to float32, narrower than any real gap
+_MAX_LOST_AREA = 1e-3  # of the mesh, in slivers whose corners are merged
 _DEGENERATE_SIN2 = 1e-28  # squared sine of a face's angle up to which its area is rounding error; the kernel's limit
 _MIN_WINDING = 0.75  # of a shell around a point inside it; a point on its surface has one half
 
@@ -58,7 +59,8 @@ def closure_of(vertices: FloatArray, faces: IntArray) -> Closure:
         length = _MERGE_TOLERANCE * float(np.linalg.norm(np.ptp(vertices[faces].reshape(-1, 3), axis=0)))
         merged = _merge_near(vertices, edges.open_ends, length)[corners]
         merged_rows, merged_edges = _meet(merged)
-        if len(merged_edges.open_ends) < len(edges.open_ends):
+        lost = _areas(vertices[faces[np.setdiff1d(rows, merged_rows)]]).sum()
+        if merged_edges.problem is None and lost <= _MAX_LOST_AREA * _areas(vertices[faces[rows]]).sum():
             corners, rows, edges, tolerance = merged, merged_rows, merged_edges, length
     outward, shell_problem = np.ones(len(faces)), None
     if edges.problem is None:
@@ -130,6 +132,14 @@ def _merge_near(vertices: FloatArray, ends: IntArray, tolerance: float) -> IntAr
     merged = np.arange(len(vertices))
     merged[ends] = ends[first[groups]]
     return merged
+
+
+def _areas(corners: FloatArray) -> FloatArray:
+    """Return the areas (P,) of triangles (P, 3, 3)."""
+    areas: FloatArray = (
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    )
+    return areas
 
 
 def _flat_problem(corners: FloatArray, face_count: int) -> str | None:

@@ -100,12 +100,23 @@ def _check_geometry(content: Any, warn: Warn) -> None:
     modes = [str(p.get("mode", _TRIANGLES)) for p in primitives if isinstance(p, dict)]
     if fans := modes.count(_FAN):
         raise InputError(f"expected triangles or triangle strips, got {fans} triangle fans: export it as triangles")
+    if any(_is_normalized(content, primitive) for primitive in primitives):
+        raise InputError("expected positions as lengths, got normalized integers: export them as floats")
     left_out = [_LINES_AND_POINTS[mode] for mode in modes if mode in _LINES_AND_POINTS]
     if left_out:
         kinds = " and ".join(sorted(set(left_out)))
         if len(left_out) == len(modes):
             raise InputError(f"expected triangles, got only {kinds}: export a mesh, or points as PLY")
         warn(f"left out {len(left_out)} of {len(modes)} parts, which are {kinds}")
+
+
+def _is_normalized(content: Any, primitive: Any) -> bool:
+    """Return whether positions are integers from -1 to 1, which trimesh does not scale."""
+    attributes = primitive.get("attributes") if isinstance(primitive, dict) else None
+    number = attributes.get("POSITION") if isinstance(attributes, dict) else None
+    accessors = _entries(content, "accessors")
+    accessor = accessors[number] if isinstance(number, int) and 0 <= number < len(accessors) else None
+    return isinstance(accessor, dict) and accessor.get("normalized") is True
 
 
 def _entries(content: Any, name: str) -> list[Any]:

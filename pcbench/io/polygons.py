@@ -122,4 +122,5 @@ def triangulate_strips(lengths: IntArray, corners: IntArray) -> IntArray:
     odd = (first - strip_start[first]) % 2
     faces: IntArray = np.stack([marked[first], marked[first + 1 + odd], marked[first + 2 - odd]], axis=1)
     a, b, c = faces.T
-    return faces[(a != b) & (b != c) & (c != a)]  # repeated vertices join strips
+    proper: IntArray = faces[(a != b) & (b != c) & (c != a)]  # repeated vertices join strips
+    return proper

@@ -103,6 +103,7 @@ UNSIGNED = {
     "turned face": (cube()[0], np.vstack([CUBE_FACES[:1, ::-1], CUBE_FACES[1:]])),
     "both sides": (cube()[0], np.vstack([CUBE_FACES, CUBE_FACES[:, ::-1]])),
     "terrain": height_field(4),
+    "far vertex": (np.vstack([cube()[0], [(1e9, 0, 0)]]), np.vstack([CUBE_FACES, [(0, 1, 8)]])),
     "shell inside": joined(cube(), cube(0.5)),
 }
 

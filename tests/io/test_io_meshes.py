@@ -205,6 +205,7 @@ REFUSED_FILES = {
     "strip.ply": ply("ascii", ONE_VERTEX, ("strip", ["list uchar int other"], [((0, 0, 0),)])),
     "grid.ply": ply("ascii", ONE_VERTEX, ("range_grid", ["list uchar int vertex_indices"], [((0,),)])),
     "fan.glb": glb_parts((6, VERTICES, [0, 1, 3, 2])),
+    "normalized.glb": glb_parts((4, VERTICES, FACES.ravel()), accessors=[{"normalized": True}]),
     "points.glb": glb_parts((0, VERTICES, None)),
     "draco.glb": glb_parts((4, VERTICES, FACES.ravel()), extensionsRequired=["KHR_draco_mesh_compression"]),
     "instances.glb": glb_parts((4, VERTICES, FACES.ravel()), extensionsUsed=["EXT_mesh_gpu_instancing"]),

@@ -52,7 +52,7 @@ def test_candidates_of_all_kinds_have_names(files):
 
 
 def test_a_mesh_by_its_path_is_a_mesh(files, tmp_path, monkeypatch):
-    monkeypatch.setattr("pcbench.measure.reference._MESH_SAMPLES", 1000)
+    monkeypatch.setattr("pcbench.geometry.mesh_samples.REFERENCE_SAMPLES", 1000)
     (tmp_path / "box.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
     assert pcbench.compare("box.obj", "a.xyz", register="none").reference.faces == 2
 

@@ -11,7 +11,8 @@ from wording import check_text
 
 from pcbench import Cloud, Mesh, Settings, compare
 from pcbench.deformation import size
-from pcbench.measure import directions, quantities, reference, scores, summaries
+from pcbench.geometry import mesh_samples
+from pcbench.measure import directions, quantities, scores, summaries
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.quantity import LENGTH, Headline, Quantity
@@ -42,7 +43,7 @@ def make_comparison(kind):
 @pytest.fixture(scope="module", params=["clouds", "mesh", "points"])
 def comparison(request):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reference, "_MESH_SAMPLES", 3000)
+        patch.setattr(mesh_samples, "REFERENCE_SAMPLES", 3000)
         return make_comparison(request.param)
 
 

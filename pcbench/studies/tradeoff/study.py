@@ -13,8 +13,10 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
+from pcbench.geometry.mesh_samples import sample_candidate
 from pcbench.geometry.neighbors import Index, median_spacing
-from pcbench.io import CloudLike, to_cloud
+from pcbench.io import CloudLike
+from pcbench.io.meshes import to_shape
 from pcbench.measure.settings import Settings
 from pcbench.report import to_json
 from pcbench.report.document import provenance
@@ -53,7 +55,7 @@ class TradeoffOutcome:
 
 def run_tradeoff(
     reference: CloudLike | Mesh,
-    candidate: CloudLike,
+    candidate: CloudLike | Mesh,
     settings: TradeoffSettings | None = None,
     *,
     out: Path | None = None,
@@ -100,14 +102,14 @@ def run_tradeoff(
         return write_study(out, study, figures=figures, step=step)
 
 
-def make_pair(reference: CloudLike | Mesh, candidate: CloudLike, settings: TradeoffSettings) -> Pair:
+def make_pair(reference: CloudLike | Mesh, candidate: CloudLike | Mesh, settings: TradeoffSettings) -> Pair:
     """Return the pair with the settings of its exact comparison: those of `compare`, with one fixed threshold.
 
     Raises:
         InputError: a cloud is not usable.
     """
-    given = reference if isinstance(reference, Mesh) else to_cloud(reference)
-    cloud = to_cloud(candidate)
+    given = to_shape(reference)
+    cloud = sample_candidate(to_shape(candidate), given, settings.seed)
     measured = cloud if isinstance(given, Mesh) else given
     if min(len(measured), len(cloud)) < 2:
         raise InputError("expected clouds of at least two points, got one")

@@ -11,12 +11,12 @@ from optional import break_library
 from wording import check_text
 
 from pcbench import Cloud, write_cloud
+from pcbench.geometry import mesh_samples
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.plugins import Reconstruction
 from pcbench.studies.bench import score as scoring
-from pcbench.studies.bench import truth as truths
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, choose_alignment
 from pcbench.studies.bench.truth import read_truth, visible_mask
 
@@ -125,7 +125,7 @@ def test_visibility_by_ray_casting_matches_brute_force():
 
 
 def test_source_of_visibility(bench_folder, monkeypatch):
-    monkeypatch.setattr(truths, "_MESH_SAMPLE_COUNT", 20_000)  # enough for the tolerance below
+    monkeypatch.setattr(mesh_samples, "REFERENCE_SAMPLES", 20_000)  # enough for the tolerance below
     cameras = {camera.name: camera for camera in RIG}
     by_attribute = read_truth(Path("truth.ply"), None, cameras, print)
     np.testing.assert_array_equal(by_attribute.visible, TRUTH.attributes["visible"] != 0)

@@ -1,0 +1,26 @@
+"""Reading of a reference and a candidate for studies of one pair."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcbench.cli.messages import warn_unless
+
+if TYPE_CHECKING:
+    from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.mesh import Mesh
+
+
+def read_pair(reference: Path, candidate: Path, seed: int, *, quiet: bool) -> tuple[Cloud | Mesh, Cloud]:
+    """Read a reference, and a candidate that is sampled if it is a mesh, with a warning that says so."""
+    from pcbench.geometry.mesh import Mesh
+    from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice
+    from pcbench.io.meshes import read_shape
+
+    warn = warn_unless(quiet)
+    first, second = (read_shape(path, on_warning=warn) for path in (reference, candidate))
+    cloud = sample_candidate(second, first, seed)
+    if isinstance(second, Mesh):
+        warn(f"{candidate}: {sampling_notice(second, len(cloud), seed, scale=1.0)}")
+    return first, cloud
