@@ -55,7 +55,7 @@ def crop(cloud: Path, out: Path, crop: str, quiet: bool) -> None:
         except InputError as error:
             raise InputError(f"{cloud}: {error}") from error
         step(f"writing {out}")
-        write_cloud(out, inside)
+        write_cloud(out, inside, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(inside):,} of {len(data):,} points")
 
@@ -118,7 +118,7 @@ def register(
             warn_unless(quiet)(
                 f"{out}: removed {len(lost)} attributes that are invalid in the new frame, such as {min(lost)!r}"
             )
-        write_cloud(out, aligned)
+        write_cloud(out, aligned, on_warning=warn_unless(quiet))
     if matrix is not None:
         with atomic_write(matrix) as file:
             file.write(text.encode())
@@ -209,7 +209,7 @@ def convert(
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
         step(f"writing {out}")
-        write_cloud(out, data)
+        write_cloud(out, data, on_warning=warn_unless(quiet))
     if not quiet:
         click.echo(f"{out}: {len(data):,} points")
 

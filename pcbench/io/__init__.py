@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
 from pcbench.geometry.splats import filter_splats
-from pcbench.io.files import as_path, check_output, count_null_points, errors_named, finite_cloud, null_points_warning
+from pcbench.io.files import (
+    Warn,
+    as_path,
+    check_output,
+    count_null_points,
+    errors_named,
+    finite_cloud,
+    null_points_warning,
+)
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
 from pcbench.io.reading import cloud_file, has_filters, read_fields
 
@@ -98,20 +106,33 @@ def to_cloud(value: CloudLike) -> Cloud:
     return read_cloud(value) if isinstance(value, str | os.PathLike) else as_cloud(value)
 
 
-def write_cloud(path: str | os.PathLike[str], cloud: CloudLike) -> None:
+def write_cloud(
+    path: str | os.PathLike[str], cloud: CloudLike, *, on_warning: Callable[[str], None] | None = None
+) -> None:
     """Write a cloud to a file. If an error occurs, an existing file stays unchanged.
 
     Args:
         path: output file; its extension selects the format.
         cloud: cloud, points (N, 3), or path of a file with a cloud.
+        on_warning: callback, called with one line on what the format cannot store. Defaults to `warnings.warn`.
 
     Raises:
-        InputError: the extension is unknown, the format cannot store the cloud, or an argument is not a path or cloud.
+        InputError: the extension is unknown, the format cannot store the points, or an argument is not a path or cloud.
         OSError: the file cannot be written.
     """
     path = as_path(path)
+    lines: list[str] = []
     write = _writer(path)
-    write(path, to_cloud(cloud))
+    cloud = to_cloud(cloud)
+    try:
+        write(path, cloud, lines.append)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    for line in lines:
+        if on_warning is None:
+            warnings.warn(f"{path}: {line}", stacklevel=2)
+        else:
+            on_warning(f"{path}: {line}")
 
 
 def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence[Path] = ()) -> None:
@@ -130,7 +151,7 @@ def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence
     check_output(path, inputs, others)
 
 
-def _writer(path: Path) -> Callable[[Path, Cloud], None]:
+def _writer(path: Path) -> Callable[[Path, Cloud, Warn], None]:
     try:
         writable = {extension: form for extension, form in CLOUDS.items() if form.write}
         is_known = path.name in CLOUDS or path.suffix.lower() in CLOUDS

@@ -34,7 +34,7 @@ class CloudFormat(NamedTuple):
     """Reader of a cloud format, and its writer if the format can be written."""
 
     read: Callable[..., Fields]  # (path, warn); if `filtered`, also `classes`, `returns`, `allow_empty`
-    write: Callable[[Path, Cloud], None] | None = None
+    write: Callable[[Path, Cloud, Warn], None] | None = None
     filtered: bool = False
 
 
