@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
+from pcbench.io import obj, ply
 from pcbench.io.files import Warn, as_path, check_readable, read_named
 from pcbench.io.formats import CLOUDS, MESHES
-from pcbench.io.ply import has_faces
 
 
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
@@ -31,9 +31,10 @@ def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | 
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
+    """Return whether a file is a mesh by its extension, or by its faces if it is PLY or OBJ."""
     path = Path(path)
-    if path.suffix.lower() != ".ply":
+    has_faces = {".ply": ply.has_faces, ".obj": obj.has_faces}.get(path.suffix.lower())
+    if has_faces is None:
         return path.suffix.lower() in MESHES
     try:
         check_readable(path)

@@ -5,10 +5,12 @@ import pytest
 from optional import import_or_skip
 from pcd_bytes import pcd
 from ply_bytes import ply
+from refusals import refusal
 from wording import check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import names, read_cloud, write_cloud
+from pcbench.io.meshes import holds_mesh
 
 XYZ = (1.0, 2.0, 3.0)
 COLOR_NAMES = ["red green blue", "r g b", "R G B", "diffuse_red diffuse_green diffuse_blue", "Red Green Blue"]
@@ -69,6 +71,23 @@ def test_normals(tmp_path, columns):
     for name, data in files(tmp_path, "float F4", columns, (0.0, 0.0, 1.0)):
         cloud = read(tmp_path / name, data)
         assert (cloud.normals.tolist(), cloud.attributes) == ([[0, 0, 1]], {}), name
+
+
+def test_obj_points(tmp_path):
+    notes = []
+    lines = ["v 1 2 3 0.2 0 1", "v 4 5 6 0 0.4 1", "vn 0 0 1", "vn 1 0 0"]
+    cloud = read(tmp_path / "a.obj", "\n".join(lines), on_warning=notes.append)
+    assert (cloud.points.tolist(), cloud.normals.tolist()) == ([[1, 2, 3], [4, 5, 6]], [[0, 0, 1], [1, 0, 0]])
+    assert (cloud.colors.tolist(), notes) == ([[51, 0, 255], [0, 102, 255]], [])
+    assert not holds_mesh(tmp_path / "a.obj")
+    lines += ["v 7 8 9", "f 1//1 2//1 3//2"]
+    cloud = read(tmp_path / "a.obj", "\n".join(lines), on_warning=notes.append)
+    assert (len(cloud), cloud.colors, cloud.normals) == (3, None, None)
+    for note in notes:
+        check_text(note)
+    assert holds_mesh(tmp_path / "a.obj")
+    for text in ("v 1 2\n", "v 1 2 three\n", "vn 1 0 0\n"):
+        refusal(tmp_path / "b.obj", text)
 
 
 @pytest.mark.parametrize("code", ["F4", "U4", "I4"])
