@@ -138,7 +138,7 @@ def reconstruct(
         reconstruction = in_wgs84(reconstruction, sphere)
     elif sphere is not None:
         warn(f"not converted to WGS84: the cloud has the gauge {reconstruction.gauge}, not the frame of the cameras")
-    write_cloud(out, reconstruction.cloud)
+    write_cloud(out, reconstruction.cloud, on_warning=warn_unless(quiet))
     record_output(work, out)
     if write_cameras is not None and not reconstruction.cameras:
         warn(f"{write_cameras}: not written, because {name} returned no cameras")

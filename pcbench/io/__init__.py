@@ -118,15 +118,20 @@ def write_cloud(
     Args:
         path: output file; its extension selects the format.
         cloud: cloud, points (N, 3), or path of a file with a cloud.
-        on_warning: callback, called with one line for each loss. Defaults to `warnings.warn`.
+        on_warning: callback, called with one line on what the format cannot store. Defaults to `warnings.warn`.
 
     Raises:
-        InputError: the extension is unknown, the format cannot store the cloud, or an argument is not a path or cloud.
+        InputError: the extension is unknown, the format cannot store the points, or an argument is not a path or cloud.
         OSError: the file cannot be written.
     """
     path = as_path(path)
-    write, lines = _writer(path), list[str]()
-    write(path, to_cloud(cloud), lines.append)
+    lines: list[str] = []
+    write = _writer(path)
+    cloud = to_cloud(cloud)
+    try:
+        write(path, cloud, lines.append)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     for line in lines:
         if on_warning is None:
             warnings.warn(f"{path}: {line}", stacklevel=2)

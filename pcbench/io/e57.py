@@ -15,13 +15,12 @@ from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra
 from pcbench.extras import require
 from pcbench.io.files import Fields, Warn, read_json
+from pcbench.io.names import COLORS, NORMALS, XYZ, Columns, standard_names, take_fields
 from pcbench.scratch import scratch_folder
 
 _WORKER = str(Path(__file__).with_name("e57_worker.py"))
 _MAX_MEMORY = 2 << 30  # bytes of address space for numpy and libE57Format; points are written block by block
 _MIN_SPEED = 1e6  # bytes per second; libE57Format reads tens of millions
-_COLORS = ("colorRed", "colorGreen", "colorBlue")
-_NORMALS = ("nor_normalX", "nor_normalY", "nor_normalZ")
 
 
 def read_e57(path: Path, warn: Warn) -> Fields:
@@ -57,7 +56,10 @@ class E57Header(NamedTuple):
 def read_e57_header(path: Path) -> E57Header:
     """Describe the scans of a file without reading points; raises the same errors as `read_e57`."""
     with _worker_output(path, "headers") as (_, described):
-        scans = (E57Scan(scan["points"], set(_NORMALS) <= set(scan["fields"])) for scan in described["scans"])
+        scans = (
+            E57Scan(scan["points"], set(NORMALS) <= set(standard_names(scan["fields"], taken=XYZ)))
+            for scan in described["scans"]
+        )
         return E57Header(tuple(scans), described["crs"].strip() or None)
 
 
@@ -120,19 +122,16 @@ def _fields(
     def column(name: str) -> NDArray[np.float64]:
         return np.concatenate([np.fromfile(folder / f"{k}.{name}", np.float64) for k, _ in scans])
 
-    def columns(names: tuple[str, ...]) -> NDArray[np.float64] | None:
-        return np.stack([column(name) for name in names], axis=1) if set(names) <= set(everywhere) else None
-
-    colors, normals = columns(_COLORS), columns(_NORMALS)
-    attributes: dict[str, NDArray[np.generic]] = {
-        name: column(name) for name in everywhere if name not in (*_COLORS, *_NORMALS)
-    }
+    columns: Columns = {}
+    for name, field in zip(standard_names(everywhere, taken=XYZ), everywhere, strict=True):
+        columns[name] = column(field).astype(np.uint8 if name in COLORS else np.float64, copy=False)
+    normals, colors, attributes = take_fields(columns, warn)
     if len(scans) > 1:
         attributes["scan"] = np.repeat([k for k, _ in scans], [scan["points"] for _, scan in scans]).astype(np.int32)
     return Fields(
         points=column("points").reshape(-1, 3),
         normals=normals,
-        colors=None if colors is None else colors.astype(np.uint8),
+        colors=colors,
         attributes=attributes,
         crs=crs.strip() or None,
         unit="m",

@@ -19,7 +19,7 @@ _RECORDS = 1 << 18  # points per read: memory depends on the data present, not o
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
-_NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
+_NORMALS = (("nor:normalX", "nor:normalY", "nor:normalZ"), ("normalX", "normalY", "normalZ"), ("nx", "ny", "nz"))
 _STATES = ("cartesianInvalidState", "sphericalInvalidState")
 
 
@@ -90,9 +90,10 @@ def _read(file: Any, libe57: Any, scan: Any, stem: str) -> dict[str, Any]:
             across = distance * np.cos(elevation)
             xyz = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
         xyz = xyz @ turn.T + shift
-        if set(_NORMALS) <= set(part):
-            turned = np.stack([part[axis] for axis in _NORMALS], axis=1) @ turn.T
-            part |= dict(zip(_NORMALS, turned.T, strict=True))
+        for normals in _NORMALS:
+            if set(normals) <= set(part):
+                turned = np.stack([part[axis] for axis in normals], axis=1) @ turn.T
+                part |= dict(zip(normals, turned.T, strict=True))
         for name, (low, high) in colors.items():
             part[name] = np.clip(np.rint((part[name] - low) * (255 / (high - low))), 0, 255)
         xyz.tofile(outputs["points"])

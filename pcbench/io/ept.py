@@ -24,20 +24,13 @@ from pcbench.io.las_crs import WKT, read_crs
 from pcbench.io.las_header import EXTRA_BYTES, LasHeader, read_extras, read_header
 from pcbench.io.las_records import LasFilters, has_normals, no_match_error, parse_filters, record_type
 from pcbench.io.laz import decompress_files
+from pcbench.io.names import COLORS, NORMALS, XYZ, standard_names
 
 _EXTENSIONS = {"laszip": "laz", "binary": "bin"}
 _KINDS = {"signed": "i", "unsigned": "u", "float": "f", "floating": "f"}  # PDAL says floating
 _MAX_DEPTH = 30  # 2^30 nodes per axis
 _XYZ, _COLORS, _NORMALS = ("X", "Y", "Z"), ("Red", "Green", "Blue"), ("NormalX", "NormalY", "NormalZ")
-# Attributes are named as those of LAS; dimensions that the reader of LAS leaves out are left out here too.
-_NAMES = {
-    "Intensity": "intensity",
-    "Classification": "classification",
-    "ReturnNumber": "return_number",
-    "NumberOfReturns": "number_of_returns",
-    "GpsTime": "gps_time",
-    "PointSourceId": "point_source_id",
-}
+# Dimensions that the reader of LAS leaves out too.
 _LEFT_OUT = {
     *("ScanDirectionFlag", "EdgeOfFlightLine", "ScanAngleRank", "ScanAngle", "UserData", "ScanChannel"),
     *("ClassFlags", "ClassificationFlags", "Synthetic", "KeyPoint", "Withheld", "Overlap"),
@@ -341,7 +334,9 @@ def _binary_fields(index: EptIndex, columns: dict[str, NDArray[Any]], highest_co
             colors, depth = colors.astype(np.uint16), Fields(brightest=highest_color)
     if set(_NORMALS) <= columns.keys():
         normals = np.stack([columns.pop(name) for name in _NORMALS], axis=1)
-    attributes = {_NAMES.get(name, name): column for name, column in columns.items() if name not in _LEFT_OUT}
+    attributes = {name: column for name, column in columns.items() if name not in _LEFT_OUT}
+    known = standard_names(list(attributes), taken=(*XYZ, *COLORS, *NORMALS))
+    attributes = dict(zip(known, attributes.values(), strict=True))
     (x, x0), (y, y0), (z, z0) = (factors[name] for name in _XYZ)
     stored = Storage((x, y, z), (x0, y0, z0), None if colors is None else 8)
     return Fields(points=points, normals=normals, colors=colors, attributes=attributes, stored=stored) | depth

@@ -22,7 +22,7 @@ from pcbench.io.files import Fields, Warn
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.las import read_las, write_las
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
-from pcbench.io.obj import read_obj
+from pcbench.io.obj import read_obj, read_obj_points
 from pcbench.io.off import read_off
 from pcbench.io.pcd import read_pcd, write_pcd
 from pcbench.io.ply import read_ply, read_ply_mesh, write_ply
@@ -46,6 +46,7 @@ CLOUDS = {  # by lower-case extension or complete file name
     ".laz": CloudFormat(read_las, write_las, filtered=True),  # .copc.laz too
     ".npy": CloudFormat(read_npy, write_npy),
     ".npz": CloudFormat(read_npz, write_npz),
+    ".obj": CloudFormat(read_obj_points),
     ".pcd": CloudFormat(read_pcd, write_pcd),
     ".ply": CloudFormat(read_ply, write_ply),
     ".pts": CloudFormat(read_text),

@@ -6,6 +6,7 @@ Coordinates are the stored integers times scale plus offset, in float64; nothing
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,7 +35,6 @@ from pcbench.io.las_header import (
 )
 from pcbench.io.las_records import (
     AXES,
-    NORMALS,
     LasFilters,
     classes_of,
     coordinates,
@@ -45,8 +45,8 @@ from pcbench.io.las_records import (
     read_records,
     returns_of,
 )
+from pcbench.io.names import COLORS, XYZ, left_out_warning, standard_names, stored_attributes, take_normals
 
-_COLORS = ("red", "green", "blue")
 # Standard dimensions that become attributes, with the types in which they are written.
 _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "intensity": np.dtype("u2"),
@@ -56,6 +56,7 @@ _STANDARD_TYPES: dict[str, np.dtype[Any]] = {
     "gps_time": np.dtype("f8"),
     "point_source_id": np.dtype("u2"),
 }
+_EXTRA_NORMALS = ("NormalX", "NormalY", "NormalZ")
 # Names that LAS readers use for dimensions of points; extra bytes must not have them.
 _RESERVED_NAMES = {name.lower() for form in POINT_FORMATS for name, _ in form} | {
     *("scan_angle_rank", "synthetic", "key_point", "withheld", "overlap", "scanner_channel"),
@@ -74,7 +75,7 @@ def read_las(
 
     Attributes are intensity, classification, return_number, number_of_returns, gps_time and point_source_id, if the
     point format has them, and the extra bytes. Extra bytes are scaled if the file declares a scale; values marked as no
-    data become NaN. Extra bytes NormalX, NormalY, NormalZ or nx, ny, nz become the normals. Colours are as stored.
+    data become NaN. Extra bytes with the names of normals (see `names`) become the normals. Colours are as stored.
     Warnings report points outside the header's bounds, and counts of returns that differ from the header's.
 
     Args:
@@ -134,7 +135,7 @@ def brightest_of(records: NDArray[Any]) -> Fields:
     """Return the field `brightest` of point records before filters, if they have colours."""
     if "red" not in (records.dtype.names or ()):
         return Fields()
-    return Fields(brightest=max(brightest(records[name]) for name in _COLORS))
+    return Fields(brightest=max(brightest(records[name]) for name in COLORS))
 
 
 def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> Fields:
@@ -152,15 +153,14 @@ def las_fields(records: NDArray[Any], header: LasHeader, extras: list[ExtraDimen
             warn(f"left out the extra bytes {name[:40]!r}: the name is already used or not printable")
         else:
             attributes[name] = column
-    normals = None
-    for triple in NORMALS:
-        if normals is None and attributes.keys() >= set(triple):
-            normals = np.stack([attributes.pop(name) for name in triple], axis=1)
+    known = standard_names(list(attributes), taken=(*XYZ, *COLORS))
+    attributes = dict(zip(known, attributes.values(), strict=True))
+    normals = take_normals(attributes)
     crs, unit = read_crs(header.records, warn)
     return Fields(
         points=coordinates(records, header),
         normals=normals,
-        colors=np.stack([records[name] for name in _COLORS], axis=1) if "red" in names else None,
+        colors=np.stack([records[name] for name in COLORS], axis=1) if "red" in names else None,
         attributes=attributes,
         crs=crs,
         unit=unit,
@@ -175,32 +175,24 @@ def write_las(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write LAS 1.4, compressed if the name ends in .laz.
 
     Coordinates are rounded to a step per axis, see `pcbench.io.las_grid.choose_grid`. Attributes with the names of
-    standard dimensions are written there, others and the normals (as float) as extra bytes. The crs becomes a WKT
-    record. LAS cannot store the unit.
+    standard dimensions are written there if their values fit, others and the normals (as float) as extra bytes. The crs
+    becomes a WKT record, if pyproj knows it. LAS cannot store the unit without a crs.
 
     Args:
         path: output file.
         cloud: cloud to write.
-        warn: callback for warnings.
+        warn: callback for a line on what LAS cannot store.
 
     Raises:
-        InputError: 32 bits cannot store the coordinates, LAS cannot store the name, type or values of an attribute, or
-            pyproj does not know the crs.
+        InputError: 32 bits cannot store the coordinates, or an attribute does not consist of numbers.
         MissingExtra: lazrs (for .laz) or pyproj (for a crs) is not installed.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
-    try:
-        _write(path, cloud, warn)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-
-
-def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
     compressed = path.suffix.lower() == ".laz"
     if path.name.lower().endswith(".copc.laz"):
         raise InputError("COPC files can only be read: write a plain .laz or .las file")
     steps, offsets, integers = choose_grid(cloud, warn)
-    standard, extras = _assign_attributes(cloud)
+    standard, extras = _assign_attributes(cloud, warn)
     point_format = 6 if cloud.colors is None else 7
     layout = np.dtype(
         POINT_FORMATS[point_format] + [(f"extra {k}", a.dtype.str) for k, a in enumerate(extras.values())]
@@ -215,7 +207,7 @@ def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
     return_count = standard.get("number_of_returns", np.maximum(return_number, 1))
     records["returns"] = return_number | return_count << 4
     if cloud.colors is not None:
-        for name, column in zip(_COLORS, cloud.colors.T, strict=True):
+        for name, column in zip(COLORS, cloud.colors.T, strict=True):
             records[name] = column * np.uint16(257)  # 255 becomes 65535
     for k, column in enumerate(extras.values()):
         records[f"extra {k}"] = column
@@ -223,7 +215,11 @@ def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
     extra_bytes = layout.itemsize - np.dtype(POINT_FORMATS[point_format]).itemsize
     vlrs = {}
     if cloud.crs:
-        vlrs[WKT] = to_wkt(cloud.crs)
+        with suppress(InputError):
+            vlrs[WKT] = to_wkt(cloud.crs)
+    lost = {"the unit": None if WKT in vlrs else cloud.unit, "the crs": None if WKT in vlrs else cloud.crs}
+    if line := left_out_warning("LAS without a known crs", lost):
+        warn(line)
     if extras:
         vlrs["LASF_Spec", 4] = b"".join(_describe_extra(name, column) for name, column in extras.items())
     if compressed:
@@ -239,7 +235,7 @@ def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
     )
     by_return = np.bincount(return_number, minlength=16)[1:16].tolist()
     head = HEADER.pack(
-        b"LASF", 0, 16 if cloud.crs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
+        b"LASF", 0, 16 if WKT in vlrs else 0, b"", 1, 4, b"pcbench", b"pcbench", 0, 0,  # 16: the system is given as WKT
         HEADER.size + HEADER_1_4.size, HEADER.size + HEADER_1_4.size + len(block), len(vlrs),
         point_format | (128 if compressed else 0), layout.itemsize, 0, 0, 0, 0, 0, 0,
         *steps, *offsets, *corners.reshape(-1).tolist(),
@@ -252,38 +248,40 @@ def _write(path: Path, cloud: Cloud, warn: Warn) -> None:
         file.write(points)
 
 
-def _assign_attributes(cloud: Cloud) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+def _assign_attributes(cloud: Cloud, warn: Warn) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Split attributes into standard dimensions and extra bytes, both in the types to write."""
-    standard: dict[str, NDArray[Any]] = {}
+    standard = {
+        name: values.astype(_STANDARD_TYPES[name])
+        for name, values in cloud.attributes.items()
+        if name in _STANDARD_TYPES and _fits(name, values)
+    }
     extras: dict[str, NDArray[Any]] = {}
     if cloud.normals is not None:
-        extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(NORMALS[0])}
-    for name, values in cloud.attributes.items():
-        if values.dtype.kind not in "biuf":
-            raise InputError(f"expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
-        if name in _STANDARD_TYPES:
-            with np.errstate(invalid="ignore", over="ignore"):
-                standard[name] = values.astype(_STANDARD_TYPES[name])
-            highest = 15 if "return" in name else np.inf
-            if not np.array_equal(standard[name], values, equal_nan=True) or (standard[name] > highest).any():
-                limit = 15 if "return" in name else np.iinfo(_STANDARD_TYPES[name]).max
-                raise InputError(f"expected attribute {name!r} as integers from 0 to {limit}: rename or rescale it")
-            continue
-        if (
-            name in extras
-            or name.lower() in _RESERVED_NAMES
-            or not name.isprintable()
-            or not 0 < len(name.encode()) <= 32
-        ):
-            raise InputError(
-                f"expected attribute names of 1 to 32 bytes that LAS does not reserve, got {name!r}: rename it"
-            )
+        extras |= {name: cloud.normals[:, k].astype("<f4") for k, name in enumerate(_EXTRA_NORMALS)}
+    others = stored_attributes(
+        {name: values for name, values in cloud.attributes.items() if name not in standard},
+        "LAS",
+        warn,
+        reserved=_RESERVED_NAMES | _STANDARD_TYPES.keys() | {name.lower() for name in extras},
+        forbidden=r"[^\w !-~]",
+        most_bytes=32,
+    )
+    for name, values in others.items():
         if values.dtype.kind == "b":
             values = values.astype(np.uint8)
         elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
             values = values.astype(np.float32 if values.dtype.itemsize < 4 else np.float64)
         extras[name] = values.astype(values.dtype.newbyteorder("<"))
     return standard, extras
+
+
+def _fits(name: str, values: NDArray[Any]) -> bool:
+    """Return whether the standard dimension of this name holds the values exactly."""
+    if values.dtype.kind not in "biuf":
+        return False
+    with np.errstate(invalid="ignore", over="ignore"):
+        stored = values.astype(_STANDARD_TYPES[name])
+    return np.array_equal(stored, values, equal_nan=True) and not ("return" in name and (stored > 15).any())
 
 
 def _describe_extra(name: str, column: NDArray[Any]) -> bytes:

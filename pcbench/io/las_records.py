@@ -13,9 +13,9 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.io import laz
 from pcbench.io.files import Warn
 from pcbench.io.las_header import POINT_FORMATS, ExtraDimension, LasHeader
+from pcbench.io.names import COLORS, NORMALS, XYZ, standard_names
 
 AXES = ("X", "Y", "Z")
-NORMALS = (("NormalX", "NormalY", "NormalZ"), ("nx", "ny", "nz"))  # names of extra bytes
 
 
 def record_type(header: LasHeader, extras: list[ExtraDimension]) -> np.dtype[Any]:
@@ -107,8 +107,8 @@ def extra_columns(records: NDArray[Any], extras: list[ExtraDimension]) -> Iterat
 
 def has_normals(extras: list[ExtraDimension]) -> bool:
     """Return whether the extra dimensions contain normals."""
-    names = {extra.name for extra in extras if extra.size == 1}
-    return any(names >= set(triple) for triple in NORMALS)
+    names = dict.fromkeys(extra.name for extra in extras if extra.size == 1)
+    return set(NORMALS) <= set(standard_names(list(names), taken=(*XYZ, *COLORS)))
 
 
 class LasFilters(NamedTuple):

@@ -11,10 +11,9 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import vertex_cloud
-from pcbench.io import CloudLike, is_path, read_cloud, to_cloud
+from pcbench.io import CloudLike, is_path, obj, ply, read_cloud, to_cloud
 from pcbench.io.files import Warn, as_path, check_readable, finite_cloud, read_named
 from pcbench.io.formats import CLOUDS, MESHES
-from pcbench.io.ply import has_faces, read_ply_vertices
 
 
 def read_mesh(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Mesh:
@@ -78,19 +77,20 @@ def read_vertices(path: str | os.PathLike[str], on_warning: Callable[[str], None
     def read(path: Path, warn: Warn) -> Cloud:
         if path.suffix.lower() != ".ply":
             return vertex_cloud(_read(path, warn))
-        return finite_cloud(read_ply_vertices(path), warn)
+        return finite_cloud(ply.read_ply_vertices(path, warn), warn)
 
     return read_named(as_path(path), read, on_warning)
 
 
 def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a mesh by its extension, or by the faces in its header if it is PLY."""
+    """Return whether a file is a mesh by its extension, or by its faces if it is PLY or OBJ."""
     path = Path(path)
-    if path.suffix.lower() != ".ply":
+    has_surface = {".ply": ply.has_faces, ".obj": obj.has_surface}.get(path.suffix.lower())
+    if has_surface is None:
         return path.suffix.lower() in MESHES
     try:
         check_readable(path)
-        return has_faces(path)
+        return has_surface(path)
     except (InputError, OSError):
         return False  # its reader reports the error
 

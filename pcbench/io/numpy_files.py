@@ -22,6 +22,16 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.names import (
+    COLORS,
+    NORMALS,
+    XYZ,
+    left_out_warning,
+    scale_colors,
+    standard_names,
+    stored_attributes,
+    unnamed_columns,
+)
 
 if TYPE_CHECKING:
     from zipfile import ZipFile, ZipInfo
@@ -32,6 +42,13 @@ _BLOCK_BYTES = 1 << 20  # decompressed at a time
 # Bound of the decompressed size: this factor times the file size, plus bytes. Coordinates shrink 2 to 20 times.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
 _TEXT_NAMES = ("crs", "unit")
+# Other names of arrays, as in libraries for point clouds and meshes.
+_ARRAY_NAMES = {
+    "points": ("xyz", "positions", "position", "pos", "vertices", "coords", "coordinates"),
+    "normals": ("normal",),
+    "colors": ("color", "colours", "colour", "rgb"),
+}
+_WIDTHS = {"normals": (3,), "colors": (3, 4)}  # alpha is left out
 
 
 @dataclass(frozen=True)
@@ -49,7 +66,9 @@ class _Header:
 
 
 def read_npy(path: Path, warn: Warn) -> Fields:
-    """Read points (N, 3), or points and normals (N, 6), of any float or integer type.
+    """Read points (N, 3), or points and normals or colours (N, 6), of any float or integer type.
+
+    The last three of six columns are colours if they are whole numbers from 0 to 255 that are not all 0 or 1.
 
     Raises:
         InputError: the file is not a complete array of that shape.
@@ -63,8 +82,9 @@ def read_npy(path: Path, warn: Warn) -> Fields:
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
-    """Read arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3) uint8; other (N,) arrays are attributes.
+    """Read arrays `points` (N, 3) or (N, 6), `normals` (N, 3), `colors` (N, 3); other (N,) arrays are attributes.
 
+    Colours may have any scale of `names.scale_colors`, and the arrays other usual names, such as `xyz` and `rgb`.
     `crs` and `unit` are texts. In an archive with one array, that array is the points, whatever its name. Arrays of
     other shapes are left out with a warning.
 
@@ -93,6 +113,9 @@ def read_npz(path: Path, warn: Warn) -> Fields:
 def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
     texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXT_NAMES if name in members}
+    for name, others in _ARRAY_NAMES.items():
+        if name not in members and (known := next((other for other in others if other in members), None)):
+            members[name] = members.pop(known)
     key = "points" if "points" in members or len(members) != 1 else next(iter(members))
     if key not in members:
         raise InputError(f"expected an array 'points', got {_list_names(members)}: save the points under that name")
@@ -101,11 +124,9 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     _check_points(headers[key])
     count = headers[key].shape[0]
     for name, header in headers.items():
-        if name in ("normals", "colors") and name != key:
-            if header.shape != (count, 3):
-                raise InputError(f"expected {name} of shape ({count}, 3), got {header.shape}: save one row per point")
-            if name == "colors" and header.dtype != np.uint8:
-                raise InputError(f"expected colors as uint8 (0 to 255), got {header.dtype}: convert them")
+        shapes = [(count, width) for width in _WIDTHS.get(name, ())]
+        if shapes and name != key and header.shape not in shapes:
+            raise InputError(f"expected {name} of shape ({count}, 3), got {header.shape}: save one row per point")
     arrays: dict[str, NDArray[Any]] = {}
     for name, header in headers.items():
         if name in (key, "normals", "colors") or header.shape == (count,):
@@ -116,11 +137,22 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
     fields["normals"] = arrays.pop("normals", fields.get("normals"))
-    fields["colors"] = arrays.pop("colors", None)
-    fields["attributes"] = arrays
+    fields["colors"] = _scaled(arrays.pop("colors")) if "colors" in arrays else fields.get("colors")
+    known_names = standard_names(list(arrays), taken=(*XYZ, *NORMALS, *COLORS))
+    fields["attributes"] = dict(zip(known_names, arrays.values(), strict=True))
     fields["crs"] = texts.get("crs")
     fields["unit"] = texts.get("unit")
     return fields
+
+
+def _scaled(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    scaled = scale_colors(list(colors.T[:3]))
+    if scaled is None:
+        raise InputError(
+            f"expected colors from 0 to 1, 255 or 65535, got {colors.min():g} to {colors.max():g} as {colors.dtype}:"
+            " convert them to uint8"
+        )
+    return scaled
 
 
 def _list_names(names: Iterable[str]) -> str:
@@ -199,6 +231,8 @@ def _points_fields(array: NDArray[Any]) -> Fields:
         points = array.astype(np.float64, copy=False)
     if points.shape[1] == 3:
         return Fields(points=points)
+    if COLORS[0] in (unnamed_columns(points) or ()):
+        return Fields(points=points[:, :3], colors=points[:, 3:].astype(np.uint8))
     return Fields(points=points[:, :3], normals=points[:, 3:])
 
 
@@ -254,11 +288,14 @@ def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
 
 
 def write_npy(path: Path, cloud: Cloud, warn: Warn) -> None:
-    """Write only the points, (N, 3) float64.
+    """Write only the points, (N, 3) float64; a warning lists what else the cloud has.
 
     Raises:
         OSError: the file cannot be written; an existing file is then unchanged.
     """
+    others = {"the normals": cloud.normals, "the colours": cloud.colors, "the crs": cloud.crs, "the unit": cloud.unit}
+    if line := left_out_warning(".npy", {**others, **cloud.attributes}):
+        warn(line)
     with atomic_write(path) as file:
         _write_array(file, cloud.points)
 
@@ -267,7 +304,7 @@ def write_npz(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write all data of a cloud: points, normals, colors, attributes under their names, crs and unit as texts.
 
     Raises:
-        InputError: an attribute's name or type cannot be stored in the archive.
+        InputError: an attribute does not consist of numbers.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     from zipfile import ZipFile, ZipInfo
@@ -276,17 +313,8 @@ def write_npz(path: Path, cloud: Cloud, warn: Warn) -> None:
     texts = {"crs": cloud.crs, "unit": cloud.unit}
     arrays = {name: array for name, array in standard_arrays.items() if array is not None}
     arrays |= {name: np.array(text) for name, text in texts.items() if text}
-    for name, values in cloud.attributes.items():
-        if name in standard_arrays or name in texts or not name or not name.isprintable():
-            raise InputError(
-                f"{path}: expected attribute names other than {', '.join([*standard_arrays, *texts])}, got {name!r}:"
-                " rename it"
-            )
-        if values.dtype.kind not in "biuf":
-            raise InputError(
-                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
-            )
-        arrays[name] = values
+    reserved = {*standard_arrays, *texts}
+    arrays |= stored_attributes(cloud.attributes, "NPZ", warn, reserved=reserved, forbidden=r"[^\w !-~]")
     with atomic_write(path) as file:
         with ZipFile(file, "w") as archive:
             for name, array in arrays.items():

@@ -1,4 +1,4 @@
-"""Read Wavefront OBJ meshes.
+"""Read Wavefront OBJ: meshes, and points with colours and normals.
 
 Why not trimesh: trimesh 5.2 reads vertex 0, which is invalid, as the last vertex. Other invalid indices cause an
 IndexError without a line number. It silently leaves out points and lines, and refuses files in which only some vertices
@@ -7,6 +7,7 @@ have colours. It would also be a dependency.
 
 from __future__ import annotations
 
+import re
 from array import array
 from pathlib import Path
 
@@ -14,11 +15,62 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Warn
+from pcbench.io.files import Fields, Warn
+from pcbench.io.names import COLORS, NORMALS, Columns, take_fields
 from pcbench.io.polygons import triangulate
 
 _CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
 _KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
+
+_SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
+
+
+def has_surface(path: Path) -> bool:
+    """Return whether a file has faces or curved surfaces, without which it is a cloud.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    return _SURFACE.search(path.read_bytes()) is not None
+
+
+def read_obj_points(path: Path, warn: Warn) -> Fields:
+    """Read lines `v x y z` or `v x y z r g b`, and the normals of lines `vn` if there is one for each vertex.
+
+    Raises:
+        InputError: a line is malformed, or there are no vertices.
+        OSError: the file cannot be read.
+    """
+    rows: dict[bytes, list[list[float]]] = {b"v": [], b"vn": []}
+    others = 0
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        words = line.split()
+        if not words or words[0] not in rows:
+            others += bool(words) and words[0] in (b"f", b"l")
+            continue
+        try:
+            if b"_" in line or len(words) < 4:
+                raise ValueError
+            rows[words[0]].append([float(word) for word in words[1:]])
+        except ValueError:
+            excerpt = repr(line.strip()[:60])[1:]
+            raise InputError(f"line {number}: expected '{words[0].decode()} x y z', got {excerpt}") from None
+    vertices, normals = rows[b"v"], rows[b"vn"]
+    if not vertices:
+        raise InputError("expected at least one line 'v x y z', got none: export the file again")
+    if others:
+        warn(f"left out {others:,} faces and lines: only the vertices are points")
+    points = np.array([row[:3] for row in vertices])
+    columns: Columns = {}
+    colored = sum(len(row) >= 6 for row in vertices)
+    if colored == len(vertices):
+        columns |= dict(zip(COLORS, np.array([row[3:6] for row in vertices]).T, strict=True))
+    elif colored:
+        warn(f"left out the colours, which only {colored} of {len(vertices)} vertices have")
+    if len(normals) == len(vertices) and not others:  # faces assign normals to corners
+        columns |= dict(zip(NORMALS, np.array([row[:3] for row in normals]).T, strict=True))
+    fields = take_fields(columns, warn)
+    return Fields(points=points, normals=fields.normals, colors=fields.colors, attributes=fields.attributes)
 
 
 def read_obj(path: Path, warn: Warn) -> Mesh:

@@ -17,7 +17,7 @@ from pcbench.regular_files import read_bytes
 VPC = ".vpc"
 EPT = "ept.json"
 _MAX_INDEX_BYTES = 1 << 30
-_TABLES = (".csv", ".txt")  # beside tiles of other formats, these are usually reports, not clouds
+_SIDE_FILES = (".csv", ".txt", ".obj")  # beside tiles of other formats, these are usually reports and meshes
 
 
 class TileFiles(NamedTuple):
@@ -40,8 +40,8 @@ def is_tiled(path: Path) -> bool:
 def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
 
-    Hidden files, and files of a folder with other extensions, are left out. So are .csv and .txt files of a folder with
-    clouds of other formats, with a warning.
+    Hidden files, and files of a folder with other extensions, are left out. So are .csv, .txt and .obj files of a
+    folder with clouds of other formats, with a warning.
 
     Args:
         path: a folder, a pattern or a `.vpc` file.
@@ -59,8 +59,8 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
             raise InputError("no file matches this pattern: check the name and the folder")
         return TileFiles(matches)
     files = [file for file in path.iterdir() if file.suffix.lower() in extensions and not file.name.startswith(".")]
-    tables = [file for file in files if file.suffix.lower() in _TABLES]
-    clouds = [file for file in files if file not in tables] or files
+    others = [file for file in files if file.suffix.lower() in _SIDE_FILES]
+    clouds = [file for file in files if file not in others] or files
     if not clouds:
         raise InputError(
             "expected a folder with point clouds, got none directly inside it: name a file, or a pattern such as"
@@ -68,7 +68,7 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
         )
     if len(clouds) == len(files):
         return TileFiles(_sorted(clouds))
-    left_out = f"left out {len(tables)} .csv and .txt files beside other clouds, such as {tables[0].name}"
+    left_out = f"left out {len(others)} .csv, .txt and .obj files beside other clouds, such as {others[0].name}"
     return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds",))
 
 

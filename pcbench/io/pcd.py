@@ -7,7 +7,7 @@ format", in the documentation of the Point Cloud Library.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +18,16 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
 from pcbench.io.files import Fields, Warn, atomic_write, read_rest
+from pcbench.io.names import (
+    PACKED_COLORS,
+    XYZ,
+    Columns,
+    left_out_warning,
+    standard_names,
+    stored_attributes,
+    take_fields,
+    take_points,
+)
 
 _MAX_HEADER_BYTES = 1 << 20
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -25,11 +35,9 @@ _TYPES = {f"{kind.upper()}{size}": f"<{kind}{size}" for kind in "iu" for size in
 _TYPES |= {"F4": "<f4", "F8": "<f8"}
 _IDENTITY = "0 0 0 1 0 0 0"  # viewpoint: translation, and rotation as a quaternion wxyz
 _DATA_KINDS = ("ascii", "binary", "binary_compressed")
-_XYZ = ("x", "y", "z")
-_NORMALS = ("normal_x", "normal_y", "normal_z")
-_PACKED_COLORS = ("rgb", "rgba")
+_PCL_NORMALS = ("normal_x", "normal_y", "normal_z")
 
-Columns = dict[str, NDArray[Any]]
+Fieldwise = dict[str, NDArray[Any]]  # columns (N, count) of fields
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ class _Field:
 class _PcdHeader:
     fields: list[_Field]
     count: int
+    area: int  # width times height, which should be the count
     data: str
     viewpoint: str
 
@@ -65,7 +74,7 @@ class _PcdHeader:
 
 
 def read_pcd(path: Path, warn: Warn) -> Fields:
-    """Read the points of a PCD file: x y z, normal_x normal_y normal_z, packed rgb or rgba; the rest are attributes.
+    """Read the points of a PCD file: x y z, normals, colours or packed rgb or rgba; the rest are attributes.
 
     A field of several numbers becomes attributes "name[0]", "name[1]". The alpha of rgba is left out. Coordinates of an
     ascii file keep all digits. Points are returned as stored: the viewpoint is not applied.
@@ -77,28 +86,38 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
     with path.open("rb") as file:
         header = _read_header(file)
         body = read_rest(file)
+    header = _with_true_count(header, body, warn)
     if not _is_identity(header.viewpoint):
         warn(f"the viewpoint {header.viewpoint[:80]!r} was not applied")
     with np.errstate(invalid="ignore", over="ignore"):
         if header.data == "ascii":
-            columns = _ascii_columns(body.tobytes(), header)
+            fields = _ascii_columns(body.tobytes(), header)
         elif header.data == "binary":
-            columns = _binary_columns(body, header, warn)
+            fields = _binary_columns(body, header, warn)
         else:
-            columns = _decompressed_columns(body, header)
-        points = np.stack([columns.pop(name)[:, 0] for name in _XYZ], axis=1, dtype=np.float64, casting="unsafe")
-        normals = None
-        if columns.keys() >= set(_NORMALS) and all(columns[name].shape[1] == 1 for name in _NORMALS):
-            normals = np.stack([columns.pop(name)[:, 0] for name in _NORMALS], axis=1)
-    packed = next(
-        (name for name in _PACKED_COLORS if name in columns and columns[name].dtype.str[1:] in ("f4", "u4")), None
-    )
-    return Fields(
-        points=points,
-        normals=normals,
-        colors=_unpack_colors(columns.pop(packed)) if packed else None,
-        attributes=_attributes(columns),
-    )
+            fields = _decompressed_columns(body, header)
+        columns = _split_fields(fields)
+        points = take_points(columns)
+        normals, colors, attributes = take_fields(columns, warn)
+    return Fields(points=points, normals=normals, colors=colors, attributes=attributes)
+
+
+def _with_true_count(header: _PcdHeader, body: NDArray[np.uint8], warn: Warn) -> _PcdHeader:
+    """Return the header with the number of points that the body has, if POINTS is not WIDTH x HEIGHT."""
+    if header.count == header.area:
+        return header
+    if header.data == "ascii":
+        stored = sum(bool(line.strip()) for line in body.tobytes().splitlines())
+    elif header.data == "binary":
+        stored = len(body) // header.point_bytes
+    else:
+        stored = int(body[4:8].view("<u4")[0]) // header.point_bytes if len(body) >= 8 else 0
+    if stored not in (header.count, header.area):
+        raise InputError(
+            f"header: expected POINTS {header.area} (WIDTH x HEIGHT), got {header.count}: export the file again"
+        )
+    warn(f"the header states {header.count} points, but WIDTH x HEIGHT is {header.area}: read {stored}")
+    return replace(header, count=stored, area=stored)
 
 
 def _is_identity(viewpoint: str) -> bool:
@@ -108,20 +127,15 @@ def _is_identity(viewpoint: str) -> bool:
         return False
 
 
-def _unpack_colors(values: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return red, green, blue (N, 3) from a uint32 or float32: alpha, red, green, blue from the top byte down."""
-    bits = np.ascontiguousarray(values[:, 0]).view(np.uint32)
-    return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
-
-
-def _attributes(columns: Columns) -> Columns:
-    attributes: Columns = {}
-    for name, values in columns.items():
+def _split_fields(fields: Fieldwise) -> Columns:
+    """Return columns (N,), those of a field of several numbers as "name[0]", "name[1]"."""
+    columns: Columns = {}
+    for name, values in fields.items():
         for k in range(values.shape[1]):
             column = values[:, k]
             key = name if values.shape[1] == 1 else f"{name}[{k}]"
-            attributes[key] = np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("="))
-    return attributes
+            columns[key] = np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("="))
+    return dict(zip(standard_names(list(columns)), columns.values(), strict=True))
 
 
 # ---- header -------------------------------------------------------------------------------------------------------
@@ -158,7 +172,7 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
 
     if missing := [key for key in ("FIELDS", "SIZE", "TYPE") if not entries.get(key)]:
         raise InputError(f"header: expected {', '.join(missing)}, got no such line: export the file again")
-    names = entries["FIELDS"]
+    names = _field_names(entries["FIELDS"])
     counts = entries.get("COUNT", ["1"] * len(names))
     for key, words in (("SIZE", entries["SIZE"]), ("TYPE", entries["TYPE"]), ("COUNT", counts)):
         if len(words) != len(names):
@@ -172,13 +186,13 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
     _check_fields(fields)
     width, height = _single_count(entries, "WIDTH"), _single_count(entries, "HEIGHT")
     count = _single_count(entries, "POINTS") if "POINTS" in entries else width * height
-    if "WIDTH" in entries and count != width * height:
-        raise InputError(f"header: expected POINTS {width * height} (WIDTH x HEIGHT), got {count}: export it again")
+    area = width * height if "WIDTH" in entries else count
     if not count:
         raise InputError("expected at least one point, got POINTS 0: export the file again")
     if len(entries["DATA"]) != 1 or entries["DATA"][0].lower() not in _DATA_KINDS:
         raise InputError(f"header: expected DATA {', '.join(_DATA_KINDS)}; got {' '.join(entries['DATA'])[:40]!r}")
-    return _PcdHeader(fields, count, entries["DATA"][0].lower(), " ".join(entries.get("VIEWPOINT", [_IDENTITY])))
+    viewpoint = " ".join(entries.get("VIEWPOINT", [_IDENTITY]))
+    return _PcdHeader(fields, count, area, entries["DATA"][0].lower(), viewpoint)
 
 
 def _single_count(entries: dict[str, list[str]], key: str) -> int:
@@ -200,14 +214,24 @@ def _field(name: str, code: str, count: str) -> _Field:
     return _Field(name, np.dtype(_TYPES[code.upper()]), _parse_count(count, "COUNT"))
 
 
-def _check_fields(fields: list[_Field]) -> None:
-    names = [field.name for field in fields if field.name != "_"]
+def _field_names(words: list[str]) -> list[str]:
+    """Return the standard names of the fields; "_" is padding."""
+    names = [word for word in words if word != "_"]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise InputError(f"header: expected unique field names, got {twice[:40]!r} twice: rename one of them")
-    if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(f"expected fields x, y, z; missing: {', '.join(missing)}: rename the fields")
+    known = iter(standard_names(names))
+    return [word if word == "_" else next(known) for word in words]
+
+
+def _check_fields(fields: list[_Field]) -> None:
+    names = [field.name for field in fields if field.name != "_"]
+    if missing := [name for name in XYZ if name not in names]:
+        raise InputError(
+            f"expected fields x, y, z; missing: {', '.join(missing)} in {' '.join(names)[:100]}: export it with"
+            " coordinates"
+        )
     for field in fields:
-        if not field.count or (field.name in _XYZ + _PACKED_COLORS and field.count != 1):
+        if not field.count or (field.name in XYZ + PACKED_COLORS and field.count != 1):
             raise InputError(f"header: expected COUNT 1 for {field.name[:40]!r}, got {field.count}: export it again")
 
 
@@ -219,13 +243,14 @@ def _excerpt(line: bytes) -> str:
 # ---- body ---------------------------------------------------------------------------------------------------------
 
 
-def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Columns:
+def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Fieldwise:
     """Return columns (N, count) as views: the body stores point after point."""
     if len(body) < header.count * header.point_bytes:
         raise header.truncation_error(len(body) // header.point_bytes)
     if extra := len(body) - header.count * header.point_bytes:
         warn(f"left out {extra} bytes after the last point")
-    columns, offset = {}, 0
+    columns: Fieldwise = {}
+    offset = 0
     for field in header.fields:
         if field.name != "_":
             shape, strides = (header.count, field.count), (header.point_bytes, field.dtype.itemsize)
@@ -234,7 +259,7 @@ def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> 
     return columns
 
 
-def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Columns:
+def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Fieldwise:
     """Return columns (N, count) as views: the body stores field after field, compressed together."""
     total = header.count * header.point_bytes
     if len(body) < 8:
@@ -249,7 +274,8 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Column
     if unpacked > packed * lzf.MAX_GROWTH:
         raise InputError(f"damaged LZF data: {packed} bytes cannot decompress to {unpacked}: export the file again")
     data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
-    columns, offset = {}, 0
+    columns: Fieldwise = {}
+    offset = 0
     for field in header.fields:
         if field.name != "_":
             columns[field.name] = np.ndarray((header.count, field.count), field.dtype, data, offset)
@@ -257,7 +283,7 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Column
     return columns
 
 
-def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
+def _ascii_columns(text: bytes, header: _PcdHeader) -> Fieldwise:
     """Return columns (N, count) in their types; coordinates in float64."""
     if header.count * header.values * 2 - 1 > len(text):  # at least a digit and a separator per value
         raise header.truncation_error(min(len(text.splitlines()), header.count - 1))
@@ -269,10 +295,11 @@ def _ascii_columns(text: bytes, header: _PcdHeader) -> Columns:
             f"expected {header.count} points as the header states, got {len(lines)} lines: export the file again"
         )
     table = _ascii_table(lines, header)
-    columns, offset = {}, 0
+    columns: Fieldwise = {}
+    offset = 0
     for field in header.fields:
         values = table[:, offset : offset + field.count]
-        if field.name in _XYZ:
+        if field.name in XYZ:
             columns[field.name] = values
         elif field.name != "_":
             columns[field.name] = _convert_column(values, field)
@@ -333,35 +360,27 @@ def write_pcd(path: Path, cloud: Cloud, warn: Warn) -> None:
     as zeros), but float is off by 0.1 m and more at UTM coordinates.
 
     Raises:
-        InputError: an attribute's name or type cannot be stored in PCD.
+        InputError: an attribute does not consist of numbers.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     with np.errstate(over="ignore"):
         floats = cloud.points.astype(np.float32)
     points = floats if np.array_equal(floats, cloud.points) else cloud.points
-    columns: Columns = {name: points[:, axis] for axis, name in enumerate(_XYZ)}
+    columns: Columns = {name: points[:, axis] for axis, name in enumerate(XYZ)}
     if cloud.normals is not None:
-        columns |= {name: cloud.normals[:, axis].astype("<f4") for axis, name in enumerate(_NORMALS)}
+        columns |= {name: cloud.normals[:, axis].astype("<f4") for axis, name in enumerate(_PCL_NORMALS)}
     if cloud.colors is not None:
         red, green, blue = cloud.colors.T.astype(np.uint32)
         columns["rgb"] = red << 16 | green << 8 | blue
-    for name, values in cloud.attributes.items():
-        values = values.astype(np.uint8) if values.dtype.kind == "b" else values
-        values = values.astype(np.float32) if values.dtype == np.float16 else values
-        if (
-            name in (*columns, *_PACKED_COLORS, "_")
-            or not name.isascii()
-            or not name.isprintable()
-            or len(name.split()) != 1
-        ):
-            raise InputError(
-                f"{path}: expected ASCII attribute names that PCD does not reserve, got {name!r}: rename it"
-            )
-        if values.dtype.kind not in "iuf" or values.dtype.str[1:].upper() not in _TYPES:
-            raise InputError(
-                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
-            )
+    attributes = stored_attributes(cloud.attributes, "PCD", warn, reserved={*columns, *PACKED_COLORS, "_"})
+    for name, values in attributes.items():
+        if values.dtype.kind == "b":
+            values = values.astype(np.uint8)
+        elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
+            values = values.astype(np.float32 if values.dtype.itemsize < 4 else np.float64)
         columns[name] = values
+    if line := left_out_warning("PCD", {"the crs": cloud.crs, "the unit": cloud.unit}):
+        warn(line)
     codes = {name: column.dtype.str[1:] for name, column in columns.items()}
     rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in codes.items()])
     for name, column in columns.items():

@@ -11,27 +11,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn, atomic_write
-from pcbench.io.ply_body import Columns, check_end, read_elements
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, check_faces, check_vertices, read_header
+from pcbench.io.names import (
+    COLORS,
+    NORMALS,
+    PACKED_COLORS,
+    XYZ,
+    Columns,
+    stored_attributes,
+    take_fields,
+    take_points,
+)
+from pcbench.io.ply_body import check_end, read_elements
+from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, check_faces, check_vertices, read_header
 from pcbench.io.polygons import left_out_surface, triangulate, triangulate_strips
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
 _MAX_END_BYTES = 1 << 16  # after the vertices; more cannot be the line break that some programs write
 _NORMAL_BLOCK = 1 << 16  # vertices
-_NORMALS = ("nx", "ny", "nz")
-_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 
 
 def read_ply(path: Path, warn: Warn) -> Fields:
     """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
-    fields = read_ply_vertices(path)
+    fields = read_ply_vertices(path, warn)
     with path.open("rb") as file:
         surface = read_header(file).surface
     if surface:
@@ -39,8 +47,8 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     return fields
 
 
-def read_ply_vertices(path: Path) -> Fields:
-    """Read the vertices of a PLY file: x y z, normals, 8-bit colours; all other scalars are attributes.
+def read_ply_vertices(path: Path, warn: Warn) -> Fields:
+    """Read the vertices of a PLY file: x y z, normals, colours; all other scalars are attributes.
 
     Coordinates become float64; those of an ascii file keep all digits, whatever type it declares. Attributes keep their
     type and, in native byte order, are strided views into the bytes read. List properties and other elements are
@@ -57,7 +65,7 @@ def read_ply_vertices(path: Path) -> Fields:
         header = read_header(file)
         check_vertices(header)
         columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
-        return _fields(columns, header)
+        return _fields(columns, header, warn)
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,9 @@ class PlyRows:
 
 
 def find_rows(path: Path) -> PlyRows | None:
-    """Return the vertices of a file from its header, or None if they are text or are not rows of one size.
+    """Return the vertices of a file from its header, or None if they cannot be read in parts.
+
+    They can if they are binary rows of one size, and their colours are bytes: the scale of others depends on all rows.
 
     Raises:
         InputError: the header is damaged, or the file is truncated.
@@ -100,6 +110,8 @@ def find_rows(path: Path) -> PlyRows | None:
             if element.name == "vertex":
                 break
             start += element.count * dtype.itemsize
+        if any(dtype[name] != np.uint8 for name in set(COLORS) & set(dtype.names or ())):
+            return None
         left = file.seek(0, 2) - start
         if left < element.count * dtype.itemsize:
             raise element.truncation_error(max(left, 0) // dtype.itemsize)
@@ -110,7 +122,7 @@ def find_rows(path: Path) -> PlyRows | None:
     return PlyRows(header, start, dtype)
 
 
-def read_rows(path: Path, rows: PlyRows, first: int, count: int) -> Fields:
+def read_rows(path: Path, rows: PlyRows, first: int, count: int, warn: Warn) -> Fields:
     """Read some of the vertices of a file as `read_ply` does, but keep normals that are all zero.
 
     Raises:
@@ -121,7 +133,8 @@ def read_rows(path: Path, rows: PlyRows, first: int, count: int) -> Fields:
     if len(table) < count:
         raise InputError(f"truncated: got {first + len(table)} of {rows.count} vertices: copy or export the file again")
     with np.errstate(invalid="ignore", over="ignore"):
-        return _fields({name: table[name] for name in rows.dtype.names or ()}, rows.header, keep_zero_normals=True)
+        columns = {name: table[name] for name in rows.dtype.names or ()}
+        return _fields(columns, rows.header, warn, keep_zero_normals=True)
 
 
 def has_normals(path: Path, rows: PlyRows) -> bool:
@@ -130,7 +143,7 @@ def has_normals(path: Path, rows: PlyRows) -> bool:
     Raises:
         OSError: the file cannot be read.
     """
-    if not set(_NORMALS) <= set(rows.dtype.names or ()):
+    if not set(NORMALS) <= set(rows.dtype.names or ()):
         return False
     blocks = range(0, rows.count, _NORMAL_BLOCK)
     return any(
@@ -138,23 +151,18 @@ def has_normals(path: Path, rows: PlyRows) -> bool:
             path, rows.dtype, min(_NORMAL_BLOCK, rows.count - first), offset=rows.start + first * rows.dtype.itemsize
         )[name].any()
         for first in blocks
-        for name in _NORMALS
+        for name in NORMALS
     )
 
 
-def _fields(columns: Columns, header: PlyHeader, keep_zero_normals: bool = False) -> Fields:
+def _fields(columns: Columns, header: PlyHeader, warn: Warn, keep_zero_normals: bool = False) -> Fields:
     points = _points(columns, header)
-    normals = _pop_stacked(columns, _NORMALS, np.float64) if columns.keys() >= set(_NORMALS) else None
-    colors = None
-    for names in _COLORS:
-        if columns.keys() >= set(names) and all(columns[name].dtype == np.uint8 for name in names):
-            colors = _pop_stacked(columns, names, np.uint8)
-            break
+    normals, colors, attributes = take_fields(columns, warn)
     return Fields(
         points=points,
         normals=normals if normals is not None and (keep_zero_normals or normals.any()) else None,
         colors=colors,
-        attributes={name: c.astype(c.dtype.newbyteorder("="), copy=False) for name, c in columns.items()},
+        attributes={name: c.astype(c.dtype.newbyteorder("="), copy=False) for name, c in attributes.items()},
         crs=header.tag_value("crs"),
         unit=header.tag_value("unit"),
     )
@@ -196,7 +204,7 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
 
 def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     """Remove the coordinates from the columns and return them, with the origin in the header added."""
-    points = _pop_stacked(columns, XYZ, np.float64)
+    points = take_points(columns)
     words = (header.tag_value(ABOUT) or "").split()
     try:
         origin = np.array([float(word) for word in words])
@@ -207,15 +215,6 @@ def _points(columns: Columns, header: PlyHeader) -> FloatArray:
     return points
 
 
-def _pop_stacked(columns: Columns, names: tuple[str, str, str], dtype: DTypeLike) -> NDArray[Any]:
-    """Remove three columns and return them as one (N, 3) array, their only copy."""
-    popped = [columns.pop(name) for name in names]
-    stacked = np.empty((len(popped[0]), 3), dtype=dtype)
-    for axis, column in enumerate(popped):
-        stacked[:, axis] = column
-    return stacked
-
-
 def write_ply(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write binary little-endian PLY: x y z double, nx ny nz float, red green blue uchar, attributes in their type.
 
@@ -224,21 +223,16 @@ def write_ply(path: Path, cloud: Cloud, warn: Warn) -> None:
     (integers beyond 2^53 are rounded). `crs` and `unit` are written as comment lines.
 
     Raises:
-        InputError: an attribute's name or type cannot be stored in PLY.
+        InputError: an attribute does not consist of numbers.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     columns: Columns = {name: cloud.points[:, axis] for axis, name in enumerate(XYZ)}
     if cloud.normals is not None:
-        columns |= {name: cloud.normals[:, axis].astype(np.float32) for axis, name in enumerate(_NORMALS)}
+        columns |= {name: cloud.normals[:, axis].astype(np.float32) for axis, name in enumerate(NORMALS)}
     if cloud.colors is not None:
-        columns |= {name: cloud.colors[:, axis] for axis, name in enumerate(_COLORS[0])}
-    for name, values in cloud.attributes.items():
-        if name in columns:
-            raise InputError(f"{path}: attribute {name!r} has the name of a coordinate, normal or colour: rename it")
-        if not name or not name.isascii() or not name.isprintable() or " " in name:
-            raise InputError(f"{path}: expected ASCII attribute names without spaces, got {name!r}: rename it")
-        columns[name] = _as_ply_type(name, values, path)
-
+        columns |= {name: cloud.colors[:, axis] for axis, name in enumerate(COLORS)}
+    attributes = stored_attributes(cloud.attributes, "PLY", warn, reserved={*columns, *PACKED_COLORS})
+    columns |= {name: _as_ply_type(values) for name, values in attributes.items()}
     write_vertices(path, columns, {tag: text for tag, text in (("crs", cloud.crs), ("unit", cloud.unit)) if text})
 
 
@@ -270,9 +264,7 @@ def _one_line(text: str) -> str:
     return " ".join("".join(char if char.isprintable() else " " for char in text).split())
 
 
-def _as_ply_type(name: str, values: NDArray[Any], path: Path) -> NDArray[Any]:
-    if values.dtype.kind not in "biuf":
-        raise InputError(f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it")
+def _as_ply_type(values: NDArray[Any]) -> NDArray[Any]:
     if values.dtype.newbyteorder("=").str[1:] in TYPE_NAMES:
         return values
     if values.dtype.kind == "b":

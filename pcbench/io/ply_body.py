@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.io.files import read_rest
-from pcbench.io.ply_header import TYPE_NAMES, XYZ, Element, PlyHeader, Property, excerpt
-
-Columns = dict[str, NDArray[Any]]
+from pcbench.io.names import XYZ, Columns
+from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, Property, excerpt
 
 
 class Polygons(NamedTuple):

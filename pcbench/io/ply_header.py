@@ -7,12 +7,13 @@ Greg Turk, "The PLY Polygon File Format", 1994.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.io.names import XYZ, standard_names
 
 _MAX_HEADER_BYTES = 1 << 20
 _MAX_COUNT_DIGITS = 18  # 10^18 rows are more than any file contains; products with row sizes are checked later
@@ -40,7 +41,6 @@ _TYPES = {
     "float64": "f8",
 }
 TYPE_NAMES = {code: name for name, code in reversed(_TYPES.items())}  # the older names, which all readers support
-XYZ = ("x", "y", "z")
 _SURFACE = re.compile(r"^(tri|quad|poly|face|mesh|patch)|(strip|fan|grid)s?$")  # names of elements
 _POLYGONS = ("vertex_indices", "vertex_index")  # names of the list of a face
 
@@ -116,20 +116,25 @@ class PlyHeader:
 
 
 def check_vertices(header: PlyHeader) -> None:
-    """Raise InputError if there are no vertices, or they lack coordinates or have two properties of one name."""
+    """Raise InputError if there are no vertices with x, y and z as numbers."""
     vertex = header.element("vertex")
     if vertex is None:
         names = ", ".join(repr(element.name[:40]) for element in header.elements[:10]) or "none"
         raise InputError(f"expected an element 'vertex', got {names}: export the file again")
-    seen: set[str] = set()
     for prop in vertex.properties:
-        if prop.name in seen:
-            raise InputError(f"expected unique vertex properties, got {prop.name[:40]!r} twice: rename one of them")
         if prop.name in XYZ and prop.length is not None:
             raise InputError(f"expected property {prop.name!r} as a number, got a list: export the file again")
-        seen.add(prop.name)
-    if missing := [name for name in XYZ if name not in seen]:
-        raise InputError(f"expected vertex properties x, y, z; missing: {', '.join(missing)}: rename the properties")
+    properties = [prop.name for prop in vertex.properties]
+    if "packed_position" in properties:
+        raise InputError(
+            "expected coordinates, got Gaussian splats that are compressed for web viewers (packed_position): convert"
+            " them with 'splat-transform IN.compressed.ply OUT.ply' of PlayCanvas"
+        )
+    if missing := [name for name in XYZ if name not in properties]:
+        raise InputError(
+            f"expected vertex properties x, y, z; missing: {', '.join(missing)} among {', '.join(properties)[:100]}:"
+            " export it with coordinates"
+        )
     if not vertex.count:
         raise InputError("expected at least one point, got 0 vertices: export the file again")
 
@@ -209,6 +214,8 @@ def read_header(file: BinaryIO) -> PlyHeader:
                 raise InputError(f"header line {number}: expected {known}, got {excerpt(line)}")
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
+    if (vertex := elements.get("vertex")) is not None:
+        elements["vertex"] = _with_standard_names(vertex)
     ordered = [_with_byte_order(element, byte_order or "=") for element in elements.values()]
     return PlyHeader(byte_order, ordered, comments)
 
@@ -250,6 +257,14 @@ def _type(word: str, number: int) -> np.dtype[Any]:
     if word not in _TYPES:
         raise InputError(f"header line {number}: expected a type of {', '.join(_TYPES)}; got {word[:40]!r}")
     return np.dtype(_TYPES[word])
+
+
+def _with_standard_names(vertex: Element) -> Element:
+    names = [prop.name for prop in vertex.properties]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"expected unique vertex properties, got {twice[:40]!r} twice: rename one of them")
+    properties = [replace(prop, name=name) for prop, name in zip(vertex.properties, standard_names(names), strict=True)]
+    return replace(vertex, properties=properties)
 
 
 def _with_byte_order(element: Element, byte_order: Literal["<", ">", "="]) -> Element:

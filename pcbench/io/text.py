@@ -2,55 +2,44 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
+from pcbench.io.ascii_grid import is_ascii_grid, read_ascii_grid
 from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.names import (
+    COLORS,
+    NORMALS,
+    XYZ,
+    Columns,
+    left_out_warning,
+    stored_attributes,
+    take_fields,
+    take_points,
+    unnamed_columns,
+)
+from pcbench.io.text_layout import NUMBER, Layout, content, excerpt, find_layout, split
 
-_XYZ = ("x", "y", "z")
-_NORMALS = ("nx", "ny", "nz")
-_COLORS = ("red", "green", "blue")
-# Other names of these columns, as in CloudCompare, Agisoft and survey files; not case-sensitive.
-_ALIASES = {
-    **{"easting": "x", "northing": "y", "elevation": "z", "height": "z"},
-    **{"normal_x": "nx", "normal_y": "ny", "normal_z": "nz", "normalx": "nx", "normaly": "ny", "normalz": "nz"},
-    **{"r": "red", "g": "green", "b": "blue"},
-}
-_ALIASES |= {name: name for name in (*_XYZ, *_NORMALS, *_COLORS)}
-_COMMENTS = ("#", "//")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
-_MAX_NORMAL_LENGTH_ERROR = 0.02  # since normals are often written with two digits
 _ROWS_PER_WRITE = 1 << 16
-
-Columns = dict[str, NDArray[np.float64]]
-
-
-class _Layout(NamedTuple):
-    """Layout of a file, detected from its first lines."""
-
-    first: int  # index of the first line of numbers
-    delimiter: str | None  # None: spaces and tabs
-    names: list[str] | None
-    points: int | None  # point count, if the file states it on a separate line
-    tags: dict[str, str]
+_MIN_ID_ROWS = 3  # for a column that counts by one
+_MIN_SORTED_ROWS = 100  # for other columns that may be numbers of points
 
 
 def read_text(path: Path, warn: Warn) -> Fields:
-    """Read the points of a text table.
+    """Read the points of a text table, or of an ESRI ASCII grid.
 
-    A header (which may be a comment) names the columns: x y z (or easting, northing, elevation), nx ny nz, and red
-    green blue (or r g b) if they are integers from 0 to 255. Other columns are attributes. Without a header the first
-    three columns are x y z. Of six columns, the last three are colours if they are integers from 0 to 255, or normals
-    if they have unit length. In a .pts file, a fourth of four columns is intensity, and the last four of seven columns
-    are intensity and colours. Other columns are attributes "column_4", "column_5" ... Empty lines and text after # or
-    // are skipped; `# crs TEXT` and `# unit TEXT` set the crs and unit.
+    A header (which may be a comment) names the columns, with the names of `names.standard_names`, in any order and with
+    units ("X [m]"). Without a header the first three columns are x y z, and three others are colours or normals if
+    their values allow nothing else (`names.unnamed_columns`). A first column of four or more that counts up or down by
+    one is an id, with a warning. In a .pts file, a fourth of four columns is intensity, and the last four of seven
+    columns are intensity and colours; each of several blocks with a count is a scan. Other columns are attributes
+    "column_4", "column_5" ... Empty lines, text after # or //, and lines after % or ; are skipped; `# crs TEXT` and
+    `# unit TEXT` set the crs and unit.
 
     Raises:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
@@ -60,183 +49,166 @@ def read_text(path: Path, warn: Warn) -> Fields:
     if b"\0" in data:
         raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
-    layout = _layout(lines)
-    table = _table(lines, layout)
-    if layout.points is not None and layout.points != len(table):
-        if layout.points > len(table):
-            raise InputError(f"truncated: got {len(table)} of {layout.points} points: copy or export the file again")
-        raise InputError(f"expected {layout.points} points as the first line states, got {len(table)}: export it again")
-    names = layout.names or _default_names(table, is_pts=path.suffix.lower() == ".pts")
-    columns = dict(zip(names, table.T, strict=True))
-    points = _pop_columns(columns, _XYZ)
-    normals = _pop_columns(columns, _NORMALS) if columns.keys() >= set(_NORMALS) else None
-    colors = None
-    if columns.keys() >= set(_COLORS) and _are_8_bit(np.stack([columns[name] for name in _COLORS])):
-        colors = _pop_columns(columns, _COLORS).astype(np.uint8)
+    if is_ascii_grid(lines):
+        return read_ascii_grid(lines, warn)
+    layout = find_layout(lines)
+    for line in layout.warnings:
+        warn(line)
+    table, scans = _read_blocks(lines, layout, warn)
+    names = _column_names(table, layout, path.suffix.lower() == ".pts", warn)
+    columns: Columns = dict(zip(names, table.T, strict=True))
+    points = take_points(columns)
+    normals, colors, attributes = take_fields(columns, warn)
+    attributes = {name: column.copy() for name, column in attributes.items()}
+    if scans is not None:
+        attributes.setdefault("scan", scans)
     return Fields(
-        points=points,
-        normals=normals,
-        colors=colors,
-        attributes={name: column.copy() for name, column in columns.items()},
-        crs=layout.tags.get("crs"),
-        unit=layout.tags.get("unit"),
+        points=points, normals=normals, colors=colors, attributes=attributes, crs=layout.crs, unit=layout.unit
     )
 
 
-def _pop_columns(columns: Columns, names: tuple[str, str, str]) -> NDArray[np.float64]:
-    return np.stack([columns.pop(name) for name in names], axis=1)
+# ---- columns without names ----------------------------------------------------------------------------------------
 
 
-def _are_8_bit(values: NDArray[np.float64]) -> bool:
-    return bool(((values >= 0) & (values <= 255) & (values == np.floor(values))).all())
-
-
-def _default_names(table: NDArray[np.float64], is_pts: bool) -> list[str]:
+def _column_names(table: FloatArray, layout: Layout, is_pts: bool, warn: Warn) -> list[str]:
+    """Return the names of the columns: those of the header, or names by number of columns and values."""
     width = table.shape[1]
-    last = table[:, -3:]
-    if is_pts and width == 4:
-        return [*_XYZ, "intensity"]
-    if is_pts and width == 7 and _are_8_bit(last):
-        return [*_XYZ, "intensity", *_COLORS]
-    if width == 6 and _are_8_bit(last):
-        return [*_XYZ, *_COLORS]
-    if width == 6:
-        with np.errstate(over="ignore", invalid="ignore"):
-            unit = np.abs(np.linalg.norm(last, axis=1) - 1) < _MAX_NORMAL_LENGTH_ERROR
-        if unit.all():
-            return [*_XYZ, *_NORMALS]
-    return [*_XYZ, *(f"column_{k}" for k in range(4, width + 1))]
-
-
-# ---- layout -------------------------------------------------------------------------------------------------------
-
-
-def _content(line: str) -> str:
-    """Return the line without its comment."""
-    for mark in _COMMENTS:
-        line = line.partition(mark)[0]
-    return line.strip()
-
-
-def _layout(lines: list[str]) -> _Layout:
-    """Detect the layout from the comments, header and count before the first line of numbers."""
-    header: tuple[int, str] | None = None  # index and text
-    comment_header: str | None = None  # a comment that reads like a header
-    count: int | None = None
-    tags: dict[str, str] = {}
-    for index, line in enumerate(lines):
-        text = line.strip()
-        content = _content(text)
-        if not content:
-            comment = text.lstrip("#/ \t")
-            tag, _, value = comment.partition(" ")
-            if tag in ("crs", "unit"):
-                tags.setdefault(tag, value.strip())
-            elif _has_xyz(comment):
-                comment_header = comment
-            continue
-        delimiter = _delimiter(content)
-        words = _split(content, delimiter)
-        if all(_NUMBER.fullmatch(word) for word in words):
-            if len(words) == 1 and count is None and content.isdigit() and len(content) < 19:
-                count = int(content)
-                continue
-            if len(words) < 3:
-                raise InputError(
-                    f"line {index + 1}: expected at least 3 columns, got {_excerpt(text)}: export it again"
-                )
-            if header is not None:
-                names: list[str] | None = _header_names(*header, len(words))
-            else:
-                names = _comment_names(comment_header, len(words))
-            return _Layout(index, delimiter, names, count, tags)
-        if any(_DECIMAL_COMMA.fullmatch(word) for word in words):
+    if layout.names is not None and len(layout.names) == width:
+        return layout.names
+    if layout.names is not None:
+        if not _counts(table[:, 0]):
             raise InputError(
-                f"line {index + 1}: expected a decimal point, got a comma: {_excerpt(text)}: replace the commas"
+                f"expected {width} column names, one per value, got {len(layout.names)}: correct the header"
             )
-        is_header = _has_xyz(content) or not any(_NUMBER.fullmatch(word) for word in words)
-        if not is_header or header is not None or count is not None:
-            raise InputError(f"line {index + 1}: expected numbers, got {_excerpt(text)}: correct the line")
-        header = index, content
-    raise InputError(f"expected lines of numbers, got none in {len(lines)} lines: export the file again")
-
-
-def _delimiter(text: str) -> str | None:
-    if ";" in text:
-        return ";"
-    # "1,5 2,5 3,5" contains commas too, but spaces separate it.
-    blanks = text.split()
-    if "," in text and not (len(blanks) >= 3 and all(_DECIMAL_COMMA.fullmatch(word) for word in blanks)):
-        return ","
-    return "\t" if text.count("\t") >= 2 else None
-
-
-def _split(text: str, delimiter: str | None) -> list[str]:
-    return [word.strip() for word in text.split(delimiter)]
-
-
-def _names(text: str) -> list[str]:
-    """Return the standard column names of a header; unknown names are kept, missing ones numbered."""
-    plain = [word.strip("\"' ") or f"column_{k}" for k, word in enumerate(_split(text, _delimiter(text)), 1)]
-    return [_ALIASES.get(word.lower(), word) for word in plain]
-
-
-def _has_xyz(text: str) -> bool:
-    return set(_XYZ) <= set(_names(text))
-
-
-def _header_names(index: int, text: str, width: int) -> list[str]:
-    names = _names(text)
-    if missing := [name for name in _XYZ if name not in names]:
-        raise InputError(
-            f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {_excerpt(text)}"
+        warn("the first column has no name and counts the lines: it is read as an id")
+        return ["id" if "id" not in layout.names else "column_1", *layout.names]
+    if is_pts and width in (4, 7):
+        return [*XYZ, "intensity", *(COLORS if width == 7 else ())]
+    if width > 3 and _counts(table[:, 0]):
+        first, last = table[[0, -1], 0]
+        warn(
+            f"the columns have no names; the first one counts from {first:g} to {last:g} and is read as an id, the next"
+            " three as x, y and z: if it is x, name all columns in a first line, such as '# x y z a'"
         )
-    if len(names) != width:
-        raise InputError(
-            f"line {index + 1}: expected {width} column names, one per value, got {len(names)}: correct the header"
+        return ["id", *_names_by_values(table[:, 1:], 2, warn)]
+    if width > 3 and (reason := _doubt(table)):
+        warn(
+            f"the columns have no names; the first one {reason} and is read as x: if it is not x, name all columns in a"
+            " first line, such as '# id x y z'"
         )
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise InputError(
-            f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
+    return _names_by_values(table, 1, warn)
+
+
+def _names_by_values(table: FloatArray, first: int, warn: Warn) -> list[str]:
+    names = unnamed_columns(table, first)
+    if names is None:
+        end = first + table.shape[1]
+        warn(
+            f"columns {first + 3} to {end - 1} may be colours in two ways and are kept as attributes: name all columns"
+            " in a first line, such as '# x y z intensity red green blue'"
         )
+        return [*XYZ, *(f"column_{k}" for k in range(first + 3, end))]
     return names
 
 
-def _comment_names(comment_header: str | None, width: int) -> list[str] | None:
-    """Return the column names in a comment, or None if it does not fit the columns (it was prose)."""
-    names = _names(comment_header) if comment_header else []
-    return names if len(names) == width == len(set(names)) else None
+def _counts(values: FloatArray) -> bool:
+    """Return whether a column is whole numbers that count points: by one, or unique in a long table."""
+    if len(values) < _MIN_ID_ROWS or not _are_whole(values):
+        return False
+    steps = np.diff(values)
+    if abs(steps[0]) == 1 and (steps == steps[0]).all():
+        return True
+    if len(values) < _MIN_SORTED_ROWS:
+        return False
+    # Sorted numbers of a selection of points, or shuffled ones of all points.
+    return bool((steps > 0).all() or (np.diff(np.sort(values)) == 1).all())
 
 
-def _excerpt(text: str) -> str:
-    return repr(text[:60]) + ("..." if len(text) > 60 else "")
+def _doubt(table: FloatArray) -> str | None:
+    """Return why the first column may be no coordinate, or None."""
+    if len(table) < _MIN_SORTED_ROWS:
+        return None
+    if _are_whole(table[:, 0]) and not any(_are_whole(column) for column in table[:, 1:4].T):
+        return "has only whole numbers"
+    if (np.diff(table[:, 0]) > 0).all():
+        return "increases from line to line, as times do,"
+    return None
+
+
+def _are_whole(values: FloatArray) -> bool:
+    return bool((values[:100] == np.floor(values[:100])).all() and (values == np.floor(values)).all())
 
 
 # ---- numbers ------------------------------------------------------------------------------------------------------
 
 
-def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
-    """Parse all numbers, (N, columns)."""
-    body = lines[layout.first :]
-    width = len(_split(_content(body[0]), layout.delimiter))
+def _read_blocks(lines: list[str], layout: Layout, warn: Warn) -> tuple[FloatArray, NDArray[np.int32] | None]:
+    """Return all numbers (N, columns), and the block of each row if the file has several that start with a count."""
+    if layout.points is None:
+        return _table(lines, layout.first, len(lines), layout, warn), None
+    counts, starts = [layout.points], [layout.first]
+    for index in range(layout.first, len(lines)):
+        if (line := lines[index].strip()).isdigit() and len(line) < 19:
+            counts.append(int(line))
+            starts.append(index + 1)
+    ends = [*(start - 1 for start in starts[1:]), len(lines)]
+    tables = []
+    for count, start, end in zip(counts, starts, ends, strict=True):
+        table = _table(lines, start, end, layout, warn)
+        if abs(count - len(table)) > 1:
+            raise InputError(
+                f"truncated: got {len(table)} of {count} points: copy or export the file again"
+                if count > len(table)
+                else f"line {start}: expected {count} points as stated here, got {len(table)}: export it again"
+            )
+        if count != len(table):
+            warn(f"line {start} states {count} points, {len(table)} follow: read {len(table)}")
+        tables.append(table)
+    if len(tables) == 1:
+        return tables[0], None
+    scans = np.repeat(np.arange(len(tables), dtype=np.int32), [len(table) for table in tables])
+    return np.concatenate(tables), scans
+
+
+def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -> FloatArray:
+    """Parse the numbers of some lines, (N, columns)."""
+    body = lines[start:end]
+    first = next((line for line in body if content(line)), None)
+    if first is None:
+        return np.empty((0, layout.width))
     try:
+        if layout.plain(first) != first.strip():
+            body = [layout.plain(line) for line in body]
         table = np.loadtxt(body, dtype=np.float64, comments=None, delimiter=layout.delimiter, ndmin=2)
-        if table.shape[1] == width:
+        if table.shape[1] == layout.width:
             return table
     except ValueError:
-        pass  # comments between points or a damaged line: parse line by line
-    rows = []
-    for number, line in enumerate(body, layout.first + 1):
-        if content := _content(line):
-            words = _split(content, layout.delimiter)
-            if not all(_NUMBER.fullmatch(word) for word in words):
-                raise InputError(f"line {number}: expected numbers, got {_excerpt(content)}: correct the line")
-            if len(words) != width:
-                raise InputError(
-                    f"line {number}: expected {width} values as line {layout.first + 1}, got {len(words)}: correct it"
-                )
-            rows.append([float(word) for word in words])
+        pass  # comments between points, empty values or a damaged line: parse line by line
+    rows, empty = [], 0
+    for number, line in enumerate(lines[start:end], start + 1):
+        if not (plain := layout.plain(line)):
+            continue
+        words = split(plain, layout.delimiter)
+        gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
+        for k in gaps:
+            words[k] = "nan"
+        if not all(NUMBER.fullmatch(word) for word in words):
+            raise InputError(f"line {number}: expected numbers, got {excerpt(content(line))}: correct the line")
+        if len(words) != layout.width:
+            raise InputError(
+                f"line {number}: expected {layout.width} values as line {layout.first + 1}, got {len(words)}:"
+                " correct it"
+            )
+        rows.append([float(word) for word in words])
+        empty += len(gaps)
+    if empty:
+        warn(f"{empty} empty values of attributes are read as NaN")
     return np.array(rows, dtype=np.float64)
+
+
+def _is_coordinate(column: int, layout: Layout) -> bool:
+    names = layout.names
+    return column < 4 if names is None or len(names) != layout.width else names[column] in XYZ
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
@@ -245,32 +217,26 @@ def _table(lines: list[str], layout: _Layout) -> NDArray[np.float64]:
 def write_text(path: Path, cloud: Cloud, warn: Warn) -> None:
     """Write x y z, red green blue, nx ny nz and the attributes; each number is exact.
 
-    .csv files have commas and a header. .xyz, .txt and .asc files have spaces, the crs and unit as comments, and a
-    header (also a comment) only if there are more columns than x y z.
+    .csv files have commas and a header, but no crs and unit. .xyz, .txt and .asc files have spaces, the crs and unit as
+    comments, and a header (also a comment) only if there are more columns than x y z.
 
     Raises:
-        InputError: an attribute's name or type cannot be stored in a table.
+        InputError: an attribute does not consist of numbers.
         OSError: the file cannot be written; an existing file is then unchanged.
     """
     is_csv = path.suffix.lower() == ".csv"
-    columns = dict(zip(_XYZ, cloud.points.T, strict=True))
+    columns: Columns = dict(zip(XYZ, cloud.points.T, strict=True))
     if cloud.colors is not None:
-        columns |= dict(zip(_COLORS, cloud.colors.T, strict=True))
+        columns |= dict(zip(COLORS, cloud.colors.T, strict=True))
     if cloud.normals is not None:
-        columns |= dict(zip(_NORMALS, cloud.normals.T, strict=True))
-    used_names = set(columns)
-    for name, values in cloud.attributes.items():
-        known = _ALIASES.get(name.lower(), name)
-        if known in used_names:
-            raise InputError(f"{path}: attribute {name!r} would be read as {known}: rename it")
-        if not name.isprintable() or len(name.split()) != 1 or re.search(r"[,;#\"']|//", name):
-            raise InputError(f"{path}: expected attribute names without spaces and delimiters, got {name!r}: rename it")
-        if values.dtype.kind not in "biuf":
-            raise InputError(
-                f"{path}: expected attribute {name!r} as numbers, got {values.dtype}: convert or remove it"
-            )
-        used_names.add(known)
+        columns |= dict(zip(NORMALS, cloud.normals.T, strict=True))
+    attributes = stored_attributes(
+        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"[^\w!-~]|[,;#\"'%]|//"
+    )
+    for name, values in attributes.items():
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values
+    if is_csv and (line := left_out_warning(".csv", {"the crs": cloud.crs, "the unit": cloud.unit})):
+        warn(line)
     head = [",".join(columns)] if is_csv else []
     if not is_csv:
         head += [

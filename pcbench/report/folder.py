@@ -211,8 +211,9 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         inputs = comparison.inputs
         if inputs is not None and Path(inputs.candidates[candidate.name].path).suffix.lower() in (".las", ".laz"):
             # LAS needs a coordinate system with a known definition, not just a name.
+            laz = cloud if is_known_crs(cloud.crs) else replace(cloud, crs=None, unit=None)
             with suppress(InputError):  # the .ply holds coordinates that 32 bits cannot store
-                write_cloud(f"{stem}_deviation.laz", cloud if is_known_crs(cloud.crs) else replace(cloud, crs=None))
+                write_cloud(f"{stem}_deviation.laz", laz)
         if deviation.m3c2 is not None:
             write_cloud(f"{stem}_m3c2.ply", _m3c2_cloud(deviation.m3c2, comparison))
         write_field(f"{stem}_deformation", candidate.deformation, reference.crs, reference.unit)

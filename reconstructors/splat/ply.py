@@ -22,8 +22,8 @@ from pcbench.geometry.splats import splat_model
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn
+from pcbench.io.names import XYZ
 from pcbench.io.ply import ABOUT, write_vertices
-from pcbench.io.ply_header import XYZ
 from reconstructors.splat.model import Gaussians, LocalFrame
 
 # Distance of the scene from the origin, in extents of the scene: farther away float32 has less than five digits for it.

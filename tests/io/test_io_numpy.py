@@ -55,10 +55,15 @@ def test_npy_types_and_orders(tmp_path, dtype, order, version):
 
 
 def test_npy_with_normals(tmp_path):
-    np.save(tmp_path / "a.npy", np.arange(12.0).reshape(2, 6))
+    np.save(tmp_path / "a.npy", np.arange(12.0).reshape(2, 6) / 2)
     cloud = read_cloud(tmp_path / "a.npy")
-    assert cloud.points.tolist() == [[0, 1, 2], [6, 7, 8]]
-    assert cloud.normals.tolist() == [[3, 4, 5], [9, 10, 11]]
+    assert cloud.points.tolist() == [[0, 0.5, 1], [3, 3.5, 4]]
+    assert cloud.normals.tolist() == [[1.5, 2, 2.5], [4.5, 5, 5.5]]
+
+
+def test_npy_with_colors(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[0.5, 1, 2, 255, 0, 7]]))
+    assert read_cloud(tmp_path / "a.npy").colors.tolist() == [[255, 0, 7]]
 
 
 def test_npy_drops_nan(tmp_path):
@@ -69,7 +74,8 @@ def test_npy_drops_nan(tmp_path):
 
 def test_numpy_reads_written_npy(tmp_path):
     points = np.random.default_rng(5).normal(size=(7, 3))
-    write_cloud(tmp_path / "a.npy", Cloud(points, normals=points))
+    with pytest.warns(UserWarning, match=r"left out what \.npy cannot store: the normals"):
+        write_cloud(tmp_path / "a.npy", Cloud(points, normals=points))
     np.testing.assert_array_equal(np.load(tmp_path / "a.npy", allow_pickle=False), points)
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").points, points)
 
@@ -154,9 +160,9 @@ def test_npz_written_by_numpy(tmp_path, save):
 
 
 def test_npz_of_a_single_array(tmp_path):
-    np.savez(tmp_path / "a.npz", np.hstack([POINTS, POINTS]))
+    np.savez(tmp_path / "a.npz", np.hstack([POINTS, POINTS - 0.5]))
     cloud = read_cloud(tmp_path / "a.npz")
-    np.testing.assert_array_equal(cloud.normals, POINTS)
+    np.testing.assert_array_equal(cloud.normals, POINTS - 0.5)
     np.savez(tmp_path / "a.npz", xyz=POINTS, unit="m", crs="")
     cloud = read_cloud(tmp_path / "a.npz")
     np.testing.assert_array_equal(cloud.points, POINTS)
@@ -189,7 +195,7 @@ DAMAGED_NPZ = {
     "trailing": zip_bytes({"points.npy": npy_bytes(POINTS) + b"a"}),
     "pickle": npz_bytes(points=POINTS, a=np.array([{}] * 4)),
     "normals": npz_bytes(points=POINTS, normals=POINTS[:2]),
-    "colors": npz_bytes(points=POINTS, colors=POINTS),
+    "colors": npz_bytes(points=POINTS, colors=POINTS - 9),
     "crs": npz_bytes(points=POINTS, crs=np.arange(4)),
     "unit": npz_bytes(points=POINTS, unit=np.array(["m", "m"])),
     "no code point": zip_bytes({"points.npy": npy_bytes(POINTS), "unit.npy": npy_header("'<U1'", "()") + b"\xff" * 4}),
@@ -218,10 +224,10 @@ def test_npz_refuses_repeated_array_names(tmp_path):
     refusal(tmp_path / "a.npz", buffer.getvalue())
 
 
-@pytest.mark.parametrize(("name", "values"), [("crs", [1]), ("", [1]), ("a\0b", [1]), ("a", ["text"]), ("a", [None])])
-def test_npz_refuses_invalid_attributes(tmp_path, name, values):
+@pytest.mark.parametrize("values", [["text"], [None]])
+def test_npz_refuses_attributes_that_are_not_numbers(tmp_path, values):
     with check_error():
-        write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={name: np.array(values)}))
+        write_cloud(tmp_path / "a.npz", Cloud(np.zeros((1, 3)), attributes={"a": np.array(values)}))
     assert not list(tmp_path.iterdir())
 
 

@@ -7,7 +7,7 @@ from data_folder import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import read_cloud, write_cloud
@@ -90,9 +90,11 @@ def test_header_with_blanks_in_names(tmp_path):
     assert list(read(tmp_path, "x\ty\tz\tpoint number\n1\t2\t3\t4\n").attributes) == ["point number"]
 
 
-@pytest.mark.parametrize("values", ["0.5,0.5,0.5", "256,0,0", "-1,0,0", "nan,0,0"])
+@pytest.mark.parametrize("values", ["256,0,0", "-1,0,0", "nan,0,0", "70000,0,0", "0.5,300.5,9"])
 def test_colors_out_of_range_are_attributes(tmp_path, values):
-    cloud = read(tmp_path, f"x,y,z,r,g,b\n1,2,3,{values}\n")
+    notes = []
+    cloud = read(tmp_path, f"x,y,z,r,g,b\n1,2,3,{values}\n", on_warning=notes.append)
+    check_text(*notes)
     assert cloud.colors is None
     assert list(cloud.attributes) == ["red", "green", "blue"]
 
@@ -137,6 +139,169 @@ def test_real_files():
     assert len(cloud) == sum(line[:1] in "-0123456789" and len(line.split()) > 0 for line in lines if line)
 
 
+# ---- unusual tables ----
+
+
+def read_with_notes(tmp_path, text, name="a.txt"):
+    """Return the cloud and the warnings, which are compared with the golden file."""
+    notes = []
+    cloud = read(tmp_path, text, name, on_warning=notes.append)
+    for note in notes:
+        check_text(note)
+    return cloud, notes
+
+
+POINTS = [[1.5, 2.5, 3.25], [4.5, 5.5, 6.25]]
+TABLES = {  # text, number of warnings and unit
+    "trailing comma": ("1.5,2.5,3.25,\n4.5,5.5,6.25,\n", 1, None),
+    "trailing semicolon": ("x;y;z;\n1.5;2.5;3.25;\n4.5;5.5;6.25;\n", 1, None),
+    "trailing tab": ("1.5\t2.5\t3.25\t\n4.5\t5.5\t6.25\t\n", 0, None),
+    "trailing comma of the header": ("x,y,z,\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, None),
+    "units in brackets": ("X [m],Y [m],Z [m]\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, "m"),
+    "units in parentheses": ("X(ft) Y(ft) Z(ft)\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 0, "ft"),
+    "quoted units": ('"X [m]";"Y [m]";"Z [m]"\n1.5;2.5;3.25\n4.5;5.5;6.25\n', 0, "m"),
+    "units after blanks": ("X [m] Y [m] Z [m]\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 0, "m"),
+    "units in a comment": ("# X [m] Y [m] Z [m]\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 0, "m"),
+    "row of units": ("x,y,z\nm,m,m\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, "m"),
+    "row of units in brackets": ("x\ty\tz\n[ft]\t[ft]\t[ft]\n1.5\t2.5\t3.25\n4.5\t5.5\t6.25\n", 0, "ft"),
+    "other order": ("Z,X,Y\n3.25,1.5,2.5\n6.25,4.5,5.5\n", 0, None),
+    "decimal commas": ("1,5;2,5;3,25\n4,5;5,5;6,25\n", 1, None),
+    "decimal commas after blanks": ("1,5 2,5 3,25\n4,5 5,5 6,25\n", 1, None),
+    "decimal commas after tabs": ("1,5\t2,5\t3,25\n4,5\t5,5\t6,25\n", 1, None),
+    "decimal commas later": ("x;y;z\n1.5;2.5;3.25\n4,5;5,5;6,25\n", 1, None),
+    "quotes": ('"1.5","2.5","3.25"\n"4.5","5.5","6.25"\n', 0, None),
+    "Fortran": ("1.5D0 2.5d+00 0.325D+01\n4.5D0 5.5D0 6.25D0\n", 0, None),
+    "tabs and blanks": ("1.5\t2.5 3.25\n4.5 \t5.5\t\t6.25\n", 0, None),
+    "windows": ("\ufeffx,y,z\r\n1.5,2.5,3.25\r\n4.5,5.5,6.25\r\n", 0, None),
+    "comments": ("% by hand\n; x, y, z\n1.5 2.5 3.25\n% half way\n4.5 5.5 6.25 // end\n", 0, None),
+    "ArcGIS": ("POINT_X,POINT_Y,POINT_Z\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, None),
+    "count of one more": ("3\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
+    "count of one less": ("1\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
+    "row numbers": ("x y z\n1 1.5 2.5 3.25\n2 4.5 5.5 6.25\n3 nan nan nan\n", 2, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_unusual_tables(tmp_path, name):
+    text, warnings, unit = TABLES[name]
+    cloud, notes = read_with_notes(tmp_path, text)
+    assert (cloud.points.tolist(), cloud.unit, len(notes)) == (POINTS, unit, warnings)
+
+
+def test_repeated_names_are_numbered(tmp_path):
+    cloud, _ = read_with_notes(tmp_path, "x y z a a\n1 2 3 4 5\n")
+    assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"a": [4], "a_5": [5]}
+
+
+def test_empty_values_of_attributes_are_nan(tmp_path):
+    cloud, _ = read_with_notes(tmp_path, "x,y,z,a,b\n1,2,3,4,5\n6,7,8,,9\n")
+    np.testing.assert_array_equal(cloud.attributes["a"], [4, np.nan])
+    assert cloud.attributes["b"].tolist() == [5, 9]
+
+
+def test_longitude_and_latitude_are_degrees(tmp_path):
+    cloud, _ = read_with_notes(tmp_path, "Latitude,Longitude,Height\n40.5,-81.25,100\n")
+    assert (cloud.points.tolist(), cloud.crs) == ([[-81.25, 40.5, 100]], "EPSG:4326")
+    cloud, _ = read_with_notes(tmp_path, "x,y,z,lat,lon\n1,2,3,40.5,-81.25\n")
+    assert (cloud.points.tolist(), cloud.crs, list(cloud.attributes)) == ([[1, 2, 3]], None, ["lat", "lon"])
+
+
+def test_blocks_of_pts(tmp_path):
+    text = "2\n1 2 3 -2048 10 20 30\n4 5 6 2047 40 50 60\n0\n2\n7 8 9 0 1 2 3\n1\n9 8 7 5 4 3 2\n"
+    cloud, _ = read_with_notes(tmp_path, text, "a.pts")
+    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9], [9, 8, 7]]
+    assert cloud.colors.tolist() == [[10, 20, 30], [40, 50, 60], [1, 2, 3], [4, 3, 2]]
+    assert cloud.attributes["intensity"].tolist() == [-2048, 2047, 0, 5]
+    assert cloud.attributes["scan"].tolist() == [0, 0, 2, 3]
+
+
+def test_esri_ascii_grids(tmp_path):
+    header = "ncols 3\nnrows 2\nxllcorner 100\nyllcorner 200.0\ncellsize 2\nNODATA_value -1\n"
+    cloud, _ = read_with_notes(tmp_path, header + "1 2 3\n4 -1 6\n", "a.asc")
+    assert cloud.points.tolist() == [[101, 203, 1], [103, 203, 2], [105, 203, 3], [101, 201, 4], [105, 201, 6]]
+    header = "NCOLS 1\r\nNROWS 2\r\nXLLCENTER 5\r\nYLLCENTER 6\r\nDX 1\r\nDY 3\r\n"
+    assert read(tmp_path, header + "1\r\n2", "a.asc").points.tolist() == [[5, 9, 1], [5, 6, 2]]
+
+
+# ---- numbers of points ----
+
+RNG = np.random.default_rng(4)
+COORDINATES = RNG.uniform(0, 100, (200, 3)).round(3)
+COUNTS = {
+    "from 0": np.arange(200),
+    "from 1": np.arange(1, 201),
+    "down": np.arange(900, 700, -1),
+    "shuffled": RNG.permutation(200),
+    "selection": np.sort(RNG.choice(10**6, 200, replace=False)),
+}
+
+
+@pytest.mark.parametrize("name", COUNTS)
+@pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
+def test_a_first_column_that_counts_is_an_id(tmp_path, name, delimiter):
+    numbers = COUNTS[name].tolist()
+    rows = [
+        delimiter.join(map(repr, [number, *point]))
+        for number, point in zip(COUNTS[name].tolist(), COORDINATES.tolist(), strict=True)
+    ]
+    notes = []
+    cloud = read(tmp_path, "\n".join(rows), on_warning=notes.append)
+    assert (cloud.points.tolist(), len(notes)) == (COORDINATES.tolist(), 1)
+    assert cloud.attributes["id"].tolist() == numbers
+
+
+def test_ids_before_colors_and_normals(tmp_path):
+    rows = "1 0.5 0.5 2.5 9 0 255 0 0 1\n2 1.5 0.5 2.5 9 0 255 0 1 0\n3 1.5 0.5 2.5 7 0 255 1 0 0\n"
+    cloud, _ = read_with_notes(tmp_path, rows)
+    assert cloud.points[0].tolist() == [0.5, 0.5, 2.5]
+    assert (cloud.colors[0].tolist(), cloud.normals[0].tolist()) == ([9, 0, 255], [0, 0, 1])
+
+
+def test_three_columns_and_named_ones_are_no_ids(tmp_path):
+    profile = [[float(k), 0.5, 2.5] for k in range(9)]
+    text = "\n".join(" ".join(map(repr, row)) for row in profile)
+    cloud, notes = read_with_notes(tmp_path, text)
+    assert (cloud.points.tolist(), notes) == (profile, [])
+    text = "# x y z a\n" + "\n".join(" ".join(map(repr, [*row, 7])) for row in profile)
+    cloud, notes = read_with_notes(tmp_path, text)
+    assert (cloud.points.tolist(), notes) == (profile, [])
+
+
+@pytest.mark.parametrize("first", [RNG.integers(1, 7, 200), np.sort(RNG.uniform(1e5, 2e5, 200))])
+def test_a_first_column_that_may_be_a_class_or_a_time_has_a_warning(tmp_path, first):
+    rows = np.column_stack([first, COORDINATES])
+    cloud, notes = read_with_notes(tmp_path, "\n".join(" ".join(map(repr, row)) for row in rows.tolist()))
+    assert (cloud.points[:, 0].tolist(), len(notes)) == (first.tolist(), 1)
+
+
+def test_comment_that_names_other_columns_has_a_warning(tmp_path):
+    cloud, notes = read_with_notes(tmp_path, "# id x y z\n0.5 1 2 3 4\n")
+    assert (cloud.points.tolist(), len(notes)) == ([[0.5, 1, 2]], 1)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ("0.5 2 3 0 0 1", "normals"),
+        ("0.5 2 3 9 0 1", "colors"),
+        ("0.5 2 3 0.1 0.2 0.3", "column_4 column_5 column_6"),
+        ("0.5 2 3 77.5 9 0 1", "colors column_4"),
+        ("0.5 2 3 9 0 1 77.5", "colors column_7"),
+        ("0.5 2 3 0.5 0 0.6 0.8", "normals column_4"),
+        ("0.5 2 3 9 9 0 1 1", "column_4 column_5 column_6 column_7 column_8"),
+        ("0.5 2 3 9 0 1 0 0.6 0.8\n1 2 3 9 9 9 1 0 0", "colors normals"),
+        ("0.5 2 3 0 0.6 0.8 9 0 1\n1 2 3 1 0 0 9 9 9", "colors normals"),
+        ("0.5 2 3 0.25 9 0 1 0 0 1\n1 2 3 0.5 9 9 9 0 0 1", "colors normals column_4"),
+    ],
+)
+def test_columns_without_names(tmp_path, row, expected):
+    cloud, _ = read_with_notes(tmp_path, row)
+    found = [name for name in ("colors", "normals") if getattr(cloud, name) is not None]
+    assert " ".join([*found, *cloud.attributes]) == expected
+    if cloud.colors is not None:
+        assert cloud.colors[0].tolist() == [9, 0, 1]
+
+
 # ---- damage ----
 
 DAMAGED_TEXTS = {
@@ -156,13 +321,20 @@ DAMAGED_TEXTS = {
     "prose": "hello world\n1 2 3\n",
     "two headers": "x y z\na b c\n1 2 3\n",
     "names": "x y z a\n1 2 3\n",
-    "twice": "x y z a a\n1 2 3 4 5\n",
-    "comma ;": "1,5;2,5;3,5\n",
-    "comma blank": "x y z\n1,5 2,5 3,5\n",
-    "comma tab": "1,5\t2,5\t3,5\n",
-    "count": "3\n1 2 3\n4 5 6\n",
-    "lower count": "1\n1 2 3\n4 5 6\n",
-    "two blocks": "1\n1 2 3\n1\n1 2 3\n",
+    "twice": "x y z x\n1 2 3 4\n",
+    "thousands": "1,234.5;2,345.6;3,456.7\n",
+    "thousands or decimals": "1,234;2,345;3,456\n",
+    "quoted commas": '"1,5","2,5","3,5"\n',
+    "count": "4\n1 2 3\n4 5 6\n",
+    "lower count": "1\n1 2 3\n4 5 6\n7 8 9\n",
+    "second count": "1\n1 2 3\n5\n1 2 3\n",
+    "two units": "x [m],y [m],z [ft]\n1,2,3\n",
+    "units without a header": "m,m,m\n1,2,3\n",
+    "too few names": "x y z\n1 2 3 4\n5 6 7 8\n",
+    "grid without cells": "ncols 2\nnrows 2\ncellsize 1\n1 2 3\n",
+    "grid without size": "ncols 2\nnrows 2\n1 2 3 4\n",
+    "grid of words": "ncols 2\nnrows 1\ncellsize 1\n1 two\n",
+    "grid without data": "ncols 2\nnrows 1\ncellsize 1\n-9999 -9999\n",
     "long": "1 2 3\n" + "a" * 1000,
 }  # fmt: skip
 
@@ -220,16 +392,6 @@ def test_written_text(tmp_path):
 def test_pts_is_not_written(tmp_path):
     with check_error():
         write_cloud(tmp_path / "a.pts", Cloud(np.zeros((1, 3))))
-
-
-@pytest.mark.parametrize("name", ["", "two words", "a,b", "a;b", "#a", "x", "nx", "R", 'a"b', "a//b", "Y"])
-def test_invalid_attribute_names_are_refused(tmp_path, name):
-    cloud = Cloud(
-        np.zeros((1, 3)), normals=np.ones((1, 3)), colors=np.zeros((1, 3), np.uint8), attributes={name: np.zeros(1)}
-    )
-    with check_error():
-        write_cloud(tmp_path / "a.csv", cloud)
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("values", [np.array(["a"]), np.array([1j]), np.array([None])])

@@ -49,7 +49,7 @@ def read_ply_piece(
     if rows is None or not address:
         return read_whole(path, address, filters, warn)
     first, end = address
-    return read_rows(path, rows, first, end - first), None
+    return read_rows(path, rows, first, end - first, warn), None
 
 
 def count_ply(path: Path) -> int | None:

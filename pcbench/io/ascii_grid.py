@@ -1,0 +1,72 @@
+"""Read ESRI ASCII grids (.asc): the centres of the cells are points, as in PDAL and CloudCompare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pcbench.errors import InputError
+from pcbench.io.files import Fields, Warn
+
+_REQUIRED = ("ncols", "nrows")
+_KEYS = (*_REQUIRED, "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value")
+_NO_DATA = -9999.0  # the default of the format
+
+
+def is_ascii_grid(lines: Sequence[str]) -> bool:
+    """Return whether the lines of a text file are an ESRI ASCII grid."""
+    first = next((line for line in lines if line.strip()), "")
+    return first.split(maxsplit=1)[0].lower() in _REQUIRED if first else False
+
+
+def read_ascii_grid(lines: Sequence[str], warn: Warn) -> Fields:
+    """Return the centres of the cells with a value as points, row by row from the north.
+
+    Raises:
+        InputError: the header is incomplete, or the number of values is not that of the cells.
+    """
+    header: dict[str, float] = {}
+    first = 0
+    for first, line in enumerate(lines):
+        words = line.split()
+        if words and words[0].lower() not in _KEYS:
+            break
+        if words:
+            header[words[0].lower()] = _number(words[1] if len(words) == 2 else "", words[0], first)
+    columns, rows = (int(header.get(key, 0)) for key in _REQUIRED)
+    if columns < 1 or rows < 1:
+        raise InputError("expected an ESRI ASCII grid with ncols and nrows of at least 1: export it again")
+    steps = [header.get(key, header.get("cellsize", 0)) for key in ("dx", "dy")]
+    if not all(step > 0 for step in steps):
+        raise InputError("expected an ESRI ASCII grid with a cellsize above 0: export it again")
+    words = " ".join(lines[first:]).split()
+    if len(words) != columns * rows:
+        state = "truncated: " if len(words) < columns * rows else ""
+        raise InputError(f"{state}got {len(words)} of {columns} x {rows} cells: copy or export the file again")
+    try:
+        z = np.array(words, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"expected heights of cells as numbers: {str(error)[:80]}: export it again") from None
+    x, y = (
+        (header[f"{axis}llcenter"] if f"{axis}llcenter" in header else header.get(f"{axis}llcorner", 0) + step / 2)
+        + step * np.arange(count)
+        for axis, step, count in zip("xy", steps, (columns, rows), strict=True)
+    )
+    keep = z != header.get("nodata_value", _NO_DATA)
+    if not keep.any():
+        raise InputError(f"expected a grid with heights, got no data in all {len(z)} cells: export it again")
+    if len(z) > (kept := int(np.count_nonzero(keep))):
+        warn(f"left out {len(z) - kept} of {len(z)} cells without data")
+    points = np.stack([np.tile(x, rows), np.repeat(y[::-1], columns), z], axis=1)
+    return Fields(points=points[keep])
+
+
+def _number(word: str, key: str, index: int) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = np.nan
+    if not abs(value) < 1e18:
+        raise InputError(f"line {index + 1}: expected {key} and a number, got {word[:40]!r}: export the grid again")
+    return value

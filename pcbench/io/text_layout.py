@@ -1,0 +1,290 @@
+"""Layout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from pcbench.errors import InputError
+from pcbench.io.names import XYZ, standard_names
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE | re.ASCII)
+_FORTRAN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eEdD][+-]?\d+)?", re.ASCII)
+_WITH_COMMAS = re.compile(r"[+-]?\d[\d.]*(,[\d.]+)+([eEdD][+-]?\d+)?", re.ASCII)
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+", re.ASCII)
+_COMMENTS = ("#", "//")
+_COMMENT_LINES = ("%", ";")  # only at the start of a line
+_UNIT = re.compile(r"(.+?)[\[(]([^\[\]()\d][^\[\]()]*)[\])]")  # "X[m]"; the digits of "a[0]" are no unit
+_UNIT_WORD = re.compile(
+    r"[\[(]?(m|mm|cm|dm|km|ft|in|us-?ft|ftus|met(?:er|re)s?|f(?:ee|oo)t|inch(?:es)?|deg(?:rees?)?|°)[\])]?",
+    re.IGNORECASE,
+)
+_GEOGRAPHIC = {"longitude": "x", "lon": "x", "long": "x", "latitude": "y", "lat": "y"}
+_WGS84 = "EPSG:4326"
+
+
+class Layout(NamedTuple):
+    """Layout of a file.
+
+    Attributes:
+        first: index of the first line of numbers.
+        delimiter: delimiter of the numbers; None: spaces and tabs.
+        width: number of values on a line.
+        names: names of the columns, or None. One less than the values if the lines start with a number of their own.
+        points: number of points, if the file states it on a separate line.
+        crs: coordinate reference system, if the file states it.
+        unit: unit of the coordinates, if the file states it.
+        decimal_comma: whether commas are decimal points.
+        warnings: lines on what is unusual.
+    """
+
+    first: int
+    delimiter: str | None
+    width: int
+    names: list[str] | None
+    points: int | None
+    crs: str | None
+    unit: str | None
+    decimal_comma: bool
+    warnings: tuple[str, ...]
+
+    def plain(self, line: str) -> str:
+        """Return a line of numbers without comment, quotes and trailing delimiter, in Python's notation."""
+        text = content(line).replace('"', "")
+        if self.delimiter is not None:
+            text = text.removesuffix(self.delimiter)
+        if self.decimal_comma:
+            text = text.replace(",", ".")
+        return text.replace("D", "e").replace("d", "e")
+
+
+class _Header(NamedTuple):
+    names: list[str]
+    unit: str | None
+    crs: str | None
+    warnings: list[str]
+
+
+def find_layout(lines: list[str]) -> Layout:
+    """Detect the layout from the comments, header, units and count before the first line of numbers.
+
+    Raises:
+        InputError: there is no line of numbers, the lines before it are no header, or numbers have thousands
+            separators. The message gives the line.
+    """
+    header: tuple[int, str] | None = None  # index and text
+    comment: str | None = None  # a comment that reads like a header
+    units: list[str] = []
+    count: int | None = None
+    tags: dict[str, str] = {}
+    for index, line in enumerate(lines):
+        text = line.strip()
+        numbers = content(text)
+        if not numbers:
+            remark = text.lstrip("#/%; \t")
+            tag, _, value = remark.partition(" ")
+            if tag in ("crs", "unit"):
+                tags.setdefault(tag, value.strip())
+            elif _has_xyz(remark):
+                comment = remark
+            continue
+        delimiter = find_delimiter(numbers)
+        words = split(numbers, delimiter)
+        if all(not word or _is_number(word, delimiter) for word in words) and any(words):
+            if len(words) == 1 and count is None and numbers.isdigit() and len(numbers) < 19:
+                count = int(numbers)
+                continue
+            if len(words) < 3:
+                raise InputError(f"line {index + 1}: expected at least 3 columns, got {excerpt(text)}: export it again")
+            break
+        if header is not None and not units and _is_units_row(words):
+            units = words
+            continue
+        is_header = _has_xyz(numbers) or not any(NUMBER.fullmatch(word) for word in words)
+        if not is_header or header is not None or count is not None:
+            raise InputError(f"line {index + 1}: expected numbers, got {excerpt(text)}: correct the line")
+        header = index, numbers
+    else:
+        raise InputError(f"expected lines of numbers, got none in {len(lines)} lines: export the file again")
+
+    warnings: list[str] = []
+    if header is not None:
+        found: _Header | None = _read_header(*header, len(words), units)
+    else:
+        found = _read_comment(comment, len(words), warnings)
+    if numbers.endswith(delimiter or "\n"):
+        warnings.append("left out the empty column after the delimiter at the end of each line")
+    decimal_comma = delimiter != "," and _has_decimal_commas(lines[index:], delimiter)
+    if decimal_comma:
+        warnings.append("commas are read as decimal points")
+    if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
+        raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")
+    return Layout(
+        first=index,
+        delimiter=delimiter,
+        width=len(words),
+        names=found and found.names,
+        points=count,
+        crs=tags.get("crs") or (found and found.crs),
+        unit=tags.get("unit") or (found and found.unit),
+        decimal_comma=decimal_comma,
+        warnings=(*(found.warnings if found else ()), *warnings),
+    )
+
+
+def content(line: str) -> str:
+    """Return a line without its comment."""
+    for mark in _COMMENTS:
+        line = line.partition(mark)[0]
+    line = line.strip()
+    return "" if line.startswith(_COMMENT_LINES) else line
+
+
+def find_delimiter(text: str) -> str | None:
+    """Return the delimiter of a line; None: spaces and tabs."""
+    if ";" in text:
+        return ";"
+    # "1,5 2,5 3,5" contains commas too, but spaces separate it.
+    blanks = text.split()
+    if "," in text and not (len(blanks) >= 3 and all(_is_number(word, None) for word in blanks)):
+        return ","
+    # Tabs separate names with blanks, and empty values.
+    tabs = text.split("\t")
+    return "\t" if len(tabs) >= 3 and len(tabs) != len(blanks) and not all(map(NUMBER.fullmatch, blanks)) else None
+
+
+def split(text: str, delimiter: str | None) -> list[str]:
+    """Return the words of a line; a trailing delimiter ends the last one."""
+    text = text if delimiter is None else text.removesuffix(delimiter)
+    return [word.strip().strip("\"'").strip() for word in text.split(delimiter)]
+
+
+def excerpt(text: str) -> str:
+    """Return the start of a line, for an error message."""
+    return repr(text[:60]) + ("..." if len(text) > 60 else "")
+
+
+# ---- numbers ------------------------------------------------------------------------------------------------------
+
+
+def _is_number(word: str, delimiter: str | None) -> bool:
+    kinds = (NUMBER, _FORTRAN_NUMBER) if delimiter == "," else (NUMBER, _FORTRAN_NUMBER, _WITH_COMMAS)
+    return any(kind.fullmatch(word) for kind in kinds)
+
+
+def _has_quoted_comma(line: str) -> bool:
+    return any("," in part for part in line.split('"')[1::2])
+
+
+def _has_decimal_commas(lines: Iterable[str], delimiter: str | None) -> bool:
+    """Return whether commas are decimal points.
+
+    Raises:
+        InputError: they separate thousands, or may do so.
+    """
+    words = [
+        word
+        for line in lines
+        if "," in line
+        for word in split(content(line), delimiter)
+        if _WITH_COMMAS.fullmatch(word)
+    ]
+    if wrong := next((word for word in words if not _DECIMAL_COMMA.fullmatch(word)), None):
+        raise InputError(f"expected numbers without thousands separators, got {wrong[:40]}: export it without them")
+    if words and all(map(_THOUSANDS.fullmatch, words)):
+        raise InputError(
+            f"expected decimal points, got commas that may also separate thousands: {words[0][:40]}: export it without"
+            " commas"
+        )
+    return bool(words)
+
+
+# ---- header -------------------------------------------------------------------------------------------------------
+
+
+def _is_units_row(words: list[str]) -> bool:
+    known = sum(_UNIT_WORD.fullmatch(word) is not None for word in words)
+    return known >= 3 and all(len(word) <= 20 and not NUMBER.fullmatch(word) for word in words)
+
+
+def _words_of(header: str) -> list[str]:
+    header = re.sub(r"\s+(?=[\[(])", "", header)  # "X [m]" is one word
+    return [word or f"column_{k}" for k, word in enumerate(split(header, find_delimiter(header)), 1)]
+
+
+def _names(words: list[str]) -> tuple[list[str], list[str]]:
+    """Return the standard names of a header and the unit in each; unknown names are kept."""
+    parts = [match.groups() if (match := _UNIT.fullmatch(word)) else (word, "") for word in words]
+    names, units = [name.strip() for name, _ in parts], [unit.strip() for _, unit in parts]
+    names = words if len(set(names)) < len(set(words)) else names
+    plain = [name.lower() for name in names]
+    if not {"x", "y"} & set(plain) and sum(name in _GEOGRAPHIC for name in plain) == 2:
+        names = [_GEOGRAPHIC.get(name.lower(), name) for name in names]
+    return names, units
+
+
+def _has_xyz(text: str) -> bool:
+    names = _names(_words_of(text))[0]
+    return set(XYZ) <= set(standard_names(list(dict.fromkeys(names))))
+
+
+def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Header:
+    """Return the names of the columns, in which repeated names are numbered, and what they say of the coordinates.
+
+    Raises:
+        InputError: coordinates are missing or named twice, are in different units, or the number of names is wrong.
+    """
+    words = _words_of(text)
+    names, units = _names(words)
+    unique = list(names)
+    for at, name in enumerate(names):
+        if name in names[:at] and name.lower() not in XYZ:
+            unique[at] = f"{name}_{at + 1}"
+    if twice := next((name for name in unique if unique.count(name) > 1), None):
+        raise InputError(
+            f"line {index + 1}: expected unique column names, got {twice[:40]!r} twice: rename one of them"
+        )
+    known = standard_names(unique)
+    if missing := [name for name in XYZ if name not in known]:
+        raise InputError(
+            f"line {index + 1}: expected columns x, y, z; missing {', '.join(missing)} in {excerpt(text)}: name the"
+            " columns in this line"
+        )
+    if len(names) not in (width, width - 1) or (units_row and len(units_row) != len(names)):
+        raise InputError(
+            f"line {index + 1}: expected {width} column names, one per value, got {len(names)}: correct the header"
+        )
+    warnings = []
+    if repeated := len(set(unique) - set(names)):
+        warnings.append(f"{repeated} column names are not unique: numbered the later ones")
+    stated = {(units_row or units)[known.index(axis)].strip("[]()") for axis in XYZ}
+    if is_geographic := any(
+        word.lower() in _GEOGRAPHIC and known[at] in XYZ
+        for at, word in enumerate(_UNIT.sub(r"\1", word).strip() for word in words)
+    ):
+        warnings.append(f"longitude and latitude are read as x and y in degrees ({_WGS84})")
+    elif len(stated) > 1 and "" not in stated:
+        raise InputError(
+            f"line {index + 1}: expected x, y and z in one unit, got {', '.join(sorted(stated))[:60]}: convert them to"
+            " one unit"
+        )
+    unit = next(iter(stated)) if len(stated) == 1 and not is_geographic else ""
+    return _Header(known, unit or None, _WGS84 if is_geographic else None, warnings)
+
+
+def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _Header | None:
+    """Return the header in a comment, or None if it does not fit the columns."""
+    names = _words_of(comment) if comment else []
+    try:
+        if comment and len(names) == width:
+            return _read_header(0, comment, width, [])
+    except InputError:
+        pass  # prose
+    if names and [name.lower() for name in names[:3]] != list(XYZ):
+        warnings.append(
+            f"the comment {excerpt(comment or '')} names {len(names)} columns, but the lines have {width}: x, y and z"
+            " are taken from the first three"
+        )
+    return None
