@@ -130,6 +130,15 @@ class Camera:
         direction: FloatArray = self.cam_from_world.rotation[2]
         return direction
 
+    def turned(self) -> Camera:
+        """Return the camera of the photograph turned by 90 degrees counter-clockwise."""
+        k = self.intrinsics
+        k1, k2, p1, p2 = k.distortion
+        # The new x axis points along the old y axis, and the new y axis against the old x axis.
+        turned = Intrinsics(k.height, k.width, k.fy, k.fx, k.cy, k.width - k.cx, (k1, k2, -p2, p1))
+        turn = Similarity(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), np.zeros(3))
+        return Camera(self.name, turned, turn @ self.cam_from_world)
+
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return pixel coordinates (N, 2) and z-depths (N,) of world points (N, 3); points behind have depth <= 0.
 
