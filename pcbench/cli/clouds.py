@@ -164,6 +164,11 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @las_options("a LAS file")
 @splat_options
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
+@click.option(
+    "--mirror",
+    type=click.Choice(("x", "y", "z", "xy", "xz", "yz")),
+    help="Undo a mirrored export: negate one axis (x, y, z), or exchange two (xy, xz, yz).",
+)
 @quiet_option
 def convert(
     cloud: Path,
@@ -173,6 +178,7 @@ def convert(
     min_opacity: float | None,
     max_axis: float | None,
     sample: int | None,
+    mirror: str | None,
     quiet: bool,
 ) -> None:
     """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
@@ -181,6 +187,7 @@ def convert(
     """
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
+    from pcbench.geometry.reflections import reflection
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
     from pcbench.io.files import check_output, estimate_reading_seconds
     from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
@@ -208,6 +215,8 @@ def convert(
             data = mesh.sample(sample) if sample is not None else Cloud(mesh.vertices, crs=mesh.crs, unit=mesh.unit)
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), **filters)
+        if mirror is not None:
+            data = data.transformed(reflection(mirror))
         step(f"writing {out}")
         write_cloud(out, data)
     if not quiet:

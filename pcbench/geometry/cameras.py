@@ -192,7 +192,12 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
         raise InputError(f"expected a 3x3 rotation matrix of finite numbers, got {m.shape} with {m.ravel()[:3]}")
     error = float(np.abs(m @ m.T - np.eye(3)).max())
     determinant = float(np.linalg.det(m))
-    if error > 1e-3 or determinant < 0:
+    if error <= 1e-3 and determinant < 0:
+        raise InputError(
+            f"expected a rotation (determinant +1), got a reflection (determinant {determinant:.6g}): the cameras are"
+            " mirrored; export them in a right-handed frame"
+        )
+    if error > 1e-3:
         raise InputError(
             f"expected a rotation (orthonormal rows, determinant +1), got determinant {determinant:.6g} and rows that"
             f" are {error:.2g} from orthonormal: remove scale, shear and reflection"

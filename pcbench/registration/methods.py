@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, RegistrationError
 from pcbench.geometry.crs import is_projected_crs
+from pcbench.geometry.reflections import REFLECTIONS
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike, to_cloud
@@ -21,6 +22,12 @@ from pcbench.registration.from_features import FeatureSettings, align_by_feature
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import align
 from pcbench.registration.icp_settings import IcpSettings
+from pcbench.registration.mirrored import (
+    find_reflection,
+    fits_mirrored_from_any_pose,
+    may_be_mirrored,
+    mirrored_notice,
+)
 from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
 from pcbench.registration.residuals import SurveyResiduals
@@ -105,10 +112,16 @@ def register(
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
+        if not explanation:
+            axes = find_reflection(target, points, origin, with_scale=method.with_scale)
+            if axes is None and isinstance(method, FeatureSettings):
+                axes = REFLECTIONS[0] if fits_mirrored_from_any_pose(target, points, origin, method) else None
+            if axes is not None:
+                raise RegistrationError(str(mirrored_notice(axes))) from error
         raise RegistrationError(f"{explanation}{error}") from error
 
     quality, scale = fit.quality, fit.T_local.scale
-    return Registration(
+    registration = Registration(
         method=method.text,
         T_reference_candidate=T,
         T_local=fit.T_local,
@@ -125,6 +138,11 @@ def register(
         contrast=quality.contrast,
         returned_share=quality.returned,
     )
+    if may_be_mirrored(registration):
+        axes = find_reflection(target, points, origin, with_scale=method.with_scale, off_surface=quality.off_surface)
+        if axes is not None:
+            return replace(registration, warnings=(mirrored_notice(axes), *registration.warnings))
+    return registration
 
 
 def _approximate_scale(method: Method, start: Similarity | None, extent_ratio: float) -> float:
