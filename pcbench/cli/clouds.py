@@ -186,6 +186,11 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
 @click.option("--unit", metavar="UNIT", help="Convert x, y and z to this unit of length, such as m or US-ft.")
 @click.option("--drop-nodata", is_flag=True, help="Remove points that stand for missing data, such as z = -9999.")
 @click.option("--sample", type=click.IntRange(min=1), metavar="N", help="Sample N points on a mesh, uniformly by area.")
+@click.option(
+    "--mirror",
+    type=click.Choice(("x", "y", "z", "xy", "xz", "yz")),
+    help="Undo a mirrored export: negate one axis (x, y, z), or exchange two (xy, xz, yz).",
+)
 @quiet_option
 def convert(
     cloud: Path,
@@ -200,6 +205,7 @@ def convert(
     unit: str | None,
     drop_nodata: bool,
     sample: int | None,
+    mirror: str | None,
     quiet: bool,
 ) -> None:
     """Write CLOUD to OUT in the format of OUT's extension, with normals, colours and attributes.
@@ -209,6 +215,7 @@ def convert(
     """
     from pcbench.errors import InputError
     from pcbench.geometry.mesh_samples import vertex_cloud
+    from pcbench.geometry.reflections import reflection
     from pcbench.geometry.reprojection import convert_unit, project
     from pcbench.io import check_cloud_output, read_cloud, write_cloud
     from pcbench.io.files import check_output, errors_named, estimate_reading_seconds
@@ -244,6 +251,8 @@ def convert(
             warn_unless(quiet)(f"{cloud}: {left_out_surface(len(data), pluralize(len(mesh), 'face'))}")
         else:
             data = read_cloud(cloud, on_warning=warn_unless(quiet), drop_nodata=drop_nodata, **filters)
+        if mirror is not None:
+            data = data.transformed(reflection(mirror))
         with errors_named(cloud):
             if crs is not None:
                 data = project(data, crs, from_crs, lambda line: warn_unless(quiet)(f"{cloud}: {line}"))

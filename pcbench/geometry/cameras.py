@@ -130,6 +130,15 @@ class Camera:
         direction: FloatArray = self.cam_from_world.rotation[2]
         return direction
 
+    def turned(self) -> Camera:
+        """Return the camera of the photograph turned by 90 degrees counter-clockwise."""
+        k = self.intrinsics
+        k1, k2, p1, p2 = k.distortion
+        # The new x axis points along the old y axis, and the new y axis against the old x axis.
+        turned = Intrinsics(k.height, k.width, k.fy, k.fx, k.cy, k.width - k.cx, (k1, k2, -p2, p1))
+        turn = Similarity(np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]), np.zeros(3))
+        return Camera(self.name, turned, turn @ self.cam_from_world)
+
     def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return pixel coordinates (N, 2) and z-depths (N,) of world points (N, 3); points behind have depth <= 0.
 
@@ -183,7 +192,12 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
         raise InputError(f"expected a 3x3 rotation matrix of finite numbers, got {m.shape} with {m.ravel()[:3]}")
     error = float(np.abs(m @ m.T - np.eye(3)).max())
     determinant = float(np.linalg.det(m))
-    if error > 1e-3 or determinant < 0:
+    if error <= 1e-3 and determinant < 0:
+        raise InputError(
+            f"expected a rotation (determinant +1), got a reflection (determinant {determinant:.6g}): the cameras are"
+            " mirrored; export them in a right-handed frame"
+        )
+    if error > 1e-3:
         raise InputError(
             f"expected a rotation (orthonormal rows, determinant +1), got determinant {determinant:.6g} and rows that"
             f" are {error:.2g} from orthonormal: remove scale, shear and reflection"

@@ -143,6 +143,12 @@ class Similarity:
         if not np.allclose(m[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
             raise InputError(f"expected the last row 0 0 0 1, got {' '.join(f'{v:g}' for v in m[3])}")
         determinant = np.linalg.det(m[:3, :3])
+        if determinant < 0:
+            raise InputError(
+                f"expected a rotation with a positive scale, got a reflection (determinant {determinant:g}): the matrix"
+                " mirrors the candidate; undo the reflection in the matrix, or of the cloud (`pcbench convert CANDIDATE"
+                " unmirrored.ply --mirror x`, or y, z, xy, xz, yz)"
+            )
         if not determinant > 0:
             raise InputError(f"expected a rotation with a positive scale, got determinant {determinant:g}")
         scale = float(np.cbrt(determinant))

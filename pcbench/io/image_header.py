@@ -1,4 +1,4 @@
-"""Read the size and GPS position of an image without decoding it.
+"""Read the size, orientation and GPS position of an image without decoding it.
 
 The formats are JPEG (ISO/IEC 10918-1, markers) and PNG (W3C, IHDR). Nothing is decompressed: 1000 images take 0.1 s.
 
@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple
 
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.geodesy import Gps
-from pcbench.io.exif_gps import gps_from_exif
+from pcbench.io.exif import gps_from_exif, orientation_from_exif
 from pcbench.regular_files import open_regular
 
 EXTENSIONS = (".jpg", ".jpeg", ".png")
@@ -26,23 +26,25 @@ _PNG_ALPHA_TYPES = (4, 6)  # colour types with an alpha channel: grey and RGB
 _STANDALONE_MARKERS = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # these are tables or reserved
 _APP1, _START_OF_SCAN = 0xE1, 0xDA
+_MAX_EXIF_BYTES = 1 << 20  # of a PNG; a JPEG's segment is smaller
 
 
 class ImageHeader(NamedTuple):
-    """Stored size in pixels (before any EXIF rotation), GPS position of the antenna, and whether there is an alpha.
+    """Stored size in pixels (before any EXIF rotation), GPS position of the antenna, alpha, and EXIF orientation.
 
     `gps` is None if the file has no position. `has_alpha` is True for a PNG with an alpha channel or a
-    transparent colour.
+    transparent colour. `orientation` is 1 if the stored pixels are upright.
     """
 
     width: int
     height: int
     gps: Gps | None
     has_alpha: bool = False
+    orientation: int = 1
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the size and GPS position of a JPEG or PNG file.
+    """Read the size, GPS position and orientation of a JPEG or PNG file.
 
     Raises:
         InputError: the file is missing, empty, truncated, or in neither format. The message starts with the path.
@@ -76,23 +78,32 @@ def _png(file: BinaryIO) -> ImageHeader:
         raise InputError("expected a PNG header, got a truncated file: copy the image again")
     width, height = struct.unpack(">II", chunk[8:])
     depth, kind = file.read(2).ljust(2, b"\0")  # bit depth and colour type
+    has_transparent_color, orientation = _png_chunks(file)
     # Pillow does not apply transparent colours of 16 bits.
-    has_alpha = kind in _PNG_ALPHA_TYPES or (depth <= 8 and _has_transparent_color(file))
-    return ImageHeader(width, height, None, has_alpha)
+    has_alpha = kind in _PNG_ALPHA_TYPES or (depth <= 8 and has_transparent_color)
+    return ImageHeader(width, height, None, has_alpha, orientation)
 
 
-def _has_transparent_color(file: BinaryIO) -> bool:
-    """Return whether a chunk before the pixels of a PNG makes colours transparent; the file is within its header."""
+def _png_chunks(file: BinaryIO) -> tuple[bool, int]:
+    """Return whether a chunk before the pixels of a PNG makes colours transparent, and the EXIF orientation.
+
+    The file is within its header.
+    """
+    has_transparent_color, orientation = False, 1
     file.seek(7, SEEK_CUR)  # the rest of the header and its checksum
     while len(chunk := file.read(8)) == 8 and chunk[4:] != b"IDAT":
+        length, end = int.from_bytes(chunk[:4], "big"), file.tell() + int.from_bytes(chunk[:4], "big") + 4
         if chunk[4:] == b"tRNS":
-            return True
-        file.seek(int.from_bytes(chunk[:4], "big") + 4, SEEK_CUR)
-    return False
+            has_transparent_color = True
+        elif chunk[4:] == b"eXIf":
+            orientation = orientation_from_exif(file.read(min(length, _MAX_EXIF_BYTES)))
+        file.seek(end)
+    return has_transparent_color, orientation
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:
     gps: Gps | None = None
+    orientation = 1
     while True:
         marker = file.read(2)
         while len(marker) == 2 and marker[1] == 0xFF:  # fill bytes
@@ -110,10 +121,10 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
             if len(frame) < 5:
                 raise InputError("expected a JPEG that states its size, got a truncated or damaged file: copy it again")
             height, width = struct.unpack(">HH", frame[1:])
-            return ImageHeader(width, height, gps)
+            return ImageHeader(width, height, gps, orientation=orientation)
         if marker[1] == _APP1:
             segment = file.read(length - 2)
             if segment.startswith(b"Exif\0\0"):
-                gps = gps_from_exif(segment[6:])
+                gps, orientation = gps_from_exif(segment[6:]), orientation_from_exif(segment[6:])
         else:
             file.seek(length - 2, 1)

@@ -15,6 +15,7 @@ from pcbench.errors import InputError, Notice, RegistrationError
 from pcbench.geometry.crs import check_lengths, is_projected_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
+from pcbench.geometry.reflections import REFLECTIONS
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike
@@ -25,6 +26,12 @@ from pcbench.registration.from_features import FeatureSettings, align_by_feature
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import align
 from pcbench.registration.icp_settings import IcpSettings
+from pcbench.registration.mirrored import (
+    find_reflection,
+    fits_mirrored_from_any_pose,
+    may_be_mirrored,
+    mirrored_notice,
+)
 from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
 from pcbench.registration.residuals import SurveyResiduals
@@ -112,14 +119,20 @@ def register(
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
-        missing = nodata_reason({"reference": reference, "candidate": candidate})
-        raise RegistrationError(f"{missing}{explanation}{error}") from error
+        explanation = f"{nodata_reason({'reference': reference, 'candidate': candidate})}{explanation}"
+        if not explanation:
+            axes = find_reflection(target, points, origin, with_scale=method.with_scale)
+            if axes is None and isinstance(method, FeatureSettings):
+                axes = REFLECTIONS[0] if fits_mirrored_from_any_pose(target, points, origin, method) else None
+            if axes is not None:
+                raise RegistrationError(str(mirrored_notice(axes))) from error
+        raise RegistrationError(f"{explanation}{error}") from error
 
     quality, scale, sampling = fit.quality, fit.T_local.scale, list[Notice]()
     if isinstance(moved, Mesh):
         spacing = None if target.is_sampled else target.surface.spacing
         sampling = [sampling_notice(moved, len(candidate), 0, scale=scale, spacing=spacing)]
-    return Registration(
+    registration = Registration(
         method=method.text,
         T_reference_candidate=T,
         T_local=fit.T_local,
@@ -136,6 +149,11 @@ def register(
         contrast=quality.contrast,
         returned_share=quality.returned,
     )
+    if may_be_mirrored(registration):
+        axes = find_reflection(target, points, origin, with_scale=method.with_scale, off_surface=quality.off_surface)
+        if axes is not None:
+            return replace(registration, warnings=(mirrored_notice(axes), *registration.warnings))
+    return registration
 
 
 def _approximate_scale(method: Method, start: Similarity | None, extent_ratio: float) -> float:

@@ -30,6 +30,7 @@ from pcbench.scenes.decode import Size
 from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, named_cameras, unread_calibrations
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
+from pcbench.scenes.turned import camera_of_stored, describe_turned
 
 # Smallest plausible focal length as a share of the longer image side; it corresponds to a field of view of 157 degrees.
 _MIN_FOCAL_SHARE = 0.1
@@ -86,7 +87,8 @@ def read_scene(
         with_alpha=frozenset(name for name, header in headers.items() if header.has_alpha),
         image_scale=float(image_scale),
     )
-    return _with_intrinsics(_with_cameras(scene, path, str(cameras), warn), path, warn)
+    orientations = {name: header.orientation for name, header in headers.items()}
+    return _with_intrinsics(_with_cameras(scene, path, str(cameras), orientations, warn), path, warn)
 
 
 def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -> dict[str, FloatArray]:
@@ -140,9 +142,10 @@ def _masks(
             if has_entry(candidate):
                 mask, image = read_image_header(candidate), headers[name]
                 if (mask.width, mask.height) != (image.width, image.height):
+                    is_turned = (mask.height, mask.width) == (image.width, image.height)
                     raise InputError(
                         f"{candidate}: expected a mask of {image.width} x {image.height} pixels as {folder / name},"
-                        f" got {mask.width} x {mask.height}: resize the mask"
+                        f" got {mask.width} x {mask.height}: {'turn' if is_turned else 'resize'} the mask"
                     )
                 mask_files[name] = candidate
                 break
@@ -151,7 +154,9 @@ def _masks(
     return mask_files
 
 
-def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], None]) -> Scene:
+def _with_cameras(
+    scene: Scene, path: Path, choice: str, orientations: Mapping[str, int], warn: Callable[[str], None]
+) -> Scene:
     """Add the cameras of a file or folder to a scene; return it unchanged if there are none."""
     if choice == "none":
         return scene
@@ -167,6 +172,8 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
     camera_file = _read_cameras(source, scene, find, warn)
     matched: dict[str, Camera] = {}
     unmatched: list[str] = []
+    turned: list[str] = []
+    ambiguous: list[str] = []
     for camera in camera_file.cameras:
         name = find(camera.name)
         if name is None:
@@ -174,16 +181,16 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
             continue
         if name in matched:
             raise InputError(f"{source}: expected one camera per image, got two for {name}: remove one of them")
-        intrinsics = camera.intrinsics
-        if not _same_aspect((intrinsics.width, intrinsics.height), scene.sizes[name]):
-            width, height = scene.sizes[name]
-            raise InputError(
-                f"{scene.folder / name}: expected an image of {intrinsics.width} x {intrinsics.height} pixels as its"
-                f" camera in {source}, got {width} x {height}: use the images of these cameras"
-            )
-        if wrong := _intrinsics_error(intrinsics):
+        if wrong := _intrinsics_error(camera.intrinsics):
             raise InputError(f"{source}: {name}: {wrong}")
-        matched[name] = Camera(name, intrinsics.resized(*scene.size(name)), camera.cam_from_world)
+        try:
+            stored = camera_of_stored(camera, scene.sizes[name], orientations[name], source)
+        except InputError as error:
+            raise InputError(f"{scene.folder / name}: {error}") from None
+        turned += [name] * stored.was_turned
+        ambiguous += [name] * stored.is_ambiguous
+        camera = stored.camera
+        matched[name] = Camera(name, camera.intrinsics.resized(*scene.size(name)), camera.cam_from_world)
     if not matched:
         raise InputError(
             f"{source}: expected cameras of these images, got {len(unmatched)} of other images, such as"
@@ -194,6 +201,8 @@ def _with_cameras(scene: Scene, path: Path, choice: str, warn: Callable[[str], N
         warn(f"{source}: left out {count} cameras whose images are missing: {_list_names(unmatched)}")
     if without_camera := [name for name in scene.images if name not in matched]:
         warn(f"{source}: no camera for {len(without_camera)} of {len(scene)} images: {_list_names(without_camera)}")
+    for line in describe_turned(turned, ambiguous, len(matched)):
+        warn(f"{source}: {line}")
     _warn_of_unread(scene, source, without_camera, warn)
     if camera_file.origin is not None:
         warn(f"{source}: {describe_sphere_scale(camera_file.origin)}")
@@ -305,12 +314,6 @@ def _intrinsics_error(k: Intrinsics) -> str:
     else:
         return ""
     return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
-
-
-def _same_aspect(camera: Size, image: Size) -> bool:
-    """Return whether two sizes have the same aspect ratio, up to rounding by one pixel in either size."""
-    scale = image[0] / camera[0]
-    return abs(camera[1] * scale - image[1]) <= 1 + scale
 
 
 def _list_names(names: Sequence[str]) -> str:

@@ -1,4 +1,6 @@
-"""Read GPS positions from EXIF: the GPS directory of the TIFF block in a JPEG's APP1 segment (CIPA DC-008, 4.6.6).
+"""Read orientation and GPS position from EXIF: the TIFF block in a JPEG's APP1 segment or a PNG's eXIf chunk.
+
+Tags are those of CIPA DC-008: the orientation is in 4.6.4, the GPS directory in 4.6.6.
 
 For why Pillow is not used, see `image_header`. In addition, Pillow 13 skips unreadable parts of a damaged block and
 returns other positions, such as heights below sea level without their sign.
@@ -13,7 +15,7 @@ import numpy as np
 
 from pcbench.geometry.geodesy import Gps
 
-_GPS_DIRECTORY = 0x8825
+_ORIENTATION, _GPS_DIRECTORY = 0x0112, 0x8825
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}  # bytes of a value, by TIFF type
 
@@ -23,12 +25,11 @@ def gps_from_exif(tiff: bytes) -> Gps | None:
 
     An image whose position cannot be read is still a valid image.
     """
-    order = {b"II": "<", b"MM": ">"}.get(tiff[:2])
+    order = _byte_order(tiff)
     if order is None:
         return None
     try:
-        (first,) = struct.unpack_from(f"{order}I", tiff, 4)
-        pointer = _directory(tiff, order, first).get(_GPS_DIRECTORY)
+        pointer = _first_directory(tiff, order).get(_GPS_DIRECTORY)
         if pointer is None:
             return None
         fields = _directory(tiff, order, struct.unpack(f"{order}I", pointer[:4])[0])
@@ -42,6 +43,27 @@ def gps_from_exif(tiff: bytes) -> Gps | None:
     if not (abs(latitude) <= 90 and abs(longitude) <= 180 and np.isfinite(altitude)) or latitude == longitude == 0:
         return None
     return Gps(latitude, longitude, altitude)
+
+
+def orientation_from_exif(tiff: bytes) -> int:
+    """Return how an image is turned for display, from 1 (not at all) to 8; 1 if it is missing or damaged."""
+    order = _byte_order(tiff)
+    if order is None:
+        return 1
+    try:
+        value = _first_directory(tiff, order).get(_ORIENTATION, b"")
+        (orientation,) = struct.unpack(f"{order}H", value[:2])
+    except (struct.error, ValueError):
+        return 1
+    return orientation if 1 <= orientation <= 8 else 1
+
+
+def _byte_order(tiff: bytes) -> str | None:
+    return {b"II": "<", b"MM": ">"}.get(tiff[:2])
+
+
+def _first_directory(tiff: bytes, order: str) -> dict[int, bytes]:
+    return _directory(tiff, order, *struct.unpack_from(f"{order}I", tiff, 4))
 
 
 def _directory(tiff: bytes, order: str, offset: int) -> dict[int, bytes]:
