@@ -278,6 +278,8 @@ def _print_info(path: Path) -> None:
     click.echo(f"  size   {_triple(upper - lower)}{unit}")
     if spacing is not None:
         click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
+    if mesh is None:
+        click.echo(f"  step    {_steps(cloud.quantisation.steps, unit)}")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
     click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
     click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")
@@ -289,6 +291,16 @@ def _print_info(path: Path) -> None:
         attributes = [name for name in attributes if not is_splat_attribute(name)]
     if attributes:
         click.echo(f"  attributes {', '.join(map(printable, attributes))}")
+
+
+def _steps(steps: FloatArray, unit: str) -> str:
+    """Return the steps in which x, y and z are stored, in words."""
+    if not steps.any():
+        return "none visible (in which x, y and z are rounded)"
+    if (steps == steps[0]).all():
+        return f"{steps[0]:.3g}{unit} (in which x, y and z are rounded)"
+    words = "  ".join(f"{step:.3g}" if step else "none" for step in steps)
+    return f"{words}{unit} (in which x, y and z are rounded)"
 
 
 def _triple(values: Any) -> str:

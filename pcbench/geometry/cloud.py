@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry import pyvista_points
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, as_frozen, as_rows, bounds, freeze
+from pcbench.geometry.quantisation import Quantisation
 
 if TYPE_CHECKING:
     from pcbench.geometry.transform import Affine, Similarity
@@ -212,6 +214,11 @@ class Cloud:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest corner of the bounding box, each (3,)."""
         return bounds(self.points)
+
+    @cached_property
+    def quantisation(self) -> Quantisation:
+        """Lattice on which the coordinates lie because a file rounded them."""
+        return Quantisation.of(self.points)
 
     def select(self, which: NDArray[Any]) -> Cloud:
         """Return the points selected by a boolean mask (N,) or by indices (M,)."""

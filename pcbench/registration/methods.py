@@ -26,6 +26,7 @@ from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
+from pcbench.registration.rounding import step_warnings
 from pcbench.registration.target import Target, local_origin
 
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
@@ -110,6 +111,15 @@ def register(
         raise RegistrationError(f"{missing}{explanation}{error}") from error
 
     quality, scale = fit.quality, fit.T_local.scale
+    steps = step_warnings(
+        reference,
+        candidate,
+        scale=scale,
+        spacing=target.surface.spacing,
+        noise=quality.rmse,
+        extent=target.extent,
+        unit=reference.unit,
+    )
     return Registration(
         method=method.text,
         T_reference_candidate=T,
@@ -122,7 +132,7 @@ def register(
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
         residuals=residuals,
-        warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
+        warnings=(*quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale), *steps),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
         returned_share=quality.returned,

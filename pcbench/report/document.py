@@ -134,6 +134,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "warnings": [*file_values["warnings"], *candidate.warnings],
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
+        "steps": candidate.steps,
         "censored": candidate.censored,
         "map_samples": _map_samples(candidate),
         "registration": _registration(candidate.registration),
