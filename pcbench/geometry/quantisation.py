@@ -132,7 +132,7 @@ def _axis_lattice(values: FloatArray) -> _AxisLattice:
     step, binary = _common_step(gaps, np.spacing(np.abs(distinct))), 0.0
     with np.errstate(over="ignore"):
         is_single = bool((distinct == distinct.astype(np.float32)).all())
-    if is_single:
+    if is_single and len(distinct) >= _MIN_VALUES:
         binary = float(np.sqrt(np.mean(np.square(_single_spacings(values)))))
         # Decimals that became float32 are multiples of a step only up to its rounding.
         step = step if step > binary else _common_step(gaps, 0.5 * _single_spacings(distinct))

@@ -17,7 +17,7 @@ _MAX_SHARE = 0.1  # of the point spacing or the noise, which a step does not aff
 def step_warnings(
     reference: Cloud, candidate: Cloud, *, scale: float, spacing: float, noise: float, extent: float, unit: str | None
 ) -> Iterator[Notice]:
-    """Yield a warning for each cloud whose coordinates are stored in steps above a tenth of the spacing or the noise.
+    """Yield warnings about clouds with coordinates in steps above a tenth of the spacing or the noise.
 
     Args:
         reference: the reference.
@@ -29,6 +29,7 @@ def step_warnings(
         unit: unit of the reference, if known.
     """
     unit_text = f" {unit}" if unit else ""
+    owners: dict[str, list[str]] = {}
     for name, cloud, factor in (("reference", reference, 1.0), ("candidate", candidate, scale)):
         lattice = cloud.quantisation
         step = factor * lattice.coarsest
@@ -38,10 +39,11 @@ def step_warnings(
             continue
         steps = ", ".join(f"{value:.3g}" for value in factor * lattice.steps)
         moved = factor * float(np.sqrt(np.trace(lattice.covariance)))
-        yield Notice(
-            COARSE_STEP,
-            f"the {name}'s x, y and z are stored in steps of {steps}{unit_text}, which exceeds a tenth of"
-            f" {' and of '.join(exceeded)}: rounding moves its points by {moved:.3g}{unit_text} RMS, which no"
-            " registration removes; export it again as float64, with a finer scale or more decimals, or subtract a"
-            " constant from the coordinates before they become float32",
+        text = (
+            f"in steps of {steps}{unit_text}, which exceeds a tenth of {' and of '.join(exceeded)}: rounding moves"
+            f" points by {moved:.3g}{unit_text} RMS, which no registration removes; export again as float64, with a"
+            " finer scale or more decimals, or subtract a constant from the coordinates before they become float32"
         )
+        owners.setdefault(text, []).append(name)
+    for text, names in owners.items():
+        yield Notice(COARSE_STEP, f"x, y and z of the {' and the '.join(names)} are stored {text}")

@@ -152,10 +152,11 @@ class _Writer:
             return f"{text}, about what {self._sampling_words([candidate])} ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
         position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
+        floor = f"{self._sampling_words([candidate])} {self.length(away.floor)}"
         at_least = "at least " if candidate.censored.get(REFERENCE_TO_CANDIDATE) else ""
         return (
-            f"{text}, of which {self._sampling_words([candidate])} {self.length(away.floor)}: parts are missing. 5% of the"
-            f" reference is farther than {self.length(worst.p95)} from the candidate; the farthest point,"
+            f"{text}, of which {floor}: parts are missing. 5% of the reference is"
+            f" farther than {self.length(worst.p95)} from the candidate; the farthest point,"
             f" {at_least}{self.length(worst.largest)} away, is at ({position})."
         )
 
