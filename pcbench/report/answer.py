@@ -204,7 +204,7 @@ class _Writer:
         if missing:
             why = f"parts are missing in {self.name_list(missing)}"
         else:
-            why = f"{self._sampling_words(candidates)} these distances"
+            why = f"{self._sampling_words(candidates).removeprefix('the ')} these distances"
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
         notes = [*map(self._overlap_warning, ends), self._robust_order(candidates, off)]
         return [
