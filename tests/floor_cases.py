@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from surfaces import surface
 
-from pcbench import Cloud, Settings
+from pcbench import Cloud, Settings, compare
 from pcbench.geometry.neighbors import Index
 from pcbench.measure.directions import MEAN_METRICS, Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 
 METRICS = tuple(metric.name for metric in MEAN_METRICS)
 
@@ -63,3 +64,18 @@ def mean_floors(case: Case, runs: int) -> Means:
                 scores[row, column] += np.mean(values) / runs
                 floors[row, column] += floor / runs
     return Means(scores, floors)
+
+
+def mean_rounded_ratios(name: str, counts: tuple[int, int], steps: tuple[float, float], runs: int) -> np.ndarray:
+    """Return the mean ratio of score and floor (2, METRICS) of samples of a surface that are rounded to steps."""
+    ratios = np.zeros((2, len(METRICS)))
+    for run in range(runs):
+        rng = np.random.default_rng([run, *counts])
+        clouds = []
+        for count, step in zip(counts, steps, strict=True):
+            points, _ = surface(name).sample(count, rng)
+            clouds.append(np.round(points / step) * step if step else points)
+        found = compare(*clouds, Settings(register="none", seed=run))["candidate_1"].metrics.directed
+        for row, way in enumerate((CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)):
+            ratios[row] += [found[metric][way].value / found[metric][way].floor / runs for metric in METRICS]
+    return ratios

@@ -331,6 +331,8 @@ def _print_info(path: Path) -> None:
     if spacing is not None:
         unit = f" {cloud.unit}" if cloud.unit else ""
         click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
+    if mesh is None:
+        click.echo(f"  step    {_steps(cloud.quantisation.steps, cloud)}")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
     depth = cloud.stored and cloud.stored.color_depth
     colours = "no" if cloud.colors is None else f"yes (stored with {depth} bits)" if depth else "yes"
@@ -344,6 +346,15 @@ def _print_info(path: Path) -> None:
         attributes = [name for name in attributes if not is_splat_attribute(name)]
     if attributes:
         click.echo(f"  attributes {', '.join(map(printable, attributes))}")
+
+
+def _steps(steps: FloatArray, cloud: Cloud) -> str:
+    """Return the steps in which x, y and z are stored, in words."""
+    if not steps.any():
+        return "none visible (in which x, y and z are rounded)"
+    different = steps[:1] if (steps == steps[0]).all() else steps
+    words = "  ".join(f"{step:.3g}" if step else "none" for step in different)
+    return f"{words}{f' {cloud.unit}' if cloud.unit else ''} (in which x, y and z are rounded)"
 
 
 def _triple(values: FloatArray, cloud: Cloud) -> str:

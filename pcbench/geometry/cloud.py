@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry import pyvista_points
 from pcbench.geometry.arrays import MAX_COORDINATE, FloatArray, as_frozen, as_rows, bounds, freeze
+from pcbench.geometry.quantisation import Quantisation
 
 if TYPE_CHECKING:
     from pcbench.geometry.transform import Affine, Similarity
@@ -235,6 +237,11 @@ class Cloud:
         """Middle of the ranges of x and y."""
         low, high = self.bounds
         return float(low[0] / 2 + high[0] / 2), float(low[1] / 2 + high[1] / 2)
+
+    @cached_property
+    def quantisation(self) -> Quantisation:
+        """Lattice on which the coordinates lie because a file rounded them."""
+        return Quantisation.of(self.points)
 
     def select(self, which: NDArray[Any]) -> Cloud:
         """Return the points selected by a boolean mask (N,) or by indices (M,)."""

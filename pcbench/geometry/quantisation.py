@@ -19,7 +19,8 @@ from pcbench.geometry.transform import Similarity
 _SAMPLE_POINTS = 100_000  # every n-th point, as in an evenly thinned cloud on disk
 _MIN_VALUES = 10  # distinct values on a lattice; fewer may be levels of a model
 _MIN_LEVELS, _MAX_LEVEL_STEP = 3, 1.0  # or this many, without a gap and with a step that files have
-_MIN_SHARE = 0.99  # of the differences between neighbouring values that are multiples of the step
+_MIN_SHARE = 0.95  # of the differences between neighbouring values that are multiples of the step
+_TESTED_GAPS = 1_000
 _MAX_ERROR = 0.05  # of these multiples, in steps
 _DECIMAL_FACTORS = (1.0, 0.5, 0.25, 0.2)
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
@@ -52,7 +53,7 @@ class Quantisation:
         offsets = np.array([axis.offset for axis in axes])
         for first, second in ((0, 1), (0, 2), (1, 2)):
             pair = [first, second]
-            if steps[pair].all() and _is_grid(sample[:, pair], steps[pair], offsets[pair]):
+            if steps[pair].all() and _is_grid(sample[:, pair], steps[pair], offsets[pair], len(points)):
                 steps[pair] = 0.0
         return cls(steps, offsets)
 
@@ -127,40 +128,52 @@ def _axis_lattice(values: FloatArray) -> _AxisLattice:
     distinct = np.unique(values)
     if len(distinct) < 2:
         return _AxisLattice(0.0, float(values[0]))
+    gaps = np.diff(distinct)
+    step, binary = _common_step(gaps, np.spacing(np.abs(distinct))), 0.0
     with np.errstate(over="ignore"):
         is_single = bool((distinct == distinct.astype(np.float32)).all())
-    spacings = np.spacing(np.abs(distinct.astype(np.float32))).astype(np.float64) if is_single else None
-    binary = 0.0
-    if spacings is not None:
-        by_value = np.spacing(np.abs(values.astype(np.float32))).astype(np.float64)
-        binary = float(np.sqrt(np.mean(np.square(by_value))))
-    errors = np.spacing(np.abs(distinct)) if spacings is None else 0.5 * spacings
-    step = _common_step(np.diff(distinct), errors[1:] + errors[:-1])
-    if step <= binary:
-        return _AxisLattice(binary, 0.0)
-    return _AxisLattice(step, float(distinct[len(distinct) // 2]))
+    if is_single and len(distinct) >= _MIN_VALUES:
+        binary = float(np.sqrt(np.mean(np.square(_single_spacings(values)))))
+        # Decimals that became float32 are multiples of a step only up to its rounding.
+        step = step if step > binary else _common_step(gaps, 0.5 * _single_spacings(distinct))
+    return _AxisLattice(max(step, binary), float(distinct[len(distinct) // 2]) if step > binary else 0.0)
 
 
-def _common_step(gaps: FloatArray, errors: FloatArray) -> float:
-    """Return the largest step of which gaps (M,) between distinct values are multiples up to errors (M,); 0 if none."""
+def _single_spacings(values: FloatArray) -> FloatArray:
+    """Return the distance of each value (N,) to the next float32."""
+    return np.spacing(np.abs(values.astype(np.float32))).astype(np.float64)
+
+
+def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
+    """Return the largest step of which gaps (M,) between distinct values are multiples; 0 if there is none.
+
+    Args:
+        gaps: (M,) gaps between distinct values in ascending order.
+        value_errors: (M + 1,) possible rounding error of each value.
+    """
+    errors = value_errors[1:] + value_errors[:-1]
+    stride = max(1, len(gaps) // _TESTED_GAPS)  # most steps can be ruled out by few gaps
     for step in sorted(set(_possible_steps(gaps)), reverse=True):
-        multiples = np.maximum(np.round(gaps / step), 1.0)
-        off = np.abs(gaps - multiples * step)
-        is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * step)
-        if np.count_nonzero(is_multiple) < _MIN_SHARE * len(gaps):
+        if not _are_multiples(gaps[::stride], errors[::stride], step) or not _are_multiples(gaps, errors, step):
             continue
         if len(gaps) + 1 >= _MIN_VALUES:
             return step
-        has_all_levels = len(gaps) + 1 >= _MIN_LEVELS and (multiples == 1).all()
+        has_all_levels = len(gaps) + 1 >= _MIN_LEVELS and (gaps < 1.5 * step).all()
         return step if has_all_levels and step <= _MAX_LEVEL_STEP else 0.0
     return 0.0
+
+
+def _are_multiples(gaps: FloatArray, errors: FloatArray, step: float) -> bool:
+    off = np.abs(gaps - np.maximum(np.round(gaps / step), 1.0) * step)
+    is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * step)
+    return bool(np.count_nonzero(is_multiple) >= _MIN_SHARE * len(gaps))
 
 
 def _possible_steps(gaps: FloatArray) -> Iterator[float]:
     """Yield steps that files have, and small gaps themselves, from about the smallest gap downwards."""
     least = [float(gap) for gap in np.percentile(gaps, _RANKS)]
-    yield from least
-    limit = 1.01 * least[1]
+    yield from (float(gaps.sum() / np.maximum(np.round(gaps / gap), 1.0).sum()) for gap in least)
+    limit = 1.01 * least[-1]
     decade = int(np.ceil(np.log10(limit))) + 1
     for exponent in range(decade, decade - 12, -1):
         for factor in _DECIMAL_FACTORS:
@@ -171,13 +184,12 @@ def _possible_steps(gaps: FloatArray) -> Iterator[float]:
     yield from (2.0**exponent for exponent in range(octave, octave - 24, -1))
 
 
-def _is_grid(places: FloatArray, steps: FloatArray, offsets: FloatArray) -> bool:
-    """Return whether coordinates (N, 2) fill a regular grid with one point per node."""
+def _is_grid(places: FloatArray, steps: FloatArray, offsets: FloatArray, count: int) -> bool:
+    """Return whether coordinates (N, 2), a sample of `count` points, fill a regular grid with one point per node."""
     nodes = np.round((places - offsets) / steps)
-    if np.abs(nodes).max() > 2**31:
+    rows, columns = (float(side) + 1 for side in nodes.max(axis=0) - nodes.min(axis=0))
+    if min(rows, columns) < 2 or count < _MIN_GRID_SHARE * rows * columns:
         return False
     shifted = (nodes - nodes.min(axis=0)).astype(np.int64)
-    rows, columns = (int(count) + 1 for count in shifted.max(axis=0))
-    occupied = len(np.unique(shifted[:, 0] * columns + shifted[:, 1]))
-    is_single = occupied >= (1 - _MAX_GRID_DOUBLES) * len(places)
-    return is_single and min(rows, columns) > 1 and occupied >= _MIN_GRID_SHARE * rows * columns
+    doubles = len(places) - np.count_nonzero(np.bincount(shifted[:, 0] * int(columns) + shifted[:, 1]))
+    return bool(doubles <= _MAX_GRID_DOUBLES * len(places) ** 2 / count)

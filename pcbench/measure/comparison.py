@@ -160,6 +160,7 @@ def _compare_one(
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=peak_memory(),
+        steps=cloud.quantisation.steps,
         warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
     ), measurement
 

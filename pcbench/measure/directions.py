@@ -9,6 +9,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.measure import floors, metrics
 from pcbench.measure.metrics import Distances
 from pcbench.measure.plane_sample import PlaneSample, sample_planes
@@ -102,7 +103,14 @@ class Direction(NamedTuple):
     cells: IntArray
 
 
-def from_candidate(reference: Reference, queries: FloatArray, matches: Matches, *, seed: int) -> Direction:
+def from_candidate(
+    reference: Reference,
+    queries: FloatArray,
+    matches: Matches,
+    *,
+    seed: int,
+    stored: PlacedQuantisation | None = None,
+) -> Direction:
     """Measure the direction candidate → reference.
 
     Args:
@@ -110,6 +118,7 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches, 
         queries: (M, 3) points of the aligned candidate.
         matches: their closest points of the reference.
         seed: random seed of the sample, if distances to planes are sampled.
+        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     distances, closest = matches
 
@@ -119,12 +128,19 @@ def from_candidate(reference: Reference, queries: FloatArray, matches: Matches, 
         return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
 
     planes = _to_planes(reference, distances, measure, seed)
-    floor = _means(floors.to_reference(reference, queries))
+    floor = _means(floors.to_reference(reference, queries, stored))
     return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
 
 def from_reference(
-    reference: Reference, candidate: Index, matched: IntArray, back: Matches, *, forth: Direction, seed: int
+    reference: Reference,
+    candidate: Index,
+    matched: IntArray,
+    back: Matches,
+    *,
+    forth: Direction,
+    seed: int,
+    stored: PlacedQuantisation | None = None,
 ) -> Direction:
     """Measure the direction reference → candidate.
 
@@ -135,6 +151,7 @@ def from_reference(
         back: closest candidate points of the reference's measured points.
         forth: the other direction; its plane distances and their floor estimate the candidate's errors.
         seed: random seed of the floor's sample, and of that of the distances to planes.
+        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     measured, queries = reference.rows, reference.measured_points
 
@@ -151,7 +168,7 @@ def from_reference(
     error = 0.0
     if (squares := forth.distances.plane_squares) is not None:
         error = _error_share(float(np.mean(squares)), forth.floors["d2_mse"])
-    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed))
+    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed, stored))
     return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 

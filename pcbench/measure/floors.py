@@ -17,34 +17,53 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import plane_normals
+from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.measure.metrics import Distances, plane_distances
 from pcbench.measure.reference import Reference
 
 _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean squared distance is then 2 %
 _PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
 _MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise changes the order
+_MIN_VARIANCE_SHARE = 0.1  # of the largest rounding along a normal, for points whose distance from planes shows it
+_MAX_STEP_OF_DUPLICATES = 0.1  # in spacings: with larger steps, points coincide by rounding
 # Reference points kept per point of a sparse candidate: some neighbour is then at a similar distance.
 _THINNED_DENSITY_RATIO = 3
 
 
-def to_reference(reference: Reference, queries: FloatArray) -> Distances | None:
-    """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point."""
+def to_reference(reference: Reference, queries: FloatArray, stored: PlacedQuantisation | None) -> Distances | None:
+    """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point.
+
+    Args:
+        reference: the prepared reference.
+        queries: (M, 3) points of the aligned candidate.
+        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
+    """
     if len(reference.points) < 2:
         return None
     rows = _proxies(reference.index, queries[_even_sample(len(queries))])
-    others = _neighbors(reference.index, rows)
-    separations = np.linalg.norm(reference.points[others] - reference.points[rows, None], axis=2)
-    nearest = _nearest_distinct(separations)
-    planes = None
+    places, others = reference.points[rows], _neighbors(reference.index, rows)
+    if stored is not None:
+        normals = reference.surface.compute_normals(rows)[rows] if reference.has_normals else None
+        around = reference.points[others].mean(axis=1)
+        places = _stored_anew(places, around, normals, reference.lattice, stored, reference.seed)
+        others = _others_near(reference.index, places, rows)
+    separations = np.linalg.norm(reference.points[others] - places[:, None], axis=2)
+    nearest = _nearest(separations, keep_coincident=stored is not None and _is_coarse(reference))
+    distances, planes = _take_per_row(separations, nearest), None
     if reference.has_normals:
         closest = _take_per_row(others, nearest)
         normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
-        planes = plane_distances(reference.points, reference.points, normals, query_rows=rows, closest_rows=closest)
-    return Distances(_take_per_row(separations, nearest), planes)
+        planes = plane_distances(places, reference.points, normals, closest_rows=closest)
+    return Distances(distances, planes)
 
 
 def to_candidate(
-    reference: Reference, candidate: Index, matches: IntArray, error: float, seed: int
+    reference: Reference,
+    candidate: Index,
+    matches: IntArray,
+    error: float,
+    seed: int,
+    stored: PlacedQuantisation | None,
 ) -> Distances | None:
     """Distances of the reference's points to an error-free cloud with the local density of the candidate.
 
@@ -55,6 +74,7 @@ def to_candidate(
         error: share, 0 to 1, of the candidate's distances to tangent planes that is error. It is removed, because noise
             would make the candidate look sparse. Distances that are caused by edges must stay.
         seed: random seed for sampling the reference.
+        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     if len(candidate) < 2:
         return None
@@ -62,14 +82,70 @@ def to_candidate(
     rows = few if reference.rows is None else reference.rows[few]
     proxies = _proxies(candidate, reference.points[rows])
     others = _neighbors(candidate, proxies)
+    places = _shrink_to_surface(reference, candidate, proxies[:, None], matches, error)[:, 0]
+    if stored is not None:
+        normals = None
+        if reference.has_normals:
+            at = np.maximum(matches[proxies], 0)
+            normals = reference.surface.compute_normals(at)[at]
+        around = _shrink_to_surface(reference, candidate, others, matches, error).mean(axis=1)
+        places = _stored_anew(places, around, normals, stored, reference.lattice, seed)
+        others = _others_near(candidate, places, proxies)
     positions = _shrink_to_surface(reference, candidate, others, matches, error)
-    separations = np.linalg.norm(
-        positions - _shrink_to_surface(reference, candidate, proxies[:, None], matches, error), axis=2
-    )
-    distances = _take_per_row(separations, _nearest_distinct(separations))
+    separations = np.linalg.norm(positions - places[:, None], axis=2)
+    nearest = _nearest(separations, keep_coincident=stored is not None and _is_coarse(reference))
+    distances = _take_per_row(separations, nearest)
     if not reference.has_normals:
         return Distances(distances, None)
-    return Distances(distances, _plane_offsets(reference, rows, distances, seed))
+    return Distances(distances, _plane_offsets(reference, rows, distances, seed, stored))
+
+
+def _is_coarse(reference: Reference) -> bool:
+    """Return whether points coincide because they are rounded, and not because a file holds them twice."""
+    return reference.lattice.lattice.coarsest > _MAX_STEP_OF_DUPLICATES * reference.spacing
+
+
+def _others_near(index: Index, places: FloatArray, rows: IntArray) -> IntArray:
+    """Return (M, K) indexed points nearest to places (M, 3), without the row (M,) that each place stands for."""
+    near = index.query(places, k=min(2 + _MAX_NEIGHBORS, len(index))).indices
+    is_other = near != rows[:, None]
+    is_other[is_other.all(axis=1), -1] = False  # the same number of points in each row
+    others: IntArray = near[is_other].reshape(len(rows), -1)
+    return others
+
+
+def _stored_anew(
+    places: FloatArray,
+    around: FloatArray,
+    normals: FloatArray | None,
+    lattice: PlacedQuantisation,
+    other: PlacedQuantisation,
+    seed: int,
+) -> FloatArray:
+    """Return points (M, 3) of one cloud as the other cloud would store the same places of the surface.
+
+    Their rounding is undone before they are rounded anew: along the normal they move towards the plane through their
+    neighbours, as far as rounding explains their distance from it, and along the surface to random places in their
+    cells.
+
+    Args:
+        places: (M, 3) points.
+        around: (M, 3) means of their neighbours.
+        normals: (M, 3) unit normals; None: there are too few points for normals.
+        lattice: how the points are rounded.
+        other: how the other cloud is rounded.
+        seed: random seed of the places in the cells.
+    """
+    if normals is not None:
+        variances = lattice.normal_variances(normals)
+        off = np.einsum("ni,ni->n", places - around, normals)
+        is_rounded = variances > _MIN_VARIANCE_SHARE * variances.max()
+        if is_rounded.any() and (typical := float(np.median(np.square(off[is_rounded])))) > 0:
+            # The median of the square of a uniform variable is 3/4 of its mean.
+            explained = min(1.0, 0.75 * float(np.median(variances[is_rounded])) / typical)
+            removed = np.where(is_rounded, (1 - np.sqrt(1 - explained)) * off, 0.0)
+            places = places - removed[:, None] * normals
+    return other.rounded(lattice.moved_in_cells(places, normals, seed))
 
 
 def _even_sample(count: int) -> IntArray:
@@ -86,9 +162,10 @@ def _neighbors(index: Index, rows: IntArray) -> IntArray:
     return index.query(index.points[rows], k=min(1 + _MAX_NEIGHBORS, len(index))).indices
 
 
-def _nearest_distinct(separations: FloatArray) -> IntArray:
-    """Return (M,) the column of the smallest non-zero distance in each row of (M, K)."""
-    which: IntArray = np.where(separations > 0, separations, np.inf).argmin(axis=1)
+def _nearest(separations: FloatArray, *, keep_coincident: bool = False) -> IntArray:
+    """Return (M,) the column of the smallest distance in each row of (M, K): above zero, unless points may coincide."""
+    allowed = separations if keep_coincident else np.where(separations > 0, separations, np.inf)
+    which: IntArray = allowed.argmin(axis=1)
     return which
 
 
@@ -112,7 +189,9 @@ def _shrink_to_surface(
     return positions
 
 
-def _plane_offsets(reference: Reference, rows: IntArray, distances: FloatArray, seed: int) -> FloatArray:
+def _plane_offsets(
+    reference: Reference, rows: IntArray, distances: FloatArray, seed: int, stored: PlacedQuantisation | None
+) -> FloatArray:
     """Estimate how far the surface leaves the tangent planes at `rows` (M,), at the given distances (M,).
 
     The estimate uses the neighbour of each point whose distance fits best, in a thinned sample if the reference is much
@@ -132,11 +211,20 @@ def _plane_offsets(reference: Reference, rows: IntArray, distances: FloatArray, 
     which = np.abs(np.log(ratio)).argmin(axis=1)
     closest, found = _take_per_row(near, which), _take_per_row(separations, which)
     normals = _leave_one_out_normals(reference, rows, around, closest if index is reference.index else None)
-    off = plane_distances(points, index.points, normals, query_rows=rows, closest_rows=closest)
+    neighbours, rounding = index.points[closest], 0.0
+    if stored is not None:
+        centers = points[around].mean(axis=1)
+        neighbours = _stored_anew(neighbours, centers, normals, reference.lattice, stored, seed)
+        rounding = float(np.mean(reference.lattice.normal_variances(normals) + stored.normal_variances(normals)))
+    off = plane_distances(points, neighbours, normals, query_rows=rows)
     found = np.maximum(found, least)
     slope, curvature = _slope_and_curvature(np.square(off), np.square(found))
     wanted, there = (slope + curvature * np.square(lengths) for lengths in (distances, found))
-    bridged: FloatArray = off * distances / found * np.sqrt(wanted / there)
+    factors = np.square(distances / found) * wanted / there
+    if rounding > 0:  # it is as large at any distance
+        share = min(1.0, rounding / max(float(np.mean(np.square(off))), 1e-300))
+        factors = (1 - share) * factors + share
+    bridged: FloatArray = off * np.sqrt(factors)
     return bridged
 
 

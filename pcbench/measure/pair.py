@@ -14,6 +14,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.quantisation import PlacedQuantisation
+from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
 from pcbench.measure.directions import Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
@@ -36,6 +38,14 @@ class AlignedCandidate:
     registration: Registration
     index: Index
     inside: NDArray[np.bool_]
+
+    def lattice(self, reference: Reference) -> PlacedQuantisation | None:
+        """Return how the points are rounded and then moved; None if rounding is negligible in both clouds."""
+        clouds, extent = (reference.cloud, self.cloud), reference.target.extent
+        if all(cloud.quantisation.is_negligible(extent) for cloud in clouds):
+            return None
+        shift = Similarity(np.eye(3), -reference.origin)
+        return PlacedQuantisation(self.cloud.quantisation, self.registration.T_local @ shift)
 
 
 class Matched(NamedTuple):
@@ -88,10 +98,11 @@ def measure_directions(
     """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
     points = aligned.index.points
     queries = points if reference.region is None else points[aligned.inside]
-    forth = from_candidate(reference, queries, matched.forth, seed=seed)
+    stored = aligned.lattice(reference)
+    forth = from_candidate(reference, queries, matched.forth, seed=seed, stored=stored)
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
-    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed)
+    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed, stored=stored)
 
 
 def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:

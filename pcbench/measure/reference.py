@@ -17,8 +17,10 @@ from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.mesh_samples import sample_reference
 from pcbench.geometry.neighbors import Index, Matches, median_spacing
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
+from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
 from pcbench.measure.results import ReferenceSummary
@@ -52,6 +54,7 @@ class Reference:
     voxel: float
     meshes: Mapping[str, MeshIndex]  # by the name of the map, in local coordinates
     tolerance: float | None  # of the mean squares of sampled distances to planes; None: all are measured
+    seed: int
 
     @classmethod
     def prepare(cls, given: Cloud | Mesh, settings: Settings) -> Reference:
@@ -86,6 +89,7 @@ class Reference:
             voxel=robust_extent(points if rows is None else points[rows]) / VOXELS_ALONG or 1.0,
             meshes={"mesh_distance": MeshIndex(given.shifted(origin))} if isinstance(given, Mesh) else {},
             tolerance=tolerance,
+            seed=settings.seed,
         )
 
     def with_poisson_mesh(self, map_name: str) -> Reference:
@@ -135,6 +139,11 @@ class Reference:
         return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
 
     @property
+    def lattice(self) -> PlacedQuantisation:
+        """How the points are rounded, in local coordinates."""
+        return PlacedQuantisation(self.cloud.quantisation, Similarity(np.eye(3), -self.origin))
+
+    @property
     def has_normals(self) -> bool:
         """Return whether the points have normals or there are enough to estimate them."""
         return len(self.points) >= 3 or self.surface.is_complete
@@ -149,6 +158,7 @@ class Reference:
             extent=robust_extent(self.points),
             crs=self.cloud.crs,
             unit=self.cloud.unit,
+            steps=self.cloud.quantisation.steps,
             normals="given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
             faces=None if mesh is None else len(mesh.mesh.faces),
             block_side=self.cells.side,

@@ -36,6 +36,7 @@ from pcbench.registration.mismatch import explain_failure, unit_warnings
 from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
+from pcbench.registration.rounding import step_warnings
 from pcbench.registration.target import Target, local_origin
 
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose
@@ -132,6 +133,15 @@ def register(
     if isinstance(moved, Mesh):
         spacing = None if target.is_sampled else target.surface.spacing
         sampling = [sampling_notice(moved, len(candidate), 0, scale=scale, spacing=spacing)]
+    steps = step_warnings(
+        reference,
+        candidate,
+        scale=scale,
+        spacing=target.surface.spacing,
+        noise=quality.rmse,
+        extent=target.extent,
+        unit=reference.unit,
+    )
     registration = Registration(
         method=method.text,
         T_reference_candidate=T,
@@ -144,7 +154,7 @@ def register(
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
         residuals=residuals,
-        warnings=(*sampling, *quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale)),
+        warnings=(*sampling, *quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale), *steps),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
         returned_share=quality.returned,

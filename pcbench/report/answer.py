@@ -13,9 +13,11 @@ from pcbench.registration.result import (
     DOUBTFUL_POSE,
     FAR_OFF,
     FEW_POINTS,
+    MIRRORED,
     NO_CONVERGENCE,
     UNIT_MISMATCH,
 )
+from pcbench.registration.rounding import COARSE_STEP
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
@@ -34,6 +36,7 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
 _DOUBTS = {  # why poses are doubtful, by the code of the warning
     FEW_POINTS: "too few points overlap",
     UNIT_MISMATCH: "the sizes suggest different units",
+    MIRRORED: "mirrored",
     FAR_OFF: "far from the reference",
     NO_CONVERGENCE: "ICP did not converge",
     AMBIGUOUS: "another pose fits about as well",
@@ -161,7 +164,9 @@ class _Writer:
         if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
         if off.floor is not None and off.is_sampling:
-            return f"{text}, about as far as error-free points with this density ({self.length(off.floor)})."
+            step = self._step_words(candidate)
+            with_step = f" and coordinates in {step}" if step else ""
+            return f"{text}, about as far as error-free points with this density{with_step} ({self.length(off.floor)})."
         if off.floor is not None:
             text += f" (error-free points: {self.length(off.floor)})"
         if (robust := _nmad(candidate)) is not None and off.value > _MIN_OUTLIER_RATIO * robust:
@@ -175,13 +180,30 @@ class _Writer:
         if away.floor is None:
             return f"{text}."
         if away.is_sampling and not at_least:
-            return f"{text}, about what the point spacing explains ({self.length(away.floor)})."
+            return f"{text}, about what {self._sampling_words([candidate])} ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
         position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
+        floor = f"{self._sampling_words([candidate])} {self.length(away.floor)}"
         return (
-            f"{text}, of which the point spacing explains {self.length(away.floor)}: parts are missing. 5% of the"
-            f" reference is farther than {self.length(worst.p95)} from the candidate; the farthest point,"
+            f"{text}, of which {floor}: parts are missing. 5% of the reference is"
+            f" farther than {self.length(worst.p95)} from the candidate; the farthest point,"
             f" {at_least}{self.length(worst.largest)} away, is at ({position})."
+        )
+
+    def _step_words(self, candidate: Candidate) -> str:
+        """Return the coarsest step of the coordinates, if it affects the distances of a candidate."""
+        if all(notice.code != COARSE_STEP for notice in candidate.registration.warnings):
+            return ""
+        scale = candidate.registration.T_reference_candidate.scale
+        return f"steps of {self.length(max(*self.comparison.reference.steps, *(scale * candidate.steps)))}"
+
+    def _sampling_words(self, candidates: Sequence[Candidate]) -> str:
+        """Return what explains the floors of candidates, with the verb."""
+        steps = [words for words in map(self._step_words, candidates) if words]
+        return (
+            f"point spacing and rounding of coordinates to {steps[0]} explain"
+            if steps
+            else "the point spacing explains"
         )
 
     def _pose(self, candidate: Candidate) -> str:
@@ -198,7 +220,8 @@ class _Writer:
         text = f"{pose}: {', and '.join(parts)}." if parts else f"{pose}."
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
         if value is not None and floor is not None and least < value <= _MAX_FLOOR_RATIO * floor:
-            text += " Point distances mainly reflect density; use surface distances to judge error."
+            what = "density and rounding" if self._step_words(candidate) else "density"
+            text += f" Point distances mainly reflect {what}; use surface distances to judge error."
         return text
 
     def of_several(self, candidates: Sequence[Candidate]) -> list[str]:
@@ -213,7 +236,7 @@ class _Writer:
         if missing:
             why = f"parts are missing in {self.name_list(missing)}"
         else:
-            why = "point spacing explains these distances"
+            why = f"{self._sampling_words(candidates).removeprefix('the ')} these distances"
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
         notes = [*map(self._overlap_warning, ends), self._robust_order(candidates, off)]
         return [

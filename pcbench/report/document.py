@@ -135,6 +135,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "points": candidate.points,
         "points_in_region": candidate.points_in_region,
         "faces": candidate.faces,
+        "steps": candidate.steps,
         "censored": candidate.censored,
         "map_samples": _map_samples(candidate),
         "registration": _registration(candidate.registration),

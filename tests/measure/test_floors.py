@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from floor_cases import Case, mean_floors
+from floor_cases import Case, mean_floors, mean_rounded_ratios
 
 from pcbench import Cloud, Settings, compare
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
@@ -84,3 +84,34 @@ def test_floors_of_coincident_points_are_zero_and_finite():
             for name in metrics.directed
             for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "counts", "steps"),
+    [
+        ("city", (3_000, 3_000), (0.005, 0.005)),
+        ("city", (3_000, 3_000), (0.01, 0.0)),
+        ("city", (3_000, 3_000), (0.0, 0.01)),
+        ("torus", (3_000, 3_000), (0.01, 0.01)),
+        ("city", (6_000, 1_500), (0.005, 0.005)),
+    ],
+)
+def test_scores_of_rounded_error_free_samples_equal_their_floors(name, counts, steps):
+    """Spacings are 0.01 to 0.03. Without rounding, the floor of D2 would be up to 40 times smaller."""
+    ratios = mean_rounded_ratios(name, counts, steps, runs=3)
+    np.testing.assert_allclose(ratios[:, [0, 2]], 1, atol=0.12)
+    np.testing.assert_allclose(ratios[:, 1], 1, atol=0.25)  # D2: a few points at edges dominate
+
+
+def test_floors_of_a_tilted_rounded_plane_equal_the_closed_form():
+    """Along the normal, each cloud has the variance step^2 / 12 if the rounding of neighbours is independent."""
+    rng = np.random.default_rng(6)
+    clouds = []
+    for count, step in ((20_000, 0.002), (10_000, 0.004)):
+        xy = rng.random((count, 2))
+        clouds.append(np.round(np.column_stack([xy, xy @ [0.37, 0.53]]) / step) * step)
+    d2 = compare(*clouds, Settings(register="none"))["candidate_1"].metrics.d2_mse
+    expected = (0.002**2 + 0.004**2) / 12
+    for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        assert d2[direction].value == pytest.approx(expected, rel=0.1)
+        assert d2[direction].floor == pytest.approx(expected, rel=0.15)

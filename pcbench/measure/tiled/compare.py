@@ -402,6 +402,7 @@ class _Run:
             deformation=sample.deformation,
             timings_s=timings,
             peak_rss_bytes=peak_memory(),
+            steps=cloud.thinned.quantisation.steps,
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
@@ -582,6 +583,7 @@ class _Run:
             extent=robust_extent(reference.stored.even - reference.origin),
             crs=source.crs,
             unit=source.unit,
+            steps=reference.stored.thinned.quantisation.steps,
             normals=sample.normals,
             faces=None,
             block_side=reference.grid.side,
