@@ -238,7 +238,8 @@ def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_label
-    from pcbench.geometry.neighbors import Index, median_spacing
+    from pcbench.geometry.neighbors import Index
+    from pcbench.geometry.sampling import median_spacing
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
     from pcbench.io.files import estimate_reading_seconds

@@ -28,6 +28,7 @@ from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
+from pcbench.geometry.sampling import sampling_of_profile
 from pcbench.geometry.voxels import robust_bounds, robust_extent
 from pcbench.io import has_filters
 from pcbench.io.files import file_in_setting
@@ -292,14 +293,16 @@ class _Run:
         return list(self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles"))
 
     def _add_normals(self, tiles: TiledCloud) -> float:
-        """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
+        """Compute the normals of all tiles, and return the spacing of the points."""
         file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
         write_result(file, self.key, tiles)
         tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
         found = self._results("normals", add_normals, tasks, "computing normals of the reference")
         histogram = BitHistogram.merge(found)
         files = [tiles.file(number, "spacings") for number in tiles.occupied]
-        return median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
+        nearest = median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
+        profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
+        return sampling_of_profile(nearest, profile, int(tiles.counts.sum())).spacing
 
     def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
         """Register and measure a candidate."""

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.settings import Settings
 from pcbench.report import to_json
