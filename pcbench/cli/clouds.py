@@ -239,7 +239,7 @@ def _print_info(path: Path) -> None:
     from pcbench.geometry.cloud import Cloud
     from pcbench.geometry.crs import crs_label
     from pcbench.geometry.neighbors import Index
-    from pcbench.geometry.sampling import median_spacing
+    from pcbench.geometry.sampling import sampling_of
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
     from pcbench.io.files import estimate_reading_seconds
@@ -248,7 +248,7 @@ def _print_info(path: Path) -> None:
     from pcbench.progress import ProgressPlan
     from pcbench.report.words import printable
 
-    mesh = spacing = None
+    mesh = sampling = None
     with steps(quiet=False) as show:
         step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
         step(f"reading {path}")
@@ -266,7 +266,7 @@ def _print_info(path: Path) -> None:
         if len(cloud) > 1:
             step("measuring the spacing")
             index = Index(cloud.points - lower)  # small coordinates lose less to rounding
-            spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
+            sampling = sampling_of(index, index.nearest_other())  # over all points, as in a comparison
     count = pluralize(len(cloud), "point") if mesh is None else f"{len(cloud):,} vertices"
     click.echo(f"{path}: {count}")
     if mesh is not None:
@@ -275,8 +275,8 @@ def _print_info(path: Path) -> None:
     click.echo(f"  from   {_triple(lower)}{unit}")
     click.echo(f"  to     {_triple(upper)}{unit}")
     click.echo(f"  size   {_triple(upper - lower)}{unit}")
-    if spacing is not None:
-        click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
+    if sampling is not None:
+        click.echo(f"  spacing {sampling.spacing:.4g}{unit} ({sampling.definition})")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)
     click.echo(f", colours {'yes' if cloud.colors is not None else 'no'}", nl=False)
     click.echo(f", crs {crs_label(cloud.crs) if cloud.crs else 'unknown'}")

@@ -54,6 +54,15 @@ class Sampling(NamedTuple):
     copies: float = 1.0
     has_lines: bool = False
 
+    @property
+    def definition(self) -> str:
+        """What the spacing is, in words."""
+        if self.has_lines:
+            return "of as many points strewn over the surface: these lie in lines"
+        if self.copy_radius > 0:
+            return f"median distance to the nearest neighbour beyond {self.copy_radius:.1g}: nearer points are copies"
+        return "median distance to the nearest neighbour"
+
     def neighbors(self, positions: int) -> int:
         """Return the number of nearest points of a point, itself included, that are at about this many positions."""
         return max(positions, round(positions * self.copies))

@@ -11,6 +11,7 @@ from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds, random_rows
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import line_gaps
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.registration.advice import align_coarsely
@@ -45,6 +46,7 @@ MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
 _SPARSE_NEIGHBORS = 8  # 99.9 % of random places of a surface are nearer to a point than its 8th neighbour
+_LINE_GAP_SHARE = 0.75  # points between two lines are nearer to one of them than half the gap, which varies
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
@@ -360,17 +362,21 @@ def _sparse_reach(target: Target, nearest: Matches, max_on_surface: float) -> Fl
     """Return the distance (M,) up to which points lie on the reference where it is sparse; else 0.
 
     It is the distance of an outer neighbour of the closest reference point, within which nearly all points of the
-    surface have a reference point. An outlier, which has no neighbours, does not reach farther than a point may have a
-    counterpart.
+    surface have a reference point. Between scan lines, it is most of the gap. An outlier, which has no neighbours, does
+    not reach farther than a point may have a counterpart.
     """
     reach = np.zeros(len(nearest.distances))
     longest = _NEAR_EXTENT_SHARE * target.extent
     unclear = np.flatnonzero((nearest.distances > max_on_surface) & (nearest.distances <= longest))
     if len(unclear):
         rows, of_point = np.unique(nearest.indices[unclear], return_inverse=True)
-        index = target.surface.index
-        k = min(target.surface.sampling.neighbors(1 + _SPARSE_NEIGHBORS), len(index))
-        reach[unclear] = np.minimum(index.query(index.points[rows], k).distances[:, -1], longest)[of_point]
+        index, sampling = target.surface.index, target.surface.sampling
+        points = index.points[rows]
+        k = min(sampling.neighbors(1 + _SPARSE_NEIGHBORS), len(index))
+        reached = index.query(points, k).distances[:, -1]
+        if sampling.has_lines:
+            reached = np.maximum(reached, _LINE_GAP_SHARE * np.linalg.norm(line_gaps(index, points), axis=1))
+        reach[unclear] = np.minimum(reached, longest)[of_point]
     return reach
 
 
