@@ -56,7 +56,7 @@ class Sampling(NamedTuple):
 
     @property
     def definition(self) -> str:
-        """What the spacing is, in words."""
+        """Definition of the spacing in words."""
         if self.has_lines:
             return "of as many points strewn over the surface: these lie in lines"
         if self.copy_radius > 0:

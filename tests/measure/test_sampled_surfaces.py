@@ -21,8 +21,7 @@ def compared(kind: str, register: str):
     return compare(Cloud(sampled(kind, _COUNT)), Cloud(displaced), Settings(register=register))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("register", ["none", "icp"])
+@pytest.mark.parametrize(("kind", "register"), [(kind, "icp") for kind in KINDS] + [("twice", "none")])
 def test_the_candidate_lies_on_the_reference(kind, register):
     found = compared(kind, register).candidates[0]
     registration = found.registration
@@ -39,7 +38,7 @@ def test_the_candidate_lies_on_the_reference(kind, register):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_floor_is_the_distance_of_error_free_points(kind):
-    found = compared(kind, "none").candidates[0].metrics.mean_distance.accuracy
+    found = compared(kind, "icp").candidates[0].metrics.mean_distance.accuracy
     # 2,500 distances with a relative spread of 0.5 and the points' own arrangement: 5 %. Gaps between lines are
     # measured at positions that see only parts of the lines, and loose copies are partly other points.
     tolerance = 0.35 if kind in LINES or kind == "1:1000" else 0.15
