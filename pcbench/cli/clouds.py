@@ -288,7 +288,8 @@ def _print_info(path: Path) -> None:
     from pcbench.errors import InputError
     from pcbench.geometry.crs import axis_units, crs_label, is_in_degrees, projection_command
     from pcbench.geometry.mesh_samples import vertex_cloud
-    from pcbench.geometry.neighbors import Index, median_spacing
+    from pcbench.geometry.neighbors import Index
+    from pcbench.geometry.sampling import sampling_of
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
     from pcbench.io import read_cloud
     from pcbench.io.files import estimate_reading_seconds
@@ -297,7 +298,7 @@ def _print_info(path: Path) -> None:
     from pcbench.progress import ProgressPlan
     from pcbench.report.words import printable
 
-    mesh = spacing = None
+    mesh = sampling = None
     with steps(quiet=False) as show:
         step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
         step(f"reading {path}")
@@ -320,7 +321,7 @@ def _print_info(path: Path) -> None:
         if len(cloud) > 1 and not in_degrees and not is_mixed:
             step("measuring the spacing")
             index = Index(cloud.points - lower)  # small coordinates lose less to rounding
-            spacing = median_spacing(index, index.nearest_other())  # over all points, as in a comparison
+            sampling = sampling_of(index, index.nearest_other())  # over all points, as in a comparison
     count = pluralize(len(cloud), "point") if mesh is None else f"{len(cloud):,} vertices"
     click.echo(f"{path}: {count}")
     if mesh is not None:
@@ -328,9 +329,9 @@ def _print_info(path: Path) -> None:
         click.echo(f"  mesh   {pluralize(len(mesh), 'face')} of area {mesh.area:.6g}, {closed}")
     for name, values in (("from", lower), ("to", upper), ("size", upper - lower)):
         click.echo(f"  {name:6} {_triple(values, cloud)}")
-    if spacing is not None:
+    if sampling is not None:
         unit = f" {cloud.unit}" if cloud.unit else ""
-        click.echo(f"  spacing {spacing:.4g}{unit} (median distance to the nearest neighbour)")
+        click.echo(f"  spacing {sampling.spacing:.4g}{unit} ({sampling.definition})")
     if mesh is None:
         click.echo(f"  step    {_steps(cloud.quantisation.steps, cloud)}")
     click.echo(f"  normals {'yes' if cloud.normals is not None else 'no'}", nl=False)

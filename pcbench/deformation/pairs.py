@@ -19,8 +19,9 @@ from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.neighbors import Index, Matches, median_spacing
+from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 
 _MAX_PAIRS = 20_000
@@ -319,7 +320,7 @@ def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
 
 def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
-    places, spacings = _local_means(surface.index, pairs.closest)
+    places, spacings = _local_means(surface, pairs.closest)
     quality = pairs.quality
     fitted, left = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
@@ -346,14 +347,24 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     )
 
 
-def _local_means(index: Index, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return means (N, 3) of the nearest neighbours of rows (N,) of an index, and distances (N,) to the nearest.
+def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return means (N, 3) of the nearest neighbours of rows (N,) of a surface, and its spacing (N,) there.
 
     The noise of a point is in its residual. Positions come from its neighbours, so that noise does not look like slope.
+    Copies of the point have its noise, too.
     """
-    around = index.query(index.points[rows], min(_POSITION_NEIGHBORS + 1, len(index)))
-    means: FloatArray = index.points[around.indices[:, 1:]].mean(axis=1)
-    return means, around.distances[:, 1]
+    index, sampling = surface.index, surface.sampling
+    around = index.query(index.points[rows], min(sampling.neighbors(_POSITION_NEIGHBORS + 1), len(index)))
+    points, distances = index.points[around.indices[:, 1:]], around.distances[:, 1:]
+    if sampling.copies == 1:
+        means: FloatArray = points.mean(axis=1)
+        spacings = distances[:, 0]
+    else:
+        is_other = distances > sampling.copy_radius
+        is_other[:, -1] = True
+        means = np.einsum("nk,nki->ni", is_other, points) / np.count_nonzero(is_other, axis=1)[:, None]
+        spacings = np.take_along_axis(distances, is_other.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return means, np.maximum(spacings, sampling.spacing) if sampling.has_lines else spacings
 
 
 def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,13 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import MAX_COORDINATE
-from pcbench.geometry.order_statistics import median
 from pcbench.native import _core
 
-__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions", "median_spacing"]
-
-_SPACING_SAMPLE = 20_000  # points that a median spacing is estimated from; at most twice as many are used
-_SPACING_NEIGHBORS = 8  # neighbours, the point itself included, that are searched for one at another position
+__all__ = ["Index", "LocalPlanes", "Matches", "Neighborhoods", "match_both_directions"]
 
 
 class Matches(NamedTuple):
@@ -274,38 +270,6 @@ def match_both_directions(reference: Index, candidate: Index) -> tuple[Matches, 
         self_matches = reference.query(reference.points)
         return self_matches, self_matches
     return reference.query_index(candidate), candidate.query_index(reference)
-
-
-def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
-    """Return the median distance from a point to the nearest point at another position; 0 if there is none.
-
-    This is the definition of "spacing" everywhere in pcbench. Duplicates are ignored: the spacing of a cloud merged
-    with itself is that of either copy. Points that occur more than seven times are left out.
-
-    Args:
-        index: index of the cloud.
-        nearest_other: result of `Index.nearest_other`, if available. With it the median is taken over all points,
-            otherwise over every n-th point, 20,000 to 40,000 in total.
-    """
-    if len(index) < 2:
-        return 0.0
-    if nearest_other is None:
-        rows = np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE))
-        distances = index.query(index.points[rows], k=2).distances[:, 1]
-    else:
-        rows, distances = np.arange(len(index)), nearest_other.distances
-    is_duplicate = distances == 0
-    if is_duplicate.any():
-        distances = np.concatenate([distances[~is_duplicate], _nonzero_nearest_distances(index, rows[is_duplicate])])
-    return median(distances) if len(distances) else 0.0
-
-
-def _nonzero_nearest_distances(index: Index, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return distances to the nearest point at another position, if it is among the neighbours."""
-    distances = index.query(index.points[rows], k=min(_SPACING_NEIGHBORS, len(index))).distances
-    other = np.where(distances > 0, distances, np.inf).min(axis=1)
-    found: NDArray[np.float64] = other[np.isfinite(other)]
-    return found
 
 
 def _as_points(values: ArrayLike, name: str) -> NDArray[np.float64]:

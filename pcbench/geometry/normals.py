@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index, LocalPlanes, Matches, median_spacing
+from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
+from pcbench.geometry.sampling import Sampling, sampling_of
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
@@ -133,9 +134,14 @@ class Surface:
         return self._variation[rows].astype(np.float64)
 
     @cached_property
+    def sampling(self) -> Sampling:
+        """Sampling, with the spacing from an even sample of the points; see `pcbench.geometry.sampling`."""
+        return sampling_of(self.index)
+
+    @property
     def spacing(self) -> float:
         """Median spacing from an even sample of the points; see `median_spacing`."""
-        return median_spacing(self.index)
+        return self.sampling.spacing
 
     def nearest_other(self) -> Matches:
         """Return the nearest other point of each point; see `Index.nearest_other`."""

@@ -13,8 +13,9 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.meshlab import screened_poisson
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import unit
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.voxels import voxel_downsample_to
 
 _MAX_SPACINGS_FROM_POINTS = 4.0  # distance in point spacings beyond which the surface is extrapolated, not measured
@@ -102,9 +103,7 @@ def orient_normals(cloud: Cloud) -> Cloud:
     open3d = require("open3d")
     assert cloud.normals is not None
     index = Index(cloud.points)
-    rows = voxel_downsample_to(
-        cloud.points, _MAX_ORIENTATION_POINTS, start=float(np.median(index.nearest_other().distances))
-    )
+    rows = voxel_downsample_to(cloud.points, _MAX_ORIENTATION_POINTS, start=median_spacing(index))
     points, signed = cloud.points[rows], cloud.normals[rows]
     if _is_flat(points):  # Open3D needs Delaunay tetrahedra, which points of a plane do not have
         signed = np.where(signed @ signed[0] < 0, -1, 1)[:, None] * signed

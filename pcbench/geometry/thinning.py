@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.voxels import voxel_downsample
 
 _MAX_STEPS = 12  # of the search for a voxel side or a disk radius

@@ -12,7 +12,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import METRES_PER_DEGREE, is_in_degrees
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.io.files import Warn
 from pcbench.io.las_records import AXES
 

@@ -18,6 +18,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import plane_normals
 from pcbench.geometry.quantisation import PlacedQuantisation
+from pcbench.geometry.sampling import Sampling, line_gaps, sampling_of
 from pcbench.measure.metrics import Distances, plane_distances
 from pcbench.measure.reference import Reference
 
@@ -40,21 +41,24 @@ def to_reference(reference: Reference, queries: FloatArray, stored: PlacedQuanti
     """
     if len(reference.points) < 2:
         return None
-    rows = _proxies(reference.index, queries[_even_sample(len(queries))])
-    places, others = reference.points[rows], _neighbors(reference.index, rows)
+    sampling = reference.surface.sampling
+    rows = _proxies(reference.index, sampling, queries[_even_sample(len(queries))])
+    places, others = reference.points[rows], _neighbors(reference.index, sampling, rows)
     if stored is not None:
         normals = reference.surface.compute_normals(rows)[rows] if reference.has_normals else None
         around = reference.points[others].mean(axis=1)
         places = _stored_anew(places, around, normals, reference.lattice, stored, reference.seed)
-        others = _others_near(reference.index, places, rows)
+        others = _others_near(reference.index, sampling, places, rows)
     separations = np.linalg.norm(reference.points[others] - places[:, None], axis=2)
-    nearest = _nearest(separations, keep_coincident=stored is not None and _is_coarse(reference))
-    distances, planes = _take_per_row(separations, nearest), None
+    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
+    planes = None
     if reference.has_normals:
         closest = _take_per_row(others, nearest)
         normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
         planes = plane_distances(places, reference.points, normals, closest_rows=closest)
-    return Distances(distances, planes)
+    if sampling.has_lines:
+        return Distances(_distances_between_lines(reference.index, rows), planes)
+    return Distances(_take_per_row(separations, nearest), planes)
 
 
 def to_candidate(
@@ -80,8 +84,9 @@ def to_candidate(
         return None
     few = _even_sample(len(reference.measured_points))
     rows = few if reference.rows is None else reference.rows[few]
-    proxies = _proxies(candidate, reference.points[rows])
-    others = _neighbors(candidate, proxies)
+    sampling = sampling_of(candidate)
+    proxies = _proxies(candidate, sampling, reference.points[rows])
+    others = _neighbors(candidate, sampling, proxies)
     places = _shrink_to_surface(reference, candidate, proxies[:, None], matches, error)[:, 0]
     if stored is not None:
         normals = None
@@ -90,11 +95,13 @@ def to_candidate(
             normals = reference.surface.compute_normals(at)[at]
         around = _shrink_to_surface(reference, candidate, others, matches, error).mean(axis=1)
         places = _stored_anew(places, around, normals, stored, reference.lattice, seed)
-        others = _others_near(candidate, places, proxies)
+        others = _others_near(candidate, sampling, places, proxies)
     positions = _shrink_to_surface(reference, candidate, others, matches, error)
     separations = np.linalg.norm(positions - places[:, None], axis=2)
-    nearest = _nearest(separations, keep_coincident=stored is not None and _is_coarse(reference))
+    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
     distances = _take_per_row(separations, nearest)
+    if sampling.has_lines:
+        distances = _distances_between_lines(candidate, proxies)
     if not reference.has_normals:
         return Distances(distances, None)
     return Distances(distances, _plane_offsets(reference, rows, distances, seed, stored))
@@ -105,9 +112,9 @@ def _is_coarse(reference: Reference) -> bool:
     return reference.lattice.lattice.coarsest > _MAX_STEP_OF_DUPLICATES * reference.spacing
 
 
-def _others_near(index: Index, places: FloatArray, rows: IntArray) -> IntArray:
+def _others_near(index: Index, sampling: Sampling, places: FloatArray, rows: IntArray) -> IntArray:
     """Return (M, K) indexed points nearest to places (M, 3), without the row (M,) that each place stands for."""
-    near = index.query(places, k=min(2 + _MAX_NEIGHBORS, len(index))).indices
+    near = index.query(places, k=min(sampling.neighbors(2 + _MAX_NEIGHBORS), len(index))).indices
     is_other = near != rows[:, None]
     is_other[is_other.all(axis=1), -1] = False  # the same number of points in each row
     others: IntArray = near[is_other].reshape(len(rows), -1)
@@ -152,21 +159,35 @@ def _even_sample(count: int) -> IntArray:
     return np.linspace(0, count - 1, min(count, _MAX_QUERIES)).astype(np.int64)
 
 
-def _proxies(index: Index, queries: FloatArray) -> IntArray:
-    nearest = index.query(queries, k=min(_PROXY_RANK, len(index))).indices.reshape(len(queries), -1)
+def _proxies(index: Index, sampling: Sampling, queries: FloatArray) -> IntArray:
+    k = min(sampling.neighbors(_PROXY_RANK), len(index))
+    nearest = index.query(queries, k=k).indices.reshape(len(queries), -1)
     return nearest[:, -1].copy()
 
 
-def _neighbors(index: Index, rows: IntArray) -> IntArray:
+def _neighbors(index: Index, sampling: Sampling, rows: IntArray) -> IntArray:
     """Return (M, K) nearest indexed points of the given rows, including the points themselves."""
-    return index.query(index.points[rows], k=min(1 + _MAX_NEIGHBORS, len(index))).indices
+    return index.query(index.points[rows], k=min(sampling.neighbors(1 + _MAX_NEIGHBORS), len(index))).indices
 
 
-def _nearest(separations: FloatArray, *, keep_coincident: bool = False) -> IntArray:
-    """Return (M,) the column of the smallest distance in each row of (M, K): above zero, unless points may coincide."""
-    allowed = separations if keep_coincident else np.where(separations > 0, separations, np.inf)
+def _nearest(separations: FloatArray, sampling: Sampling, *, keep_coincident: bool) -> IntArray:
+    """Return (M,) the column of the smallest distance to another point in each row of (M, K).
+
+    The point is at another position, unless points may coincide.
+    """
+    allowed = separations if keep_coincident else np.where(separations > sampling.copy_radius, separations, np.inf)
     which: IntArray = allowed.argmin(axis=1)
     return which
+
+
+def _distances_between_lines(index: Index, rows: IntArray) -> FloatArray:
+    """Return distances (M,) to the nearest point from random places between the scan lines at the given rows (M,).
+
+    The points of a line are not independent of each other: a point that is left out has neighbours along its line.
+    """
+    points = index.points[rows]
+    across = np.random.default_rng(0).uniform(-0.5, 0.5, (len(rows), 1))
+    return index.query(points + across * line_gaps(index, points)).distances
 
 
 def _take_per_row(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
@@ -242,9 +263,9 @@ def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[floa
 
 
 def _normal_neighborhoods(reference: Reference, rows: IntArray) -> IntArray:
-    """Return (M, k + 1) neighbours for normal estimation, including the points themselves, and one spare."""
-    index = reference.index
-    return index.query(reference.points[rows], k=min(1 + reference.surface.k, len(index))).indices
+    """Return (M, K) neighbours for normal estimation, including the points themselves, and spares for one position."""
+    index, spare = reference.index, reference.surface.sampling.neighbors(1)
+    return index.query(reference.points[rows], k=min(reference.surface.k + spare, len(index))).indices
 
 
 def _leave_one_out_normals(
@@ -254,8 +275,12 @@ def _leave_one_out_normals(
 
     On a sphere, their mean squared distance to the planes would otherwise be 1.3 times too large.
     """
-    if others is None or reference.cloud.normals is not None or around.shape[1] <= 3:
+    k = min(reference.surface.k, around.shape[1] - 1)
+    if others is None or reference.cloud.normals is not None or k < 3:
         return reference.surface.normals(rows)
     out = around == others[:, None]
-    out[~out.any(axis=1), -1] = True
-    return plane_normals(reference.points, around[~out].reshape(len(rows), -1)).directions
+    if (sampling := reference.surface.sampling).copy_radius > 0:
+        apart = np.linalg.norm(reference.points[around] - reference.points[others, None], axis=2)
+        out |= apart <= sampling.copy_radius
+    kept = np.sort(np.argsort(out, axis=1, kind="stable")[:, :k], axis=1)
+    return plane_normals(reference.points, np.take_along_axis(around, kept, axis=1)).directions

@@ -15,11 +15,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.mesh_samples import sample_reference
-from pcbench.geometry.neighbors import Index, Matches, median_spacing
+from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Region
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals

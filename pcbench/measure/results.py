@@ -201,7 +201,7 @@ class ReferenceSummary:
     Attributes:
         points: number of points.
         points_in_region: number of points inside the region.
-        spacing_median: median spacing of all points, see `pcbench.geometry.neighbors.median_spacing`.
+        spacing_median: median spacing of all points, see `pcbench.geometry.sampling.median_spacing`.
         extent: diagonal of the box that contains the inner 98 % of all points along each axis.
         crs: coordinate system, if known.
         unit: unit of the coordinates, if known.

@@ -21,6 +21,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import line_gaps, nearest_elsewhere
 
 MIN_CONTRAST = 0.55  # below this contrast all restarts have to return
 DOUBTFUL_CONTRAST = 0.75  # below it at the scale of the noise, likewise
@@ -39,9 +40,6 @@ _MIN_SIGMAS = 8.0  # and at least this multiple of the residuals' standard devia
 # Motions that change the distances of the reference's own points less are ignored: share of the displacement, and
 # multiple of the standard error.
 _MIN_GROWTH, _MIN_SIGNIFICANCE = 0.03, 8.0
-# Neighbours searched for the next scan line.
-_MIN_LINE_NEIGHBORS, _MAX_LINE_NEIGHBORS, _LINE_NEIGHBOR_GROWTH = 12, 512, 1.5
-_MIN_VARIANCE_RATIO = 0.1  # variance across over variance along: above it, points are not a single line
 
 
 class Contrast(NamedTuple):
@@ -88,8 +86,8 @@ def contrast(
     subset = slice(None, None, max(1, len(positions) // _MAX_POSITIONS))
     reference_rows, candidate_points = positions[subset], moved[rows[subset]]
     reference_points = surface.points[reference_rows]
-    line_gaps = _line_gaps(surface.index, reference_points)
-    gap = float(np.percentile(np.linalg.norm(line_gaps, axis=1), 75))
+    gaps = line_gaps(surface.index, reference_points)
+    gap = float(np.percentile(np.linalg.norm(gaps, axis=1), 75))
     distance = max(_MAX_SPACINGS * spacing, _MIN_LINE_GAPS * gap, _MIN_SIGMAS * sigma)
     distance = min(distance, max(_MAX_EXTENT_SHARE * extent, _MIN_SPACINGS * spacing))
     center = candidate_points.mean(axis=0)
@@ -104,9 +102,8 @@ def contrast(
 
     def reference_growth(points: FloatArray) -> FloatArray:
         displaced = _displaced_points(points, center, distance, radius, size)
-        matches = surface.index.query(displaced, 2)
-        is_own = matches.indices[:, 0] == np.tile(reference_rows, 1 + 2 * size)  # a point does not match itself
-        return mean_growth(np.where(is_own, matches.distances[:, 1], matches.distances[:, 0]))
+        own = np.tile(reference_rows, 1 + 2 * size)  # a point matches neither itself nor its copies
+        return mean_growth(nearest_elsewhere(surface.index, surface.sampling, own, displaced).distances)
 
     displaced = _displaced_points(candidate_points, center, distance, radius, size)
     candidate_growth = mean_growth(surface.index.query(displaced).distances).mean(axis=1)
@@ -122,7 +119,7 @@ def contrast(
         reference_points = (
             reference_points
             + rng.normal(0, noise, reference_points.shape)
-            + rng.uniform(-0.5, 0.5, (len(reference_points), 1)) * line_gaps
+            + rng.uniform(-0.5, 0.5, (len(reference_points), 1)) * gaps
         )
         blurred = np.minimum(mean, reference_growth(reference_points).mean(axis=1))[is_sensitive]
         # If the noise leaves no sensitivity, compare with the growth without noise.
@@ -140,28 +137,10 @@ def _added_noise(candidate: FloatArray, reference: FloatArray) -> float:
 def roughness(points: FloatArray) -> float:
     """Return the robust standard deviation of points from the tangent planes of their closest points."""
     surface = Surface(Index(points))
-    subset = points[:: max(1, len(points) // _MAX_POSITIONS)]
-    nearest = surface.index.query(subset, 2).indices[:, 1]
+    rows = np.arange(0, len(points), max(1, len(points) // _MAX_POSITIONS))
+    subset, nearest = points[rows], nearest_elsewhere(surface.index, surface.sampling, rows).indices
     plane_offsets = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
     return 1.4826 * float(np.median(np.abs(plane_offsets)))
-
-
-def _line_gaps(index: Index, positions: FloatArray) -> FloatArray:
-    """Return the vectors (P, 3) along the surface from the scan line of each position to the next scan line.
-
-    The number of neighbours grows until they are no longer a single line. The widest gap across the line is the result.
-    For evenly spread points it is about their spacing. It is zero if no other line is found.
-    """
-    gaps, pending, count = np.zeros(positions.shape), np.arange(len(positions)), _MIN_LINE_NEIGHBORS
-    while len(pending) and count <= min(_MAX_LINE_NEIGHBORS, len(index)):
-        offsets = index.points[index.query(positions[pending], count).indices] - positions[pending, None]
-        variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets, optimize=False) / count)
-        is_broad = variances[:, 1] > _MIN_VARIANCE_RATIO * variances[:, 2]
-        axis = axes[is_broad, :, 1]
-        distances_across = np.sort(np.abs(np.einsum("pki,pi->pk", offsets[is_broad], axis, optimize=False)), axis=1)
-        gaps[pending[is_broad]] = np.diff(distances_across, axis=1).max(axis=1, initial=0.0)[:, None] * axis
-        pending, count = pending[~is_broad], int(_LINE_NEIGHBOR_GROWTH * count)
-    return gaps
 
 
 def _displaced_points(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:

@@ -11,6 +11,7 @@ from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds, random_rows
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import line_gaps
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.registration.advice import align_coarsely
@@ -44,6 +45,8 @@ MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spac
 MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface, above which other starts are tried
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
+_SPARSE_NEIGHBORS = 8  # 99.9 % of random places of a surface are nearer to a point than its 8th neighbour
+_LINE_GAP_SHARE = 0.75  # points between two lines are nearer to one of them than half the gap, which varies
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
 _NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
@@ -300,14 +303,15 @@ class _SampleMatches(NamedTuple):
     target: Target
     moved: FloatArray  # (M, 3) candidate points in the reference frame
     nearest: Matches  # reference points closest to them
-    max_on_surface: float  # distance up to which a point lies on the reference
+    max_on_surface: float  # distance up to which a point lies on the reference, where its density is typical
+    sparse_reach: FloatArray  # (M,) the same where it is sparse
     on_surface: WeightedPairs | None  # weighted up to that distance; None if the reference has no surface
     informing: WeightedPairs | None  # weighted up to the distance that the fit may have used; None likewise
 
     @property
     def overlap(self) -> float:
         """Share of the candidate that lies on the reference."""
-        return float(np.mean(self.nearest.distances <= self.max_on_surface))
+        return float(np.mean(self.nearest.distances <= np.maximum(self.max_on_surface, self.sparse_reach)))
 
     @property
     def max_near(self) -> float:
@@ -347,11 +351,34 @@ def _match(target: Target, sample: Index, T: Similarity, hint: IntArray | None) 
     # The same distance for all methods: if it followed the fit, a worse fit would count more points as overlap.
     max_on_surface = MAX_SPACINGS_ON_SURFACE * spacing
     if len(surface) < 3 or target.extent <= MIN_EXTENT:
-        return _SampleMatches(target, moved, nearest, max_on_surface, None, None)
+        return _SampleMatches(target, moved, nearest, max_on_surface, np.zeros(len(moved)), None, None)
     # Observability uses all pairs that the fit may have used: if the density varies, these are farther apart.
     reach = float(np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing))
     on_surface, informing = (weigh(surface, moved, nearest, d, robust=True) for d in (max_on_surface, reach))
-    return _SampleMatches(target, moved, nearest, max_on_surface, on_surface, informing)
+    sparse_reach = _sparse_reach(target, nearest, max_on_surface)
+    return _SampleMatches(target, moved, nearest, max_on_surface, sparse_reach, on_surface, informing)
+
+
+def _sparse_reach(target: Target, nearest: Matches, max_on_surface: float) -> FloatArray:
+    """Return the distance (M,) up to which points lie on the reference where it is sparse; else 0.
+
+    It is the distance of an outer neighbour of the closest reference point, within which nearly all points of the
+    surface have a reference point. Between scan lines, it is most of the gap. An outlier, which has no neighbours, does
+    not reach farther than a point may have a counterpart.
+    """
+    reach = np.zeros(len(nearest.distances))
+    longest = _NEAR_EXTENT_SHARE * target.extent
+    unclear = np.flatnonzero((nearest.distances > max_on_surface) & (nearest.distances <= longest))
+    if len(unclear):
+        rows, of_point = np.unique(nearest.indices[unclear], return_inverse=True)
+        index, sampling = target.surface.index, target.surface.sampling
+        points = index.points[rows]
+        k = min(sampling.neighbors(1 + _SPARSE_NEIGHBORS), len(index))
+        reached = index.query(points, k).distances[:, -1]
+        if sampling.has_lines:
+            reached = np.maximum(reached, _LINE_GAP_SHARE * np.linalg.norm(line_gaps(index, points), axis=1))
+        reach[unclear] = np.minimum(reached, longest)[of_point]
+    return reach
 
 
 def _pairs_with_weight(pairs: WeightedPairs | None) -> WeightedPairs | None:

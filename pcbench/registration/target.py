@@ -10,8 +10,9 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, random_rows
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.voxels import cell_means, robust_extent
 from pcbench.io.nodata import MIN_ABSURD
 from pcbench.registration.contrast import roughness

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, random_rows
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.registration.target import Target
 
 # Share above which a pose found by a search is refused. It was at most 0.019 at 111 right poses of unchanged scenes.

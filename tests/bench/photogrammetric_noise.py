@@ -35,7 +35,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from noise_statistics import LAGS, SHARES, STATISTICS, correlation_length, statistics
 
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.io import read_cloud
 from pcbench.io.meshes import read_mesh
 from pcbench.measure.metrics import nmad

@@ -30,7 +30,8 @@ from registration_scenes import HELD_OUT, TUNED, Scene, available_scenes, mesh_s
 from pcbench import register
 from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent
 

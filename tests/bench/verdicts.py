@@ -41,7 +41,8 @@ from pcbench import Cloud, read_cloud
 from pcbench.deformation import Deformation, deform
 from pcbench.deformation.model import KINDS
 from pcbench.errors import RegistrationError
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress.ladders.photogrammetric import PHOTOGRAMMETRIC_LADDERS
 from pcbench.studies.stress.scenes import SCENES, WOODED, scene_pair

@@ -14,7 +14,8 @@ from optional import import_or_skip
 from point_shapes import SHAPES, clustered_points, grid_points, oblique_plane, uniform_points
 from wording import check_error
 
-from pcbench.geometry.neighbors import Index, match_both_directions, median_spacing
+from pcbench.geometry.neighbors import Index, match_both_directions
+from pcbench.geometry.sampling import median_spacing
 
 
 def squared_distances(queries, points):

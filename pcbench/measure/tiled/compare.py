@@ -30,6 +30,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths, is_in_degrees
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
+from pcbench.geometry.sampling import sampling_of_profile
 from pcbench.geometry.voxels import robust_bounds, robust_extent
 from pcbench.io import has_filters
 from pcbench.io.contents import FileState, cloud_contents, cloud_digest, cloud_files
@@ -340,14 +341,16 @@ class _Run:
         return found
 
     def _add_normals(self, tiles: TiledCloud) -> float:
-        """Compute the columns `normals` and `spacings` of all tiles, and return the median spacing."""
+        """Compute the normals of all tiles, and return the spacing of the points."""
         file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
         write_result(file, self.key, tiles)
         tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
         found = self._results("normals", add_normals, tasks, "computing normals of the reference")
         histogram = BitHistogram.merge(found)
         files = [tiles.file(number, "spacings") for number in tiles.occupied]
-        return median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
+        nearest = median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
+        profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
+        return sampling_of_profile(nearest, profile, int(tiles.counts.sum())).spacing
 
     def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
         """Register and measure a candidate."""
@@ -436,9 +439,9 @@ class _Run:
         measured = len(sample)
         for limit in (None, region):
             inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            inside = np.count_nonzero(inner.contains(aligned))
-            if inner.contains(sampled.points).any() and inside:
-                settings, measured = replace(settings, crop=inner), inside
+            in_windows = int(np.count_nonzero(inner.contains(aligned)))
+            if inner.contains(sampled.points).any() and in_windows:
+                settings, measured = replace(settings, crop=inner), in_windows
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
         forth, back = found.floors

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from functools import reduce
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import COINCIDENT_NEIGHBORS, PROFILE_NEIGHBORS, profile_step
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
@@ -20,15 +22,15 @@ _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k point
 _MAX_HALO = 4  # points around a tile per point of it: scattered points have a wide halo, and dense neighbours
 _FEW_POINTS = 20_000  # which any halo may have
 _SEARCHED_AT_ONCE = 50_000  # points whose neighbours are searched in tiles
-_SPACING_NEIGHBORS = 8  # as in `pcbench.geometry.neighbors.median_spacing`
 
 
 def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
-    """Store the columns `normals` (N, 3) and `spacings` of a tile.
+    """Store the columns `normals` (N, 3), `spacings` and `profile` of a tile.
 
     Normals are those given with the cloud; where there are none, they are estimated from the k nearest points, see
     `pcbench.geometry.normals`. Spacings (M,) are the distances to the nearest point at another position, without those
-    of points that occur more than seven times.
+    of points that occur more than seven times. The profile (P, K) has the distances of some points to K neighbours, see
+    `pcbench.geometry.sampling`.
 
     Args:
         file: the shared `TiledCloud` of the cloud, with at least k points.
@@ -41,39 +43,71 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     """
     cloud = read_shared(file, key, TiledCloud)
     points = cloud.load(number, "points")
-    distances, directions = _local_planes(cloud, number, points, k)
+    around = _Surroundings.of(cloud, number, k)
+    distances, directions = _local_planes(cloud, number, points, around, k)
     if cloud.file(number, "given_normals").exists():
         given = cloud.load(number, "given_normals")
         directions = np.where(np.isnan(given[:, :1]), directions, given)
     save_column(cloud.folder, number, "normals", directions)
+    save_column(cloud.folder, number, "profile", _profile(cloud, number, points, around))
     coincident = np.flatnonzero(distances == 0)
     for start in range(0, len(coincident), _SEARCHED_AT_ONCE):
         some = coincident[start : start + _SEARCHED_AT_ONCE]
-        near = nearest_in_tiles(points[some], cloud, min(_SPACING_NEIGHBORS, int(cloud.counts.sum()))).distances
+        near = nearest_in_tiles(points[some], cloud, min(COINCIDENT_NEIGHBORS, int(cloud.counts.sum()))).distances
         distances[some] = np.where(near > 0, near, np.inf).min(axis=1)
     spacings = distances[np.isfinite(distances)]
     save_column(cloud.folder, number, "spacings", spacings)
     return BitHistogram.of(spacings)
 
 
-def _local_planes(cloud: TiledCloud, number: int, points: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+class _Surroundings(NamedTuple):
+    """The points of a cloud in a box around a tile; none if they are too many, or too few for a plane."""
+
+    points: Index | None
+    rows: IntArray  # (N,) rows of the points, ascending
+    low: FloatArray  # (3,) corners of the box
+    high: FloatArray
+
+    @classmethod
+    def of(cls, cloud: TiledCloud, number: int, k: int) -> _Surroundings:
+        """Return the points among which most of the points of a tile have their k nearest ones."""
+        width = _halo_width(cloud, number, k)
+        low, high = cloud.low[number] - width, cloud.high[number] + width
+        most = max(_MAX_HALO * int(cloud.counts[number]), _FEW_POINTS)
+        points, rows = _points_in_box(cloud, low, high, most=most)
+        return cls(Index(points) if len(points) >= k else None, rows, low, high)
+
+
+def _local_planes(
+    cloud: TiledCloud, number: int, points: FloatArray, around: _Surroundings, k: int
+) -> tuple[FloatArray, FloatArray]:
     """Return the distance (N,) of each point to the nearest other one, and the normal (N, 3) of k nearest points."""
-    width = _halo_width(cloud, number, k)
-    low, high = cloud.low[number] - width, cloud.high[number] + width
-    around, rows = _points_in_box(cloud, low, high, most=max(_MAX_HALO * len(points), _FEW_POINTS))
     distances, normals = np.empty(len(points)), np.empty((len(points), 3))
     certain = np.zeros(len(points), bool)
-    if len(around) >= k:
-        planes = Index(around).local_planes(k)
-        own = np.searchsorted(rows, cloud.open(number, "rows"))
+    if around.points is not None:
+        planes = around.points.local_planes(k)
+        own = np.searchsorted(around.rows, cloud.open(number, "rows"))
         reach, distances = planes.reach[own], planes.nearest_other.distances[own]
         normals = planes.normals.take(own, axis=0)
-        certain = reach < _distance_to_border(points, low, high)
+        certain = reach < _distance_to_border(points, around.low, around.high)
     rest = np.flatnonzero(~certain)
     for start in range(0, len(rest), _SEARCHED_AT_ONCE):
         some = rest[start : start + _SEARCHED_AT_ONCE]
         distances[some], normals[some] = _searched_planes(cloud, points[some], cloud.open(number, "rows")[some], k)
     return distances, normals
+
+
+def _profile(cloud: TiledCloud, number: int, points: FloatArray, around: _Surroundings) -> FloatArray:
+    """Return the distances (P, K), ascending, of those points (N, 3) of a tile that belong to the cloud's profile."""
+    count = int(cloud.counts.sum())
+    k = min(1 + PROFILE_NEIGHBORS, count)
+    places = points[np.flatnonzero(cloud.open(number, "rows") % profile_step(count) == 0)]
+    distances, certain = np.empty((len(places), k)), np.zeros(len(places), bool)
+    if around.points is not None and len(around.points) >= k:
+        distances = around.points.query(places, k).distances
+        certain = distances[:, -1] < _distance_to_border(places, around.low, around.high)
+    distances[~certain] = nearest_in_tiles(places[~certain], cloud, k).distances
+    return distances[:, 1:]
 
 
 def _searched_planes(cloud: TiledCloud, points: FloatArray, rows: IntArray, k: int) -> tuple[FloatArray, FloatArray]:

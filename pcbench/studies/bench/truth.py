@@ -15,8 +15,9 @@ from pcbench.geometry.cameras import Camera
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
 from pcbench.geometry.mesh_samples import sample_reference
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.regions import Region
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, pixel_sizes, sees, views
 from pcbench.io import read_cloud
 from pcbench.io.files import Warn

@@ -18,7 +18,8 @@ import numpy as np
 from pcbench.errors import InputError, RegistrationError
 from pcbench.extras import LIBRARIES, installed_versions, require
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import register
 from pcbench.studies.stress.results import GLOBAL, LOCAL, REGISTRATION, MethodInfo, MissingMethod

@@ -13,8 +13,9 @@ from pcbench.errors import InputError, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh, MeshIndex
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import estimate_normals
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.registration import as_similarity, register

@@ -17,7 +17,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.meshlab import decimate
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.thinning import disk_radius_for, thin_at_random, thin_by_disks, voxel_side_for
 from pcbench.geometry.voxels import voxel_downsample
 from pcbench.measure.comparison import compare

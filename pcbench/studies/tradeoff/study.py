@@ -14,7 +14,8 @@ from pathlib import Path
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.io import CloudLike
 from pcbench.io.meshes import to_shape
 from pcbench.measure.settings import Settings

@@ -6,24 +6,27 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tiled_clouds import clouds_of_all_kinds, stored_tiles
 
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import sampling_of, sampling_of_profile
 from pcbench.measure.tiled import normals as tiled_normals
 from pcbench.measure.tiled.normals import add_normals
 from pcbench.tasks.results import write_result
 
 
 def computed(folder, points, most, k, given_normals=None):
-    """Normals (N, 3) and all spacings of a cloud in tiles."""
+    """Normals (N, 3) and the sampling of a cloud in tiles."""
     tiles = stored_tiles(folder, points, most, piece_points=max(1, len(points) // 3), normals=given_normals)
     write_result(folder / "shared", str(folder), tiles)
-    found, spacings = np.full((len(points), 3), 7.0), []
+    found, spacings, profile = np.full((len(points), 3), 7.0), [], []
     for number in tiles.occupied:
         histogram = add_normals(folder / "shared", str(folder), number, k)
         spacings.append(tiles.load(number, "spacings"))
         assert histogram.count == len(spacings[-1])
+        profile.append(tiles.load(number, "profile"))
         found[tiles.load(number, "rows")] = tiles.load(number, "normals")
-    return found, np.concatenate(spacings)
+    nearest = np.median(np.concatenate(spacings)) if any(map(len, spacings)) else 0.0
+    return found, sampling_of_profile(nearest, np.concatenate(profile), len(points))
 
 
 @settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.generate])
@@ -44,11 +47,11 @@ def test_normals_and_spacings_are_those_in_memory(tmp_path_factory, seed, count,
         given_normals = rng.integers(-9, 9, points.shape).astype(float)  # files have float32
         given_normals[rng.random(len(points)) < 0.3] = 0
     k = min(20, len(points))
-    found, spacings = computed(tmp_path_factory.mktemp("normals"), points, most, k, given_normals)
+    found, sampling = computed(tmp_path_factory.mktemp("normals"), points, most, k, given_normals)
     expected = Surface(Index(points), k, given_normals).compute_normals(None)
     np.testing.assert_array_equal(found, expected)
     index = Index(points)
-    assert (np.median(spacings) if len(spacings) else 0.0) == median_spacing(index, index.nearest_other())
+    assert sampling == sampling_of(index, index.nearest_other())
 
 
 def test_tiles_of_one_point_have_normals(tmp_path):

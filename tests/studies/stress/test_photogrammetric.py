@@ -10,7 +10,8 @@ import pytest
 from noise_statistics import LAGS, SHARES, STATISTICS, correlation_length, statistics
 
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.measure.metrics import nmad
 from pcbench.studies.stress.ladders import LADDERS
 from pcbench.studies.stress.ladders.photogrammetric import (

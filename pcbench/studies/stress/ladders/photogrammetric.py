@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.geometry.neighbors import Index, median_spacing
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.sampling import median_spacing
 from pcbench.measure.metrics import nmad
 from pcbench.studies.stress.ladders.ladder import Ladder
 from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS

@@ -1,0 +1,53 @@
+"""The same surface has the same verdict however its reference is sampled: copies, strips, scan lines, densities."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from sampled_surfaces import COPIES, KINDS, LINES, sampled
+
+from pcbench import Cloud, Settings, compare
+
+_OFFSET = np.array([0.25, 0.0, 0.02])
+_COUNT = 4_000
+
+
+@cache
+def compared(kind: str, register: str):
+    """Comparison with an error-free candidate, which is displaced if it is registered."""
+    candidate = sampled("strewn", _COUNT, seed=9)
+    candidate = candidate[(candidate[:, :2] > 3).all(axis=1) & (candidate[:, :2] < 37).all(axis=1)]
+    displaced = candidate + (_OFFSET if register == "icp" else 0)
+    return compare(Cloud(sampled(kind, _COUNT)), Cloud(displaced), Settings(register=register))
+
+
+@pytest.mark.parametrize(("kind", "register"), [(kind, "icp") for kind in KINDS] + [("twice", "none")])
+def test_the_candidate_lies_on_the_reference(kind, register):
+    found = compared(kind, register).candidates[0]
+    registration = found.registration
+    # The counterpart of a point is within 5 % of the extent, which is 0.7 spacings at the sparse end.
+    assert registration.overlap > (0.85 if kind == "1:1000" else 0.97)
+    # The 20 neighbours that a normal is estimated from are on one line, if points are 50 times denser along it.
+    assert {warning.code for warning in registration.warnings} <= ({"blurred"} if kind == "lines 50:1" else set())
+    assert found.deformation.verdict != "deformed"
+    if register == "icp":
+        moved = registration.T_reference_candidate.apply(np.array([[20.0, 20.0, 0.0]]) + _OFFSET)
+        # The normals of sparse lines and dense parts are less accurate. The spacing of strewn points is 0.3.
+        assert np.linalg.norm(moved - [[20.0, 20.0, 0.0]]) < 0.05
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_floor_is_the_distance_of_error_free_points(kind):
+    found = compared(kind, "icp").candidates[0].metrics.mean_distance.accuracy
+    # 2,500 distances with a relative spread of 0.5 and the points' own arrangement: 5 %. Gaps between lines are
+    # measured at positions that see only parts of the lines, and loose copies are partly other points.
+    tolerance = 0.35 if kind in LINES or kind == "1:1000" else 0.15
+    assert found.floor == pytest.approx(found.value, rel=tolerance)
+
+
+@pytest.mark.parametrize("kind", COPIES)
+def test_copies_in_the_candidate_do_not_change_the_floor_of_the_other_direction(kind):
+    reference, points = Cloud(sampled("strewn", _COUNT)), sampled(kind, _COUNT, seed=9)
+    comparison = compare(reference, Cloud(points), Settings(register="none"))
+    found = comparison.candidates[0].metrics.mean_distance.completeness
+    assert found.floor == pytest.approx(found.value, rel=0.15)
