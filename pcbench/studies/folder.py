@@ -14,6 +14,7 @@ A study of many runs takes hours. All studies therefore work in the same way:
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -39,6 +40,7 @@ MARK = "study.json"
 FIGURES = "figures"
 SCHEMA = "pcbench.study/1"
 _KEY = "key"  # in a record: the inputs that its values depend on
+_VALUES_DIGEST = "values_sha256"  # in a record: SHA-256 of its other values
 
 
 @dataclass(frozen=True)
@@ -114,14 +116,14 @@ def study_document(path: Path, schema: str) -> Iterator[dict[str, Any]]:
 
 
 def read_record(path: Path, key: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the values that `write_record` saved for the same inputs, or None."""
+    """Return the values that `write_record` saved for the same inputs, or None if there are none or they changed."""
     try:
         values = read_json(path)
     except (FileNotFoundError, InputError):
         return None
     if not isinstance(values, dict) or values.pop(_KEY, None) != json.loads(json.dumps(key)):
         return None
-    return values
+    return values if values.pop(_VALUES_DIGEST, None) == _values_digest(values) else None
 
 
 def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
@@ -135,7 +137,12 @@ def write_record(path: Path, key: Mapping[str, Any], values: Mapping[str, Any]) 
     Raises:
         OSError: the file cannot be written.
     """
-    write_files(path.parent, {path.name: to_json({_KEY: key, **values})})
+    digest = _values_digest(json.loads(to_json(dict(values))))
+    write_files(path.parent, {path.name: to_json({_KEY: key, _VALUES_DIGEST: digest, **values})})
+
+
+def _values_digest(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def write_files(out: Path, texts: Mapping[str, str]) -> None:

@@ -2,7 +2,7 @@
 
 A file is the format's name, the SHA-256 of the key of its stage, the length of a JSON text, the text, the arrays to
 which it refers, and the SHA-256 of all of this. The text has the result (`pcbench.tasks.codec`), and the names, sizes
-and digests of the other files that the task has written. Such a file holds no code, whoever wrote it.
+and digests of the other files that the task has written. Such a file holds no code, even if it came from elsewhere.
 """
 
 from __future__ import annotations

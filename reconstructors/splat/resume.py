@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
+from pcbench.io.contents import digest
 from pcbench.io.files import atomic_write
 from pcbench.plugins.progress import progress
 from pcbench.progress import duration
@@ -62,10 +63,10 @@ def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: s
     Args:
         training: the training at its start.
         checkpoint: file of the checkpoints.
-        key: everything that the model depends on; a checkpoint with another key is not used.
+        key: everything that the model depends on; a checkpoint with another key, or a damaged one, is not used.
     """
-    if checkpoint.is_file() and not training.load(checkpoint, key):
-        checkpoint.unlink()
+    if not (_is_intact(checkpoint) and training.load(checkpoint, key)):
+        _remove(checkpoint)
     total, start, steps_run = training.steps, time.monotonic(), 0
     last_checkpoint = last_message = start
 
@@ -78,14 +79,38 @@ def run_with_checkpoints(training: Resumable[Model_co], checkpoint: Path, key: s
             progress(f"training: step {training.step:,} of {total:,}, {training.status()}, {duration(left)} left")
             last_message = now
         if now - last_checkpoint > _CHECKPOINT_INTERVAL_S:
-            training.save(checkpoint, key)
+            save_checkpoint(training, checkpoint, key)
             last_checkpoint = time.monotonic()
 
     training.run(total, on_step)
     if training.converged:
         progress(f"training converged at step {training.step:,} of {total:,}: the photographs no longer improve")
-    checkpoint.unlink(missing_ok=True)
+    _remove(checkpoint)
     return training.model
+
+
+def save_checkpoint(training: Resumable[Any], checkpoint: Path, key: str) -> None:
+    """Write a checkpoint, and its digest beside it."""
+    training.save(checkpoint, key)
+    with atomic_write(_digest_file(checkpoint)) as file:
+        file.write(digest(checkpoint).encode())
+
+
+def _is_intact(checkpoint: Path) -> bool:
+    """Return whether there is a checkpoint with the content that was written."""
+    try:
+        return _digest_file(checkpoint).read_text(encoding="ascii") == digest(checkpoint)
+    except (OSError, ValueError):
+        return False
+
+
+def _digest_file(checkpoint: Path) -> Path:
+    return checkpoint.with_name(f"{checkpoint.name}.sha256")
+
+
+def _remove(checkpoint: Path) -> None:
+    for file in (_digest_file(checkpoint), checkpoint):
+        file.unlink(missing_ok=True)
 
 
 def save_model(path: Path, model: Gaussians) -> None:

@@ -109,9 +109,11 @@ def test_records_are_returned_for_the_same_inputs_only(tmp_path):
     write_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
     assert read_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
     assert read_record(path, {"a": 2, "b": (2, 3)}) is None
-    for content in ("", "{", "[]", "{}"):
+    edited = path.read_text().replace("1,\n", "7,\n")
+    assert edited != path.read_text()
+    for content in ("", "{", "[]", "{}", edited):
         path.write_text(content)
-        assert read_record(path, {"a": 1}) is None
+        assert read_record(path, {"a": 1, "b": (2, 3)}) is None
 
 
 def test_csv_markdown_and_unique_folder_names():

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # splat's tiles agree on them.
 # 177: a constant of maths.h that this kernel does not use.
 _OPTIONS = {"std": "c++17", "fma": False, "diag_suppress": 177}
+_DIGEST_BYTES = 32  # SHA-256 before a stored cubin
 _LEGACY_STREAM = 1  # the driver's handle of the default stream, for which torch has 0
 
 
@@ -78,7 +79,8 @@ def compile_kernel(kernel: Kernel, architecture: str) -> bytes:
     """Return the cubin of a kernel for an architecture such as sm_90, from the cache if possible; no GPU is needed.
 
     The cache is the folder `pcbench` in XDG_CACHE_HOME (~/.cache); the file name is a hash of everything that the cubin
-    depends on. If the folder is not writable, each process compiles the kernel again.
+    depends on, and the file starts with the SHA-256 of the cubin. If the folder is not writable, each process compiles
+    the kernel again.
 
     Raises:
         MissingExtra: cuda-core or NVRTC is not installed.
@@ -90,7 +92,10 @@ def compile_kernel(kernel: Kernel, architecture: str) -> bytes:
     name = hashlib.sha256(repr((source, architecture, versions, sorted(_OPTIONS.items()))).encode()).hexdigest()
     file = _cache_folder() / f"{kernel.name}-{name}.cubin"
     with suppress(OSError):
-        return file.read_bytes()
+        stored = file.read_bytes()
+        digest, cubin = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
+        if hashlib.sha256(cubin).digest() == digest:
+            return cubin
     options = core.ProgramOptions(name=f"{kernel.name}.cu", arch=architecture, **_OPTIONS)
     try:
         cubin = bytes(core.Program(source, "c++", options).compile("cubin").code)
@@ -99,7 +104,7 @@ def compile_kernel(kernel: Kernel, architecture: str) -> bytes:
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         with scratch.scratch_file(file) as (path, stream):
-            stream.write(cubin)
+            stream.write(hashlib.sha256(cubin).digest() + cubin)
             rename_open(stream, path, file)
     return cubin
 

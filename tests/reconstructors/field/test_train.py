@@ -13,7 +13,7 @@ torch = import_or_skip("torch")
 
 from pcbench.errors import ReconstructionError  # noqa: E402
 from reconstructors.field.train import FieldTraining, Pixels  # noqa: E402
-from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
+from reconstructors.splat.resume import run_with_checkpoints, save_checkpoint  # noqa: E402
 
 
 @pytest.mark.parametrize("stop", [7, 12, 13, 29])
@@ -23,12 +23,26 @@ def test_a_resumed_training_gives_the_same_bits(tmp_path, stop):
     uninterrupted.run(40)
     first = new_training()
     first.run(stop)
-    first.save(tmp_path / "checkpoint.npz", "key")
+    save_checkpoint(first, tmp_path / "checkpoint.npz", "key")
     second = new_training()
     assert not second.load(tmp_path / "checkpoint.npz", "another key") and second.step == 0
     field = run_with_checkpoints(second, tmp_path / "checkpoint.npz", "key")
     assert arrays_of(field) == arrays_of(uninterrupted.model)
     assert not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_a_damaged_checkpoint_is_not_resumed(tmp_path):
+    checkpoint = tmp_path / "checkpoint.npz"
+    first = new_training()
+    first.run(7)
+    save_checkpoint(first, checkpoint, "key")
+    content = bytearray(checkpoint.read_bytes())
+    content[len(content) // 2] ^= 1
+    checkpoint.write_bytes(content)
+    second = new_training()
+    second.load = lambda *_: pytest.fail("the checkpoint was used")
+    run_with_checkpoints(second, checkpoint, "key")
+    assert second.step == 40 and list(tmp_path.iterdir()) == []
 
 
 def test_the_field_is_determined_by_the_seed():

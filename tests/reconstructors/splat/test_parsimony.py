@@ -23,7 +23,7 @@ from reconstructors.splat.parsimony import (  # noqa: E402
     score_views,
     select_budget,
 )
-from reconstructors.splat.resume import run_with_checkpoints  # noqa: E402
+from reconstructors.splat.resume import run_with_checkpoints, save_checkpoint  # noqa: E402
 from reconstructors.splat.train import Schedule, Training  # noqa: E402
 
 
@@ -167,7 +167,7 @@ def test_a_resumed_selection_equals_an_uninterrupted_one(tmp_path):
             nonlocal remaining_steps
             remaining_steps -= 1
             if remaining_steps == 0:
-                state.save(path, "key")
+                save_checkpoint(state, path, "key")
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):

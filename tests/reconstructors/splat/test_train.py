@@ -18,7 +18,7 @@ from splat_training import grey, numbers, truth  # noqa: E402
 from reconstructors.splat.density import Classic, Density, split  # noqa: E402
 from reconstructors.splat.devices import kernels_of  # noqa: E402
 from reconstructors.splat.model import Gaussians, LocalFrame  # noqa: E402
-from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model  # noqa: E402
+from reconstructors.splat.resume import load_model, run_with_checkpoints, save_checkpoint, save_model  # noqa: E402
 from reconstructors.splat.rotations import rotate  # noqa: E402
 from reconstructors.splat.train import Schedule, Training, evaluate  # noqa: E402
 
@@ -55,7 +55,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
     assert len(uninterrupted.model) > 60  # so random numbers were used
     first = new_training(density, steps=90)
     first.run(47)
-    first.save(tmp_path / "checkpoint.pt", "key")
+    save_checkpoint(first, tmp_path / "checkpoint.pt", "key")
     second = new_training(density, steps=90)
     assert not second.load(tmp_path / "checkpoint.pt", "another key")
     assert second.step == 0
