@@ -32,7 +32,10 @@ def test_equal_comparisons_have_different_workspaces():
 def test_finished_parts_of_a_second_run_are_continued(tmp_path):
     with ExitStack() as stack:
         opened(stack, default_workspaces(None, KEY))
-        with pytest.raises(KeyboardInterrupt), first_free_workspace(default_workspaces(None, KEY), KEY, print) as second:
+        with (
+            pytest.raises(KeyboardInterrupt),
+            first_free_workspace(default_workspaces(None, KEY), KEY, print) as second,
+        ):
             (second / "part").write_text("finished")
             raise KeyboardInterrupt
     with ExitStack() as stack:

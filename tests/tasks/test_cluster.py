@@ -137,7 +137,9 @@ def io_threads():
 
 
 def unclosed_clients():
-    return [client for client in gc.get_objects() if isinstance(client, distributed.Client) and client.status != "closed"]
+    return [
+        client for client in gc.get_objects() if isinstance(client, distributed.Client) and client.status != "closed"
+    ]
 
 
 def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):

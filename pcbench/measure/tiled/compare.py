@@ -117,7 +117,8 @@ def compare_on_disk(
     report = on_step or (lambda _: None)
     paths = {_REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
-    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    pieces = tiling.chosen_piece_points
+    clouds = {name: _open(path, settings, pieces, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
     key = _key(clouds, settings, replace(tiling, tile_points=tile_points), maps)
     workers = Workers(tiling.chosen_workers, tiling.cluster)
@@ -127,10 +128,10 @@ def compare_on_disk(
         return run.compare(clouds, list(candidates))
 
 
-def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+def _open(path: Path, settings: Settings, piece_points: int, *, skip_bad: bool) -> CloudOnDisk:
     """Describe a cloud; classes and returns select points where files have them, as in memory."""
     classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    return open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    return open_cloud(path, classes=classes, returns=returns, piece_points=piece_points, skip_bad=skip_bad)
 
 
 def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSettings, maps: Path | None) -> str:
@@ -139,7 +140,7 @@ def _key(clouds: Mapping[str, CloudOnDisk], settings: Settings, tiling: TilingSe
         name: [(str(file.path), (status := file.path.stat()).st_size, status.st_mtime_ns) for file in cloud.files]
         for name, cloud in clouds.items()
     }
-    how = tiling.tile_points, tiling.max_distance
+    how = tiling.tile_points, tiling.chosen_piece_points, tiling.max_distance
     pose, crop = known_pose(settings), file_in_setting(settings.crop)
     region = pickle.dumps(settings.crop) if crop is None else crop.read_bytes()
     read = None if pose is None else pose.matrix.tolist(), hashlib.sha256(region).hexdigest()
