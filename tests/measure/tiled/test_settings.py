@@ -10,9 +10,9 @@ from pcbench.report.on_disk import TilingChoice, choose_tiles
 
 
 def test_tiles_and_pieces_follow_the_memory():
-    found = [TilingSettings(memory=parse_bytes(text), workers=2) for text in ("60MB", "1GB", "2GB", "64GB")]
+    found = [TilingSettings(memory=parse_bytes(text), workers=2) for text in ("60MB", "400MB", "700MB", "64GB")]
     for sizes in ([s.chosen_piece_points for s in found], [s.chosen_tile_points for s in found]):
-        assert sizes[0] == 20_000 < sizes[1] < sizes[2] <= sizes[3] == 1_000_000
+        assert sizes[0] == 20_000 < sizes[1] < sizes[2] < sizes[3] == 1_000_000
 
 
 @pytest.mark.parametrize(("memory", "is_enough"), [("60MB", False), ("1GB", True)])
