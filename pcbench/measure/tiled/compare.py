@@ -402,9 +402,9 @@ class _Run:
         measured = len(sample)
         for limit in (None, region):
             inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            inside = np.count_nonzero(inner.contains(aligned))
-            if inner.contains(sampled.points).any() and inside:
-                settings, measured = replace(settings, crop=inner), inside
+            number = int(np.count_nonzero(inner.contains(aligned)))
+            if inner.contains(sampled.points).any() and number:
+                settings, measured = replace(settings, crop=inner), number
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
         forth, back = found.floors
