@@ -5,6 +5,7 @@ The command line prints each on one line.
 
 from __future__ import annotations
 
+import errno
 import logging
 from dataclasses import dataclass
 
@@ -95,8 +96,15 @@ def one_line(text: str, max_length: int | None = None) -> str:
     return f"{line[: max_length - tail - 5]} ... {line[-tail:]}"
 
 
+def lacks_files(error: BaseException) -> bool:
+    """Return whether the limit of open files was reached, whatever file the error names."""
+    return isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE)
+
+
 def reason_of(error: BaseException) -> str:
     """Return why a file cannot be opened and what to do; the error's own text if it has no such reason."""
+    if lacks_files(error):
+        return "too many open files: allow more with ulimit -n 1024, and run the same command again"
     if isinstance(error, FileNotFoundError):
         return "no such file: check the name and the folder"
     if isinstance(error, PermissionError):

@@ -40,6 +40,10 @@ _NO_LOCK = -1
 _DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of writing to an open file; they name no file
 
 
+class OutputInUse(InputError):
+    """Another run writes the same output."""
+
+
 @contextmanager
 def lock_output(output: Path) -> Iterator[None]:
     """Lock an output for this run: a file or folder, which need not exist, in an existing folder.
@@ -47,14 +51,14 @@ def lock_output(output: Path) -> Iterator[None]:
     There is no lock if the folder cannot be written or its disk does not support locks.
 
     Raises:
-        InputError: another run has locked the output.
+        OutputInUse: another run has locked the output.
     """
     target = output.resolve()
     remove_leftovers(target.parent)
     path = target.with_name(f"{_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}{_LOCK_SUFFIX}")
     descriptor = _try_lock_output(path)
     if descriptor is None:
-        raise InputError(f"{output}: another run is writing there: wait for it, or choose another name")
+        raise OutputInUse(f"{output}: another run is writing there: wait for it, or choose another name")
     try:
         yield
     finally:

@@ -15,7 +15,7 @@ from pcbench.cli.log import LOGGER, end_log, log_settings, start_log
 from pcbench.cli.messages import fail
 from pcbench.cli.options import FILE
 from pcbench.cli.streams import discard, finish_errors, finish_output, is_of_a_stream, prepare_streams
-from pcbench.errors import PcbenchError, reason_of
+from pcbench.errors import PcbenchError, lacks_files, reason_of
 from pcbench.threads import limit_threads
 
 
@@ -87,6 +87,8 @@ def _run() -> None:
             fail(f"standard output: {error.strerror}")
         if isinstance(error, FileNotFoundError) and error.filename is None:
             fail("the current folder no longer exists: change to another one")
+        if lacks_files(error):
+            fail(reason_of(error))
         fail(f"{error.filename}: {reason_of(error)}" if error.filename and error.strerror else str(error))
     except MemoryError:
         fail("not enough memory for these clouds: crop or downsample them first")

@@ -196,8 +196,8 @@ def compare(
         if "mpeg" in split_names(presets):  # all settings have it; tiles leave it out, unless a user asks for it
             if choice.when != "if-possible":
                 raise InputError(
-                    "a comparison in tiles does not support the preset mpeg (--preset) in this version: compare in"
-                    " memory"
+                    "a comparison in tiles does not support the preset mpeg (--preset) in this version: omit"
+                    " --tiles to compare in memory"
                 )
             choice = None
         job = ComparisonJob.of(reference, candidates, settings, figures, viewed, choice)

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, TypedDict, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import InputError, reason_of
+from pcbench.errors import InputError, lacks_files, reason_of
 from pcbench.geometry.arrays import freeze
 from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io.paths import find_tiles, is_pattern, is_tiled
@@ -104,12 +104,15 @@ def errors_named(name: object) -> Iterator[None]:
 
     Raises:
         InputError: the block raised InputError, OSError or MemoryError.
+        OSError: too many files are open.
     """
     try:
         yield
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     except OSError as error:
+        if lacks_files(error):  # the file is not damaged
+            raise
         raise InputError(f"{name}: cannot be read: {reason_of(error)}") from error
     except MemoryError as error:
         raise InputError(f"{name}: does not fit into memory: crop or downsample the file") from error

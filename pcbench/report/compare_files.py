@@ -23,7 +23,7 @@ from pcbench.report.on_disk import CloudsOnDisk, TilingChoice, choose_tiles, fil
 from pcbench.report.plot import draw_if_possible, drawing_seconds
 from pcbench.report.reading import paths_in
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
-from pcbench.report.workspace import default_workspace, locked_workspace
+from pcbench.report.workspace import default_workspaces, first_free_workspace
 
 _FORMER_PREFIX = "parts:"  # of digests of earlier versions, which left out the middle of files
 _WRITING_SAMPLES_S = 5.0  # writing the report of a tiled comparison, whose maps are samples
@@ -176,11 +176,12 @@ def _workspace(
         yield None
         return
     key = clouds.key(settings, job.tiles.settings)
-    folder = job.tiles.workspace or default_workspace(out, key)
+    folders = default_workspaces(out, key) if job.tiles.workspace is None else [job.tiles.workspace]
+    folder = folders[0]  # the others have the same parent
     for path in (file for named in job.inputs for file in input_files(named)):
         if path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{folder}: the workspace would replace the input {path}: choose another folder")
-    with locked_workspace(folder, key, on_notice) as workspace:
+    with first_free_workspace(folders, key, on_notice) as workspace:
         yield workspace
 
 

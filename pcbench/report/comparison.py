@@ -36,7 +36,7 @@ from pcbench.report.reading import (
 )
 from pcbench.report.table import html
 from pcbench.report.viewing import ViewingCameras
-from pcbench.report.workspace import default_workspace, locked_workspace
+from pcbench.report.workspace import default_workspaces, first_free_workspace
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
@@ -208,8 +208,8 @@ def compare(
         clouds = choose_tiles(Path(reference), paths, settings, choice, step)
         assert clouds is not None  # it is always computed in tiles
         key = clouds.key(settings, tiling)
-        folder = default_workspace(None, key) if workspace is None else Path(workspace)
-        with locked_workspace(folder, key, step) as locked:
+        folders = default_workspaces(None, key) if workspace is None else [Path(workspace)]
+        with first_free_workspace(folders, key, step) as locked:
             compared = compare_tiled(clouds, settings, tiling, step, workspace=locked, maps=None, scene=given)
     for file in () if compared.inputs is None else compared.inputs.all_files():
         for text in file.warnings:

@@ -24,6 +24,7 @@ from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
+from pcbench.measure.tiled.windows import MAX_SAMPLE
 from pcbench.report.inputs import InputFile
 from pcbench.report.recorded import record, record_tiling
 from pcbench.report.words import memory_text
@@ -63,11 +64,16 @@ class CloudsOnDisk:
 
     @classmethod
     def open(
-        cls, reference: Path, candidates: Mapping[str, Path], settings: Settings, *, skip_bad: bool = False
+        cls, reference: Path, candidates: Mapping[str, Path], settings: Settings, tiling: TilingSettings
     ) -> CloudsOnDisk:
-        """Read the headers; raises the errors of `pcbench.io.pieces.open_cloud`."""
+        """Read the headers, in pieces as a tiled comparison; raises the errors of `pcbench.io.pieces.open_cloud`."""
         first, *others = (
-            open_cloud(path, **filters_for(path, settings), skip_bad=skip_bad)
+            open_cloud(
+                path,
+                **filters_for(path, settings),
+                piece_points=tiling.chosen_piece_points,
+                skip_bad=tiling.skip_bad,
+            )
             for path in (reference, *candidates.values())
         )
         return cls(first, dict(zip(candidates, others, strict=True)))
@@ -91,6 +97,14 @@ class CloudsOnDisk:
             OSError: a file cannot be read.
         """
         return cloud_contents(cloud.path for cloud in (self.reference, *self.candidates.values()))
+
+    def least_memory(self, tiling: TilingSettings) -> int:
+        """Estimated bytes of memory that all processes of a tiled comparison need at least."""
+        largest = max(cloud.count for cloud in self.candidates.values())
+        # A dense candidate has up to twice as many points in the windows of its sample.
+        samples = min(self.reference.count, MAX_SAMPLE) + min(largest, 2 * MAX_SAMPLE)
+        pieces = [piece.count for cloud in (self.reference, *self.candidates.values()) for piece in cloud.pieces]
+        return tiling.least_memory(samples, max(pieces))
 
     def input_files(self) -> tuple[InputFile, dict[str, InputFile]]:
         """Return the records of the reference and of the candidates."""
@@ -143,12 +157,16 @@ def choose_tiles(
     paths = [reference, *candidates.values()]
     if choice.when == "always":
         if unsupported:
-            raise InputError(f"a comparison in tiles does not support {unsupported} in this version: compare in memory")
-        return CloudsOnDisk.open(reference, candidates, settings, skip_bad=choice.settings.skip_bad)
+            raise InputError(
+                f"a comparison in tiles does not support {unsupported} in this version: omit --tiles to compare in memory"
+            )
+        clouds = CloudsOnDisk.open(reference, candidates, settings, choice.settings)
+        _warn_of_memory(clouds, choice.settings, on_notice)
+        return clouds
     if _fits_surely(paths, choice.settings.memory) or _mesh(reference, candidates, settings):
         return None
     try:
-        clouds = CloudsOnDisk.open(reference, candidates, settings)
+        clouds = CloudsOnDisk.open(reference, candidates, settings, choice.settings)
     except (InputError, MissingExtra, OSError):
         return None  # the reader in memory gives the same error, or reads what has no pieces
     if clouds.memory <= choice.settings.memory:
@@ -159,6 +177,7 @@ def choose_tiles(
     )
     if not unsupported:
         on_notice(f"{needed}: computing in tiles")
+        _warn_of_memory(clouds, choice.settings, on_notice)
         return clouds
     if choice.when == "auto":
         raise InputError(
@@ -166,6 +185,17 @@ def choose_tiles(
         )
     on_notice(f"{needed}, and tiles do not support {unsupported} in this version: computing in memory nevertheless")
     return None
+
+
+def _warn_of_memory(clouds: CloudsOnDisk, tiling: TilingSettings, on_notice: Callable[[str], None]) -> None:
+    """Say how much memory a comparison in tiles needs, if this is more than it may use."""
+    least = clouds.least_memory(tiling)
+    if least > tiling.memory:
+        megabytes = -(-least // 1_000_000)
+        on_notice(
+            f"tiles of these clouds need about {megabytes} MB, more than --memory {memory_text(tiling.memory)}:"
+            f" use --memory {megabytes}MB" + (" or fewer --workers" if (tiling.workers or 1) > 1 else "")
+        )
 
 
 def unsupported_setting(reference: Path, candidates: Mapping[str, Path], settings: Settings) -> str | None:

@@ -5,30 +5,48 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.io.files import atomic_write, read_json_object
-from pcbench.scratch import lock_output, make_parents, remove_empty
+from pcbench.scratch import OutputInUse, lock_output, make_parents, remove_empty
 from pcbench.systems import is_owned_by_user
 
 SCHEMA = "pcbench.workspace/1"
+_MAX_EQUAL_RUNS = 100
 _MARKER = "workspace.json"
 
 
-def default_workspace(out: Path | None, key: str) -> Path:
-    """Return the workspace of a comparison without `--workspace`.
+def default_workspaces(out: Path | None, key: str) -> list[Path]:
+    """Return the possible workspaces of a comparison without `--workspace`, those with finished parts first.
 
     Args:
-        out: the report folder; the workspace is a hidden folder beside it. None: one in the system's temporary folder.
+        out: the report folder; the workspace is a hidden folder beside it. None: one in the system's temporary folder,
+            of which there are several, because equal comparisons may run at the same time.
         key: identifies the inputs and settings, in hexadecimal.
     """
-    if out is None:
-        return Path(tempfile.gettempdir()) / f"pcbench-tiles-{key[:16]}"
-    target = out.resolve()
-    return target.with_name(f".{target.name}.pcbench-tiles")
+    if out is not None:
+        target = out.resolve()
+        return [target.with_name(f".{target.name}.pcbench-tiles")]
+    first = Path(tempfile.gettempdir()) / f"pcbench-tiles-{key[:16]}"
+    every = [first, *(first.with_name(f"{first.name}-{number}") for number in range(2, _MAX_EQUAL_RUNS + 1))]
+    return sorted(every, key=lambda folder: not folder.exists())
+
+
+@contextmanager
+def first_free_workspace(folders: Sequence[Path], key: str, on_notice: Callable[[str], None]) -> Iterator[Path]:
+    """Yield the first of several workspaces that no other run uses; see `locked_workspace`."""
+    with ExitStack() as stack:
+        for folder in folders:
+            try:
+                workspace = stack.enter_context(locked_workspace(folder, key, on_notice))
+                break
+            except OutputInUse:
+                if folder == folders[-1]:
+                    raise
+        yield workspace
 
 
 @contextmanager
@@ -99,11 +117,14 @@ def _remove(folder: Path, keep_folder: bool) -> None:
     if keep_folder:
         _empty(folder)
     else:
-        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            _empty(folder)
+            folder.rmdir()
 
 
 def _empty(folder: Path) -> None:
-    for path in folder.iterdir():
+    # The marker is removed last: what an interrupted removal leaves is still known as a workspace.
+    for path in sorted(folder.iterdir(), key=lambda path: path.name == _MARKER):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, TypeVar
 
-from pcbench.errors import InputError, WorkerError
+from pcbench.errors import InputError, WorkerError, reason_of
 from pcbench.scratch import PARTIAL_SUFFIX
 from pcbench.systems import cpu_count
 from pcbench.tasks.calls import Call, ConnectionLost, WorkerLost
@@ -201,6 +201,8 @@ class TaskRunner:
             pool.keep_connected()
 
     def _explain(self, task: Task, losses: int, loss: WorkerLost) -> str:
+        if os.strerror(errno.EMFILE) in str(loss):
+            return f"task {task.name} ended {losses} workers: {reason_of(OSError(errno.EMFILE, ''))}"
         cause = "probably out of memory" if loss.killed else "which also happens if memory is short"
         return f"task {task.name} ended {losses} workers ({loss}), {cause}: {self._memory_advice}"
 

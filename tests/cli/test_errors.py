@@ -180,3 +180,19 @@ def test_a_candidate_name_that_is_too_long_is_refused_before_reading(files, run)
     assert code == 2
     assert is_one_line(err)
     assert " 220 bytes" in check_text(err)
+
+
+@pytest.mark.parametrize("command", [("info", "a.ply"), ("convert", "a.ply", "other.ply")])
+def test_a_limit_of_open_files_is_named_with_its_remedy(files, run, command):
+    resource = pytest.importorskip("resource", reason="this system has no limits of open files")
+    assert run(*command)[0] == 0  # all modules are loaded
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    descriptor = os.open(os.devnull, os.O_RDONLY)  # the lowest that is free
+    os.close(descriptor)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (descriptor, before[1]))
+    try:
+        code, _, err = run(*command)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert code == 2
+    check_text(err)

@@ -251,7 +251,7 @@ def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):
 
     def key(settings=settings, tiling=tiling):
         path = tmp_path / "a.ply"
-        return CloudsOnDisk.open(path, {"a": path}, settings).key(settings, tiling)
+        return CloudsOnDisk.open(path, {"a": path}, settings, tiling).key(settings, tiling)
 
     found = {
         key(),

@@ -92,7 +92,8 @@ def describe_ept(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, 
         for first, end in group((node.points for node in nodes), piece_points)
     ]
     low, high = as_corner(index.bounds[:3]), as_corner(index.bounds[3:])
-    nbytes = index.points * (_COORDINATE_BYTES + index.dtype.itemsize)
+    # The parts of many small nodes are joined, and the system does not get their memory back.
+    nbytes = index.points * 2 * (_COORDINATE_BYTES + index.dtype.itemsize)
     return CloudFile(
         path, index.points, low, high, index.crs, index.unit, has_node_normals(index, nodes[0]), nbytes
     ), parts
@@ -116,9 +117,10 @@ def describe_whole(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile
     """Describe a file by reading it; raises the same errors as `read_cloud`."""
     fields = format_of(path).read(path, warn)
     count = len(fields["points"])
-    nbytes = count * (_COORDINATE_BYTES + _VALUE_BYTES * len(fields.get("attributes", {})))
     cloud = finite_cloud(fields, lambda _: None)
     low, high = map(as_corner, bounds(cloud.points))
+    columns = cloud.points, cloud.normals, cloud.colors, *cloud.attributes.values()
+    nbytes = sum(values.nbytes for values in columns if values is not None)
     file = CloudFile(path, count, low, high, cloud.crs, cloud.unit, cloud.normals is not None, nbytes)
     return file, [Part(count, ())]
 

@@ -125,7 +125,8 @@ def compare_on_disk(
     report = on_step or (lambda _: None)
     paths = {_REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
-    clouds = {name: _open(path, settings, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    pieces = tiling.chosen_piece_points
+    clouds = {name: _open(path, settings, pieces, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
     if contents is None:
         contents = cloud_contents(cloud.path for cloud in clouds.values())
@@ -137,10 +138,10 @@ def compare_on_disk(
         return run.compare(clouds, list(candidates))
 
 
-def _open(path: Path, settings: Settings, *, skip_bad: bool) -> CloudOnDisk:
+def _open(path: Path, settings: Settings, piece_points: int, *, skip_bad: bool) -> CloudOnDisk:
     """Describe a cloud; classes and returns select points where files have them, as in memory."""
     classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    cloud = open_cloud(path, classes=classes, returns=returns, skip_bad=skip_bad)
+    cloud = open_cloud(path, classes=classes, returns=returns, piece_points=piece_points, skip_bad=skip_bad)
     if is_in_degrees(cloud.crs, cloud.unit):  # some points, because headers need not state a place
         points = read_piece(cloud, cloud.pieces[0]).points
         check_lengths(Cloud(points if len(points) else np.zeros((1, 3)), crs=cloud.crs, unit=cloud.unit), str(path))
@@ -159,7 +160,7 @@ def _key(
         name: [[str(file.path) for file in cloud.files], cloud_digest(cloud.path, contents)]
         for name, cloud in clouds.items()
     }
-    how = tiling.tile_points, tiling.max_distance
+    how = tiling.tile_points, tiling.chosen_piece_points, tiling.max_distance
     pose, crop = known_pose(settings), file_in_setting(settings.crop)
     region = fingerprint(_plain_region(settings.crop) if crop is None else crop.read_bytes())
     read = None if pose is None else pose.matrix.tolist(), region
@@ -439,9 +440,9 @@ class _Run:
         measured = len(sample)
         for limit in (None, region):
             inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            in_windows = int(np.count_nonzero(inner.contains(aligned)))
-            if inner.contains(sampled.points).any() and in_windows:
-                settings, measured = replace(settings, crop=inner), in_windows
+            number = int(np.count_nonzero(inner.contains(aligned)))
+            if inner.contains(sampled.points).any() and number:
+                settings, measured = replace(settings, crop=inner), number
         prepared = Reference.prepare(sampled, settings)
         found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
         forth, back = found.floors

@@ -19,6 +19,8 @@ _FACTORS |= {f"{letter}ib": 1024**power for power, letter in enumerate("kmgt", 1
 _MIN_TILE_POINTS = 100
 _BASE_BYTES = 100 << 20  # memory of a worker without data, measured: 75 MiB
 _BYTES_PER_POINT = 350  # memory of a worker for each point of a tile, measured: 250, more with wide halos
+_BYTES_PER_PIECE_POINT = 200  # memory of a worker for each point of a piece that it reads and sorts
+_SAMPLE_BYTES_PER_POINT = 240  # memory of this process for each point of the samples
 _MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
 _MIN_DEFAULT_TILE_POINTS = 20_000
 
@@ -60,6 +62,24 @@ class TilingSettings:
             return self.tile_points
         free = self.memory / (1 + (self.workers or cpu_count())) - _BASE_BYTES
         return int(min(max(free / _BYTES_PER_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
+
+    @property
+    def chosen_piece_points(self) -> int:
+        """Largest number of points that a worker reads at once, if the format of the file allows it."""
+        per_worker = self.memory / (1 + (self.chosen_workers or 1)) - _BASE_BYTES
+        return int(min(max(per_worker / _BYTES_PER_PIECE_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
+
+    def least_memory(self, sample_points: int, largest_piece: int) -> int:
+        """Return about how many bytes all processes need at least, whatever `memory` says.
+
+        Args:
+            sample_points: number of points of all samples in this process.
+            largest_piece: number of points of the largest piece, which may be a whole file.
+        """
+        tile = _BYTES_PER_POINT * (self.tile_points or _MIN_DEFAULT_TILE_POINTS)
+        per_worker = _BASE_BYTES + max(tile, _BYTES_PER_PIECE_POINT * largest_piece)
+        workers = 0 if self.cluster is not None else self.workers or 1
+        return _BASE_BYTES + _SAMPLE_BYTES_PER_POINT * sample_points + workers * per_worker
 
     @property
     def chosen_workers(self) -> int | None:

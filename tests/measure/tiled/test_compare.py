@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -15,8 +14,8 @@ from wording import check_error
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.io.pieces import open_cloud
 from pcbench.measure.deviation import Spread
+from pcbench.measure.tiled.settings import TilingSettings
 
 
 def holes(rng):
@@ -152,9 +151,7 @@ def test_no_bit_depends_on_the_tiles_or_the_order_of_arrival(tmp_path, monkeypat
     found = []
     for seed, size in enumerate((100, 350, 1200, None)):  # of clouds in three pieces
         in_this_process(monkeypatch, seed)
-        monkeypatch.setattr(
-            "pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=700)
-        )  # of three pieces
+        monkeypatch.setattr(TilingSettings, "chosen_piece_points", 700)  # of three pieces
         found.append(pair.tiled(f"work-{size}", tmp_path / f"maps-{size}", tile_points=size))
     assert len({comparison.tiling.tiles for comparison in found}) == 4
     documents = [as_document(comparison) for comparison in found]
@@ -278,7 +275,7 @@ def test_a_region_without_points_is_refused(tmp_path, monkeypatch):
 
 def test_points_that_are_not_finite_are_left_out_as_in_memory(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
-    monkeypatch.setattr("pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=400))
+    monkeypatch.setattr(TilingSettings, "chosen_piece_points", 400)
     rng = np.random.default_rng(0)
     points = surface(rng, 2000)
     pair = Pair(tmp_path / "pair", points, noisy(rng, points[::2]))

@@ -2,7 +2,6 @@
 
 import errno
 import os
-from functools import partial
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from wording import check_error
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
-from pcbench.io.pieces import open_cloud
 from pcbench.measure.results import LeftOut
+from pcbench.measure.tiled.settings import TilingSettings
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def test_a_folder_of_tiles_against_a_file(pair):
 
 def test_filters_of_las_files(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
-    monkeypatch.setattr("pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=400))
+    monkeypatch.setattr(TilingSettings, "chosen_piece_points", 400)
     rng = np.random.default_rng(0)
     paths = {}
     for name, count in (("ref", 2000), ("a", 1200)):
@@ -126,7 +125,7 @@ def test_a_full_disk_names_the_file(pair, monkeypatch):
 def test_thinned_clouds_are_those_in_memory(tmp_path, monkeypatch):
     """Large clouds: cells and voxels come from every n-th point that passes the filters and lies in the region."""
     in_this_process(monkeypatch)
-    monkeypatch.setattr("pcbench.measure.tiled.compare.open_cloud", partial(open_cloud, piece_points=60_000))
+    monkeypatch.setattr(TilingSettings, "chosen_piece_points", 60_000)
     monkeypatch.setattr("pcbench.measure.tiled.windows.MAX_SAMPLE", 10**6)
     rng = np.random.default_rng(0)
     paths = {}
