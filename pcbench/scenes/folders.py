@@ -28,6 +28,11 @@ def natural_key(name: str) -> tuple[list[tuple[str, int]], str]:
     return pairs, name  # 1 and 01 are equal as numbers, so the name decides
 
 
+def visible_files(folder: Path, pattern: str) -> list[Path]:
+    """Return the files of a folder that match a pattern, sorted, without hidden ones such as macOS's `._` files."""
+    return sorted(file for file in folder.glob(pattern) if not file.name.startswith("."))
+
+
 def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
     """Return the folder of a scene's images, and their names in it in natural order.
 
@@ -84,11 +89,11 @@ def find_cameras(path: Path, warn: Warn) -> Path | None:
         if has_entry(path / name):
             return path / name
     for subfolder in _CAMERA_FOLDERS:
-        if any((path / subfolder).glob("*.camera")):
+        if visible_files(path / subfolder, "*.camera"):
             return path / subfolder
     if (scene := _openmvs_scene(path)) is not None:
         return scene
-    exports = [file for file in sorted(path.glob("*.json")) if is_earth_studio(file)]
+    exports = [file for file in visible_files(path, "*.json") if is_earth_studio(file)]
     if len(exports) > 1:
         raise InputError(
             f"{path}: expected one camera export, got {exports[0].name} and {exports[1].name}: choose one by its file"
@@ -109,7 +114,7 @@ def named_cameras(path: Path, warn: Warn) -> Path:
 
 def _openmvs_scene(path: Path) -> Path | None:
     """Find the OpenMVS scene in a folder. OpenMVS's tools write further scenes next to the first, scene.mvs."""
-    files = sorted(file for file in path.glob("*.mvs") if file.is_file())
+    files = [file for file in visible_files(path, "*.mvs") if file.is_file()]
     if (path / "scene.mvs") in files:
         return path / "scene.mvs"
     if len(files) > 1:

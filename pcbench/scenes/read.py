@@ -27,7 +27,14 @@ from pcbench.io.strecha import read_strecha
 from pcbench.io.transforms_json import read_transforms
 from pcbench.regular_files import has_entry, read_text
 from pcbench.scenes.decode import Size
-from pcbench.scenes.folders import find_cameras, find_images, is_earth_studio, named_cameras, unread_calibrations
+from pcbench.scenes.folders import (
+    find_cameras,
+    find_images,
+    is_earth_studio,
+    named_cameras,
+    unread_calibrations,
+    visible_files,
+)
 from pcbench.scenes.names import ImageNames
 from pcbench.scenes.scene import Scene
 from pcbench.scenes.turned import camera_of_stored, describe_turned
@@ -163,7 +170,7 @@ def _with_cameras(
     source = find_cameras(path, warn) if choice == "auto" else named_cameras(Path(choice), warn)
     if source is None:
         _warn_of_unread(scene, None, scene.images, warn)
-        if projects := sorted(path.glob("*.esp")):
+        if projects := visible_files(path, "*.esp"):
             warn(f"{projects[0]}: {PROJECT_FILE_HINT}")
         return scene
     if not source.exists():
@@ -261,7 +268,7 @@ def _read_cameras(source: Path, scene: Scene, find: ImageNames, warn: Callable[[
     if source.is_dir():
         if is_colmap_model(source):
             return _read_model(source, warn)
-        if files := sorted(source.glob("*.camera")):
+        if files := visible_files(source, "*.camera"):
             return _CameraFile([read_strecha(file) for file in files])
         raise InputError(f"{source}: expected a COLMAP model (cameras, images) or .camera files, got neither")
     if source.suffix == ".camera":

@@ -156,6 +156,24 @@ def test_strecha_poses_are_camera_to_world(tmp_path):
     np.testing.assert_allclose(camera.cam_from_world.matrix, pose.matrix, atol=2e-5)
 
 
+def test_hidden_files_of_other_systems_are_not_cameras(photographs):
+    for name in NAMES:
+        rows = [50, 0, 32, 0, 50, 24, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 1, 2, 3, 64, 48]
+        (photographs / f"{name}.camera").write_text(" ".join(map(str, rows)))
+        for hidden in (
+            f"._{name}.camera",
+            f"images/._{name}",
+            "._scene.mvs",
+            "._export.json",
+            ".DS_Store",
+            "Thumbs.db",
+        ):
+            (photographs / hidden).write_bytes(b"\0\5\x16\7")
+    notes = []
+    assert len(read_scene(photographs, on_warning=notes.append).cameras) == len(NAMES)
+    assert not notes
+
+
 def test_earth_studio_agrees_with_its_authors_conversion():
     folder = data_folder("ges")
     cameras, origin = read_earth_studio(folder / "fiumicino5_ges_export.json")
