@@ -42,11 +42,11 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
         OSError: the file cannot be read.
     """
     rows: dict[bytes, list[list[float]]] = {b"v": [], b"vn": []}
-    others = 0
+    with_faces = False
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         words = line.split()
         if not words or words[0] not in rows:
-            others += bool(words) and words[0] in (b"f", b"l")
+            with_faces |= bool(words) and words[0] == b"f"
             continue
         try:
             if b"_" in line or len(words) < 4:
@@ -58,8 +58,6 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
     vertices, normals = rows[b"v"], rows[b"vn"]
     if not vertices:
         raise InputError("expected at least one line 'v x y z', got none: export the file again")
-    if others:
-        warn(f"left out {others:,} faces and lines: only the vertices are points")
     points = np.array([row[:3] for row in vertices])
     columns: Columns = {}
     colored = sum(len(row) >= 6 for row in vertices)
@@ -67,7 +65,7 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
         columns |= dict(zip(COLORS, np.array([row[3:6] for row in vertices]).T, strict=True))
     elif colored:
         warn(f"left out the colours, which only {colored} of {len(vertices)} vertices have")
-    if len(normals) == len(vertices) and not others:  # faces assign normals to corners
+    if len(normals) == len(vertices) and not with_faces:  # faces assign normals to corners
         columns |= dict(zip(NORMALS, np.array([row[:3] for row in normals]).T, strict=True))
     fields = take_fields(columns, warn)
     return Fields(points=points, normals=fields.normals, colors=fields.colors, attributes=fields.attributes)

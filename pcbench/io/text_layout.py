@@ -32,7 +32,7 @@ class Layout(NamedTuple):
         first: index of the first line of numbers.
         delimiter: delimiter of the numbers; None: spaces and tabs.
         width: number of values on a line.
-        names: names of the columns, or None. One less than the values if the lines start with a number of their own.
+        names: names of the columns, or None. One less than the values if the lines start with their number.
         points: number of points, if the file states it on a separate line.
         crs: coordinate reference system, if the file states it.
         unit: unit of the coordinates, if the file states it.

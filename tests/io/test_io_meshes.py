@@ -102,8 +102,10 @@ def test_holds_mesh(tmp_path):
     header_parts = ply_mesh().partition(b"end_header\n")
     (tmp_path / "head.ply").write_bytes(header_parts[0] + header_parts[1])  # the body is not read
     (tmp_path / "damaged.ply").write_bytes(b"plyply")
+    (tmp_path / "a.obj").write_bytes(obj())
+    (tmp_path / "points.obj").write_bytes(b"v 1 2 3\nv 4 5 6\n")
     expected = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False, "missing.ply": False}
-    expected |= {"a.obj": True, "a.GLB": True, "a.npy": False, "a": False}
+    expected |= {"a.obj": True, "points.obj": False, "a.GLB": True, "a.npy": False, "a": False}
     assert {name: holds_mesh(tmp_path / name) for name in expected} == expected
 
 
