@@ -75,7 +75,7 @@ def choose_grid(cloud: Cloud, warn: Warn) -> LasGrid:
     return _grid(columns)
 
 
-class _Column(NamedTuple):
+class _StoredAxis(NamedTuple):
     step: float
     offset: float
     numbers: FloatArray  # whole numbers (N,)
@@ -87,12 +87,12 @@ class _Column(NamedTuple):
         return bool(self.numbers.min() >= -_LARGEST_INTEGER - 1 and self.numbers.max() <= _LARGEST_INTEGER)
 
 
-def _round(values: FloatArray, step: float, offset: float) -> _Column:
+def _round(values: FloatArray, step: float, offset: float) -> _StoredAxis:
     numbers = np.rint((values - offset) / step)
-    return _Column(step, offset, numbers, float(np.abs(numbers * step + offset - values).max()))
+    return _StoredAxis(step, offset, numbers, float(np.abs(numbers * step + offset - values).max()))
 
 
-def _grid(columns: list[_Column]) -> LasGrid:
+def _grid(columns: list[_StoredAxis]) -> LasGrid:
     (x, y, z), (x0, y0, z0) = [column.step for column in columns], [column.offset for column in columns]
     return LasGrid((x, y, z), (x0, y0, z0), np.stack([column.numbers for column in columns], axis=1).astype(np.int32))
 
@@ -134,7 +134,7 @@ def _spacings(cloud: Cloud) -> list[float]:
     return [float(spacing * math.sqrt(len(thinned) / len(cloud)) / length) for length in lengths]
 
 
-def _check_rounding(columns: list[_Column], spacings: list[float], unit: str | None, warn: Warn) -> None:
+def _check_rounding(columns: list[_StoredAxis], spacings: list[float], unit: str | None, warn: Warn) -> None:
     shares = [column.error / spacing if spacing > 0 else 0.0 for column, spacing in zip(columns, spacings, strict=True)]
     worst = int(np.argmax(shares))
     if shares[worst] <= _NOTABLE_SPACING_SHARE:
