@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from surfaces import surface
 
-from pcbench import Cloud, Settings, compare
+from pcbench import Cloud, Settings
 from pcbench.geometry.neighbors import Index
+from pcbench.measure import pair
 from pcbench.measure.directions import MEAN_METRICS, Direction, from_candidate, from_reference
+from pcbench.measure.pair import align, match_pair
 from pcbench.measure.reference import Reference
-from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 
 METRICS = tuple(metric.name for metric in MEAN_METRICS)
 
@@ -75,7 +76,13 @@ def mean_rounded_ratios(name: str, counts: tuple[int, int], steps: tuple[float, 
         for count, step in zip(counts, steps, strict=True):
             points, _ = surface(name).sample(count, rng)
             clouds.append(np.round(points / step) * step if step else points)
-        found = compare(*clouds, Settings(register="none", seed=run))["candidate_1"].metrics.directed
-        for row, way in enumerate((CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)):
-            ratios[row] += [found[metric][way].value / found[metric][way].floor / runs for metric in METRICS]
+        settings = Settings(register="none", seed=run)
+        prepared = Reference.prepare(Cloud(clouds[0]), settings)
+        aligned = align(prepared, "candidate", Cloud(clouds[1]), settings)
+        both = pair.measure_directions(prepared, aligned, match_pair(prepared, aligned), run)
+        for row, direction in enumerate(both):
+            for column, metric in enumerate(MEAN_METRICS):
+                ratios[row, column] += (
+                    np.mean(metric.values_of(direction.distances)) / direction.floors[metric.name] / runs
+                )
     return ratios
