@@ -52,6 +52,7 @@ def test_glb_scene(tmp_path):
     np.testing.assert_array_equal(mesh.vertices.max(axis=0), [12, 2, 2])
 
 
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # trimesh does not close its .gltf file
 @pytest.mark.parametrize("extension", ["glb", "gltf", "off", "stl", "obj", "ply"])
 def test_files_written_by_trimesh(tmp_path, trimesh, extension):
     vertices, faces = icosphere(2)
