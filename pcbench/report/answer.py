@@ -108,10 +108,14 @@ class _Writer:
             if c.deformation.conditional_verdict is not None
         ]
         condition = "If these poses are right" if len(candidates) > 1 else "If the pose is right"
+        if all(c.registration.doubts[0].code == MIRRORED for c in candidates):
+            remedy = "No registration undoes a reflection; the warnings name the command that does."
+        else:
+            remedy = f"Try --register {', '.join(methods[:-1])} or {methods[-1]}."
         return [
             f"{self._doubt(candidates)}.",
             *([f"{condition}: {self._deformations(assumed)}."] if assumed else []),
-            f"Try --register {', '.join(methods[:-1])} or {methods[-1]}.",
+            remedy,
         ]
 
     def cautions(self, doubtful: Sequence[Candidate], unconstrained: Sequence[Candidate]) -> list[str]:

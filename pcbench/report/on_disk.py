@@ -158,7 +158,8 @@ def choose_tiles(
     if choice.when == "always":
         if unsupported:
             raise InputError(
-                f"a comparison in tiles does not support {unsupported} in this version: omit --tiles to compare in memory"
+                f"a comparison in tiles does not support {unsupported} in this version: omit --tiles to compare in"
+                " memory"
             )
         clouds = CloudsOnDisk.open(reference, candidates, settings, choice.settings)
         _warn_of_memory(clouds, choice.settings, on_notice)
