@@ -351,11 +351,14 @@ def _print_info(path: Path) -> None:
 
 def _steps(steps: FloatArray, cloud: Cloud) -> str:
     """Return the steps in which x, y and z are stored, in words."""
+    from pcbench.geometry.crs import is_in_degrees
+
     if not steps.any():
         return "none visible (in which x, y and z are rounded)"
     different = steps[:1] if (steps == steps[0]).all() else steps
     words = "  ".join(f"{step:.3g}" if step else "none" for step in different)
-    return f"{words}{f' {cloud.unit}' if cloud.unit else ''} (in which x, y and z are rounded)"
+    unit = f" {cloud.unit}" if cloud.unit and not is_in_degrees(cloud.crs, cloud.unit) else ""  # z may have another one
+    return f"{words}{unit} (in which x, y and z are rounded)"
 
 
 def _triple(values: FloatArray, cloud: Cloud) -> str:

@@ -27,6 +27,7 @@ _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _RANKS = (0.0, 1.0, 10.0)  # percentiles of the differences that may be one step
 _MAX_GRID_DOUBLES, _MIN_GRID_SHARE = 0.05, 0.3  # points that share a node, and nodes with a point, of a regular grid
 _NEGLIGIBLE_SHARE = 1e-7  # of the largest coordinate range: float32 without an offset
+_MAX_FINE_STEP = 0.1  # in spacings: with larger steps, points coincide, or lie in lines, by rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,10 @@ class PlacedQuantisation(NamedTuple):
 
     lattice: Quantisation
     pose: Similarity
+
+    def is_coarse(self, spacing: float) -> bool:
+        """Return whether points coincide, or lie in lines, because they are rounded."""
+        return self.lattice.coarsest > _MAX_FINE_STEP * spacing
 
     @property
     def covariance(self) -> FloatArray:

@@ -26,7 +26,6 @@ _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean 
 _PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
 _MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise changes the order
 _MIN_VARIANCE_SHARE = 0.1  # of the largest rounding along a normal, for points whose distance from planes shows it
-_MAX_STEP_OF_DUPLICATES = 0.1  # in spacings: with larger steps, points coincide by rounding
 # Reference points kept per point of a sparse candidate: some neighbour is then at a similar distance.
 _THINNED_DENSITY_RATIO = 3
 
@@ -50,13 +49,14 @@ def to_reference(reference: Reference, queries: FloatArray, stored: PlacedQuanti
         places = _stored_anew(places, around, normals, reference.lattice, stored, reference.seed)
         others = _others_near(reference.index, sampling, places, rows)
     separations = np.linalg.norm(reference.points[others] - places[:, None], axis=2)
-    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
+    is_coarse = stored is not None and reference.lattice.is_coarse(reference.spacing)
+    nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     planes = None
     if reference.has_normals:
         closest = _take_per_row(others, nearest)
         normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
         planes = plane_distances(places, reference.points, normals, closest_rows=closest)
-    if sampling.has_lines:
+    if sampling.has_lines and not is_coarse:
         return Distances(_distances_between_lines(reference.index, rows), planes)
     return Distances(_take_per_row(separations, nearest), planes)
 
@@ -98,18 +98,14 @@ def to_candidate(
         others = _others_near(candidate, sampling, places, proxies)
     positions = _shrink_to_surface(reference, candidate, others, matches, error)
     separations = np.linalg.norm(positions - places[:, None], axis=2)
-    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
+    is_coarse = stored is not None and reference.lattice.is_coarse(reference.spacing)
+    nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     distances = _take_per_row(separations, nearest)
-    if sampling.has_lines:
+    if sampling.has_lines and not (stored is not None and stored.is_coarse(sampling.spacing)):
         distances = _distances_between_lines(candidate, proxies)
     if not reference.has_normals:
         return Distances(distances, None)
     return Distances(distances, _plane_offsets(reference, rows, distances, seed, stored))
-
-
-def _is_coarse(reference: Reference) -> bool:
-    """Return whether points coincide because they are rounded, and not because a file holds them twice."""
-    return reference.lattice.lattice.coarsest > _MAX_STEP_OF_DUPLICATES * reference.spacing
 
 
 def _others_near(index: Index, sampling: Sampling, places: FloatArray, rows: IntArray) -> IntArray:
