@@ -154,8 +154,9 @@ def scale_colors(channels: Sequence[NDArray[Any]]) -> NDArray[np.uint8] | None:
 def unnamed_columns(table: FloatArray, first: int = 1) -> list[str] | None:
     """Return the names of the columns of a table (N, M) that has none: x, y, z, and normals and colours if found.
 
-    Three adjacent columns are normals if all have unit length, and colours if they are whole numbers from 0 to 255 that
-    are not all 0 or 1. Other columns are "column_4", "column_5" ... None: there are two places where colours may be.
+    Three adjacent columns are normals if all have unit length, and colours if they are whole numbers from 0 to 255 and
+    not all 0 or 1. A column after them that is 255 throughout is alpha. Other columns are "column_4", "column_5" ...
+    None: there are two places where colours may be.
 
     Args:
         table: values of the columns, x, y and z first.
@@ -170,6 +171,8 @@ def unnamed_columns(table: FloatArray, first: int = 1) -> list[str] | None:
         names[normals[0] : normals[0] + 3] = NORMALS
     free = [k for k in starts if not set(names[k : k + 3]) & set(NORMALS)]
     colors = [k for k in free if _are_8_bit(table[:, k : k + 3])]
+    if len(colors) == 2 and colors[1] == colors[0] + 1 and (table[:, colors[1] + 2] == 255).all():
+        names[colors.pop() + 2] = "alpha"  # trimesh writes opaque points
     if len(colors) > 1:
         return None
     for k in colors:

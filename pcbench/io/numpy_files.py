@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -77,8 +77,11 @@ def read_npy(path: Path, warn: Warn) -> Fields:
     with path.open("rb") as file:
         header = _read_header(file)
         _check_points(header)
-        _check_size(header, path.stat().st_size)
-        return _points_fields(_read_data(file, header))
+        size = path.stat().st_size
+        _check_size(header, size)
+        array = _read_data(file, header)
+        _check_rest(file, header, size, "the array", warn)
+        return _points_fields(array)
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
@@ -132,7 +135,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
                 arrays[name] = _read_data(file, _read_header(file))
-                file.read(1)  # zipfile verifies the checksum at the end of the member
+                # Reading beyond the end makes zipfile verify the checksum.
+                _check_rest(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
@@ -220,10 +224,13 @@ def _check_size(header: _Header, size: int) -> None:
         complete = available // max(per_row, 1)
         total = header.shape[0] if header.shape else 1
         raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
-    if available > header.data_bytes:
-        raise InputError(
-            f"expected the end of the array, got {available - header.data_bytes} more bytes: save it again"
-        )
+
+
+def _check_rest(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> None:
+    """Check the bytes after an array in a file of a size."""
+    rows = header.shape[0] if header.shape else 1
+    surplus = size - header.header_bytes - header.data_bytes
+    check_end(file.read(MAX_PADDING), surplus, max(header.data_bytes // max(rows, 1), 1), what, warn)
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:

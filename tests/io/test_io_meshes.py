@@ -224,7 +224,6 @@ REFUSED_FILES = {
     "counts.off": b"OFF\nmany words\n",
     "huge.off": off().replace(b"8 12 0", b"8 999999999 0"),
     "cut.off": off()[:30],
-    "long.off": off() + b"3 0 1 2\n",
     "short face.off": off()[:-3] + b"\n",
     "words.off": off().replace(b"8 12 0\n-1.0", b"8 12 0\none"),
     "binary.off": b"OFF BINARY\n" + bytes(40),
@@ -233,7 +232,6 @@ REFUSED_FILES = {
     "flat.off": b"OFF 1 1\n0 0\n3 0 0 0\n",
     "magic.glb": b"abc",
     "cut.glb": glb()[:-8],
-    "long.glb": glb() + b"abc",
     "chunk.glb": glb()[:12] + b"\xff" * 4 + glb()[16:],
 }  # fmt: skip
 

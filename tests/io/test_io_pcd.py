@@ -113,12 +113,6 @@ def test_short_headers(tmp_path):
     assert len(read(tmp_path, pcd("ascii", XYZ, points(4), WIDTH=None, HEIGHT=None))) == 4
 
 
-def test_trailing_bytes_are_reported(tmp_path):
-    notes = []
-    assert len(read(tmp_path, pcd("binary", XYZ, points(4)) + b"12345", on_warning=notes.append)) == 4
-    assert notes == [f"{tmp_path / 'a.pcd'}: left out 5 bytes after the last point"]
-
-
 # ---- LZF ----
 
 
