@@ -231,7 +231,7 @@ def write_text(path: Path, cloud: Cloud, warn: Warn) -> None:
     if cloud.normals is not None:
         columns |= dict(zip(NORMALS, cloud.normals.T, strict=True))
     attributes = stored_attributes(
-        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"[^\w!-~]|[,;#\"'%]|//"
+        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"^[=+@-]|[^\w!-~]|[,;#\"'%]|//"
     )
     for name, values in attributes.items():
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values

@@ -1,6 +1,7 @@
 """Mesh files of all formats, hand-made or written by trimesh; damaged files give a one-line error."""
 
 import random
+import re
 import struct
 
 import numpy as np
@@ -153,8 +154,10 @@ def test_surplus_bytes_after_stl(tmp_path):
 
 
 def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
+    (tmp_path / "a.obj").write_bytes(re.sub(rb"(v .*)", rb"\1 9 9 9", obj()))
     for name in ("ascii.ply", "strips.ply"):
         (tmp_path / name).write_bytes(CUBES[name])
+    for name in ("ascii.ply", "strips.ply", "a.obj"):
         with pytest.warns(UserWarning) as caught:
             assert len(read_cloud(tmp_path / name)) == 8
         check_text(caught[0].message)
@@ -162,6 +165,7 @@ def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
         assert len(read_shape(tmp_path / name, on_warning=pytest.fail)) == 12
         [tile] = open_cloud(tmp_path / name).warnings
         assert tile == str(caught[0].message)
+    assert read_vertices(tmp_path / "a.obj").colors is not None
     grid = ("range_grid", ["list uchar int vertex_indices"], [((0,),), ((),)])
     (tmp_path / "scan.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), grid))
     assert not holds_mesh(tmp_path / "scan.ply")
