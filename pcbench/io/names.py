@@ -31,6 +31,17 @@ _COORDINATES = {
     "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate"),
     "z": ("elevation", "height", "altitude", "elev", "alt", "h", "point_z", "z_coord", "coord_z", "z_coordinate"),
 }
+_COORDINATES = {
+    axis: (
+        *names,
+        f"cartesian{axis}",
+        f"position_{axis}",
+        f"pos_{axis}",
+        f"{axis}coord",
+        f"points_{k}",
+    )  # E57, ParaView
+    for k, (axis, names) in enumerate(_COORDINATES.items())
+}
 # Normals and colours need three names of one kind: a lone "r" may be a range.
 _NORMAL_NAMES = (
     NORMALS,
@@ -39,6 +50,7 @@ _NORMAL_NAMES = (
     ("nor_normalx", "nor_normaly", "nor_normalz"),  # E57
     ("normal[0]", "normal[1]", "normal[2]"),
     ("n_x", "n_y", "n_z"),
+    ("normals_0", "normals_1", "normals_2"),  # ParaView
 )
 _COLOR_NAMES = (
     COLORS,

@@ -52,7 +52,7 @@ def read_obj_vertices(path: Path, warn: Warn) -> Fields:
     """
     rows: dict[bytes, list[list[float]]] = {b"v": [], b"vn": []}
     with_faces = False
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+    for number, line in enumerate(_lines(path), 1):
         words = line.split()
         if not words or words[0] not in rows:
             with_faces |= bool(words) and words[0] in _SURFACES
@@ -80,6 +80,12 @@ def read_obj_vertices(path: Path, warn: Warn) -> Fields:
     return Fields(points=points, normals=fields.normals, colors=fields.colors, attributes=fields.attributes)
 
 
+def _lines(path: Path) -> list[bytes]:
+    """Return the lines without a byte order mark, which would hide the first vertex; a backslash joins two."""
+    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    return data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+
+
 def read_obj(path: Path, warn: Warn) -> Mesh:
     """Read lines `v x y z` and `f a b c ...`; a corner `7/2/3` is vertex 7, and -1 is the last vertex so far.
 
@@ -89,7 +95,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
     """
     coordinates, lengths, corners = array("d"), array("q"), array("q")
     left_out = 0
-    for number, line in enumerate(path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+    for number, line in enumerate(_lines(path), 1):
         words = line.split()
         if not words or words[0] not in _KEYWORDS:
             continue

@@ -31,7 +31,8 @@ def read_off(path: Path, warn: Warn) -> Mesh:
         InputError: the file is truncated, or its counts and lines do not match.
         OSError: the file cannot be read.
     """
-    lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
+    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # a byte order mark
+    lines = [line.partition(b"#")[0].split() for line in data.splitlines()]
     lines = [words for words in lines if words]
     header = _HEADER.fullmatch(lines[0][0]) if lines else None
     if header is None:

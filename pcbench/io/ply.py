@@ -40,9 +40,15 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
     fields = read_ply_vertices(path, warn)
     with path.open("rb") as file:
-        surface = read_header(file).surface
-    if surface:
-        warn(left_out_surface(len(fields["points"]), surface[0].count_text()))
+        header = read_header(file)
+        unknown = [e for e in header.elements if e.lists and e.count and e.name != "vertex" and e not in header.surface]
+    if header.surface:
+        warn(left_out_surface(len(fields["points"]), header.surface[0].count_text()))
+    elif unknown:
+        warn(
+            f"left out {unknown[0].count_text()} with lists of numbers: if they are a surface, name the element 'face' and"
+            " its list 'vertex_indices'"
+        )
     return fields
 
 

@@ -166,6 +166,11 @@ def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
         [tile] = open_cloud(tmp_path / name).warnings
         assert tile == str(caught[0].message)
     assert read_vertices(tmp_path / "a.obj").colors is not None
+    cells = ("cell", ["list uchar int corners"], [((0, 1, 2),)])
+    (tmp_path / "cells.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)] * 3), cells))
+    notes = []
+    read_shape(tmp_path / "cells.ply", on_warning=notes.append)
+    check_text(*notes)
     grid = ("range_grid", ["list uchar int vertex_indices"], [((0,),), ((),)])
     (tmp_path / "scan.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), grid))
     assert not holds_mesh(tmp_path / "scan.ply")
