@@ -192,6 +192,18 @@ def unnamed_columns(table: FloatArray, first: int = 1) -> list[str] | None:
     return names
 
 
+def are_colors(values: FloatArray) -> bool:
+    """Return whether three columns (N, 3) are colours rather than normals.
+
+    They are if most have no unit length, and all are whole numbers or from 0 to 1 and fit a scale of `scale_colors`.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = np.abs(np.linalg.norm(values, axis=1) - 1) < _MAX_NORMAL_LENGTH_ERROR
+        is_possible = values.max() <= 1 or (values == np.floor(values)).all()
+    is_unit = 2 * np.count_nonzero(unit) >= len(unit)
+    return bool(is_possible and not is_unit and values.any()) and scale_colors(list(values.T)) is not None
+
+
 def _are_unit(vectors: FloatArray) -> bool:
     # The first ones suffice for most columns.
     return all(
@@ -233,8 +245,23 @@ def _take_colors(columns: Columns, warn: Warn) -> NDArray[np.uint8] | None:
     if packed is None:
         return None
     bits = np.ascontiguousarray(columns.pop(packed))
+    if _are_whole_colors(bits):
+        warn(f"{packed} is declared as float, but its values are whole numbers: they are read as packed colours")
+        bits = bits.astype(np.uint32)
     bits = bits.astype(bits.dtype.newbyteorder("="), copy=False).view(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
+
+
+def _are_whole_colors(values: NDArray[Any]) -> bool:
+    """Return whether floats are packed colours by their value, as some programs write, not by their four bytes.
+
+    The bytes of 24-bit colours are floats below 1e-37.
+    """
+    return bool(
+        values.dtype.kind == "f"
+        and ((values >= 0) & (values < 1 << 24) & (values == np.floor(values))).all()
+        and values.max() >= 1
+    )
 
 
 def _is_packed(dtype: np.dtype[Any]) -> bool:

@@ -26,11 +26,11 @@ from pcbench.io.names import (
     COLORS,
     NORMALS,
     XYZ,
+    are_colors,
     left_out_warning,
     scale_colors,
     standard_names,
     stored_attributes,
-    unnamed_columns,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class _Header:
 def read_npy(path: Path, warn: Warn) -> Fields:
     """Read points (N, 3), or points and normals or colours (N, 6), of any float or integer type.
 
-    The last three of six columns are colours if they are whole numbers from 0 to 255 that are not all 0 or 1.
+    The last three of six columns are colours if most have no unit length and they fit a scale of `names.scale_colors`.
 
     Raises:
         InputError: the file is not a complete array of that shape.
@@ -238,8 +238,8 @@ def _points_fields(array: NDArray[Any]) -> Fields:
         points = array.astype(np.float64, copy=False)
     if points.shape[1] == 3:
         return Fields(points=points)
-    if COLORS[0] in (unnamed_columns(points) or ()):
-        return Fields(points=points[:, :3], colors=points[:, 3:].astype(np.uint8))
+    if are_colors(points[:, 3:]):
+        return Fields(points=points[:, :3], colors=scale_colors(list(points[:, 3:].T)))
     return Fields(points=points[:, :3], normals=points[:, 3:])
 
 
@@ -271,7 +271,10 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
         shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
     except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
         raise unreadable from error
-    if dtype.names or dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
+    if dtype.names:
+        listed = ", ".join(dtype.names)[:80]
+        raise InputError(f"expected a plain array of numbers, got one with the fields {listed}: save it as (N, 3)")
+    if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
         raise unreadable
     if dtype.kind not in kinds:
         raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")

@@ -46,8 +46,8 @@ def read_ply(path: Path, warn: Warn) -> Fields:
         warn(left_out_surface(len(fields["points"]), header.surface[0].count_text()))
     elif unknown:
         warn(
-            f"left out {unknown[0].count_text()} with lists of numbers: if they are a surface, name the element 'face' and"
-            " its list 'vertex_indices'"
+            f"left out {unknown[0].count_text()} with lists of numbers: if they are a surface, name the element 'face'"
+            " and its list 'vertex_indices'"
         )
     return fields
 

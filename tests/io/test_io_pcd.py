@@ -5,7 +5,7 @@ import pytest
 import refusals
 from optional import import_or_skip
 from pcd_bytes import XYZ, corpus, lzf, pcd, points
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf as lzf_reader
@@ -111,6 +111,13 @@ def test_short_headers(tmp_path):
     data = pcd("ascii", XYZ, points(4), VERSION=None, VIEWPOINT=None, COUNT=None, HEIGHT=None)
     assert len(read(tmp_path, data)) == 4
     assert len(read(tmp_path, pcd("ascii", XYZ, points(4), WIDTH=None, HEIGHT=None))) == 4
+
+
+def test_packed_colors_as_whole_numbers(tmp_path):
+    rows, notes = [(*row, 0x0A0B0C) for row in points(4)], []
+    cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
+    assert (cloud.colors.tolist(), len(notes)) == ([[10, 11, 12]] * 4, 1)
+    check_text(*notes)
 
 
 # ---- LZF ----
