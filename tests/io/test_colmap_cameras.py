@@ -61,6 +61,12 @@ def test_names_of_digits_are_names(tmp_path):
     assert [camera.name for camera in read(model(tmp_path, "\n".join([*two_lines(names), ""])))[0]] == sorted(names)
 
 
+def test_empty_second_lines_before_names_of_digits(tmp_path):
+    names = ["1 2 3", "2 2 3", "3 2 3"]
+    text = "".join(f"{k} 1 0 0 0 0 0 {k} 1 {name}\n\n" for k, name in enumerate(names))
+    assert [camera.name for camera in read(model(tmp_path, text))[0]] == names
+
+
 def cut(text, after):
     return text[: text.index(after) + len(after)]
 
