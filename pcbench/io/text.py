@@ -11,7 +11,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.ascii_grid import is_ascii_grid, read_ascii_grid
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -45,9 +45,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
         OSError: the file cannot be read.
     """
-    data = path.read_bytes()
+    stored = path.read_bytes()
+    data = stored.rstrip(b"\0\x1a")
     if b"\0" in data:
         raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
+    check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
     if is_ascii_grid(lines):
         return read_ascii_grid(lines, warn)
@@ -188,7 +190,7 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
     for number, line in enumerate(lines[start:end], start + 1):
         if not (plain := layout.plain(line)):
             continue
-        words = split(plain, layout.delimiter)
+        words = split(plain, layout.delimiter, layout.width)
         gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
         for k in gaps:
             words[k] = "nan"
@@ -231,7 +233,7 @@ def write_text(path: Path, cloud: Cloud, warn: Warn) -> None:
     if cloud.normals is not None:
         columns |= dict(zip(NORMALS, cloud.normals.T, strict=True))
     attributes = stored_attributes(
-        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"[^\w!-~]|[,;#\"'%]|//"
+        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"^[=+@-]|[^\w!-~]|[,;#\"'%]|//"
     )
     for name, values in attributes.items():
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values

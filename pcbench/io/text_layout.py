@@ -53,7 +53,7 @@ class Layout(NamedTuple):
     def plain(self, line: str) -> str:
         """Return a line of numbers without comment, quotes and trailing delimiter, in Python's notation."""
         text = content(line).replace('"', "")
-        if self.delimiter is not None:
+        if self.delimiter is not None and text.count(self.delimiter) >= self.width:
             text = text.removesuffix(self.delimiter)
         if self.decimal_comma:
             text = text.replace(",", ".")
@@ -91,7 +91,7 @@ def find_layout(lines: list[str]) -> Layout:
                 comment = remark
             continue
         delimiter = find_delimiter(numbers)
-        words = split(numbers, delimiter)
+        words = split(numbers, delimiter, len(_words_of(header[1])) if header else 0)
         if all(not word or _is_number(word, delimiter) for word in words) and any(words):
             if len(words) == 1 and count is None and numbers.isdigit() and len(numbers) < 19:
                 count = int(numbers)
@@ -114,7 +114,7 @@ def find_layout(lines: list[str]) -> Layout:
         found: _Header | None = _read_header(*header, len(words), units)
     else:
         found = _read_comment(comment, len(words), warnings)
-    if numbers.endswith(delimiter or "\n"):
+    if delimiter and numbers.endswith(delimiter) and numbers.count(delimiter) >= len(words):
         warnings.append("left out the empty column after the delimiter at the end of each line")
     decimal_comma = delimiter != "," and _has_decimal_commas(lines[index:], delimiter)
     if decimal_comma:
@@ -155,9 +155,10 @@ def find_delimiter(text: str) -> str | None:
     return "\t" if len(tabs) >= 3 and len(tabs) != len(blanks) and not all(map(NUMBER.fullmatch, blanks)) else None
 
 
-def split(text: str, delimiter: str | None) -> list[str]:
-    """Return the words of a line; a trailing delimiter ends the last one."""
-    text = text if delimiter is None else text.removesuffix(delimiter)
+def split(text: str, delimiter: str | None, columns: int = 0) -> list[str]:
+    """Return the words of a line; a trailing delimiter ends the last one, unless there are fewer words than columns."""
+    if delimiter is not None and text.count(delimiter) >= columns:
+        text = text.removesuffix(delimiter)
     return [word.strip().strip("\"'").strip() for word in text.split(delimiter)]
 
 

@@ -177,6 +177,11 @@ TABLES = {  # text, number of warnings and unit
     "ArcGIS": ("POINT_X,POINT_Y,POINT_Z\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, None),
     "count of one more": ("3\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
     "count of one less": ("1\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
+    "last value is empty": ("x,y,z,i\n1.5,2.5,3.25,\n4.5,5.5,6.25,7\n", 1, None),
+    "last column is empty": ("x;y;z;i\n1.5;2.5;3.25;\n4.5;5.5;6.25;\n", 1, None),
+    "end of file": ("1.5 2.5 3.25\n4.5 5.5 6.25\n\x1a", 1, None),
+    "padding": ("1.5 2.5 3.25\n4.5 5.5 6.25\n" + 99 * "\0", 1, None),
+    "ParaView": ('"Normals:0","Points:0","Points:1","Points:2"\n0,1.5,2.5,3.25\n0,4.5,5.5,6.25\n', 0, None),
     "row numbers": ("x y z\n1 1.5 2.5 3.25\n2 4.5 5.5 6.25\n3 nan nan nan\n", 2, None),
 }  # fmt: skip
 
@@ -305,7 +310,7 @@ def test_columns_without_names(tmp_path, row, expected):
 # ---- damage ----
 
 DAMAGED_TEXTS = {
-    "binary": b"1 2 3\n\0\0",
+    "binary": b"1 2 3\0\0\n",
     "utf-16": "1 2 3\n".encode("utf-16"),
     "blank": "\n \n# nothing\n",
     "header only": "x y z\n",
