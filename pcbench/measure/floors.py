@@ -57,7 +57,10 @@ def to_reference(reference: Reference, queries: FloatArray, stored: PlacedQuanti
         normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
         planes = plane_distances(places, reference.points, normals, closest_rows=closest)
     if sampling.has_lines and not is_coarse:
-        return Distances(_distances_between_lines(reference.index, rows), planes)
+        distances, shares, gaps = _distances_between_lines(reference.index, rows)
+        if planes is not None:
+            planes = np.hypot(planes, _offsets_between_lines(reference, rows, gaps) * np.square(shares))
+        return Distances(distances, planes)
     return Distances(_take_per_row(separations, nearest), planes)
 
 
@@ -102,7 +105,7 @@ def to_candidate(
     nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     distances = _take_per_row(separations, nearest)
     if sampling.has_lines and not (stored is not None and stored.is_coarse(sampling.spacing)):
-        distances = _distances_between_lines(candidate, proxies)
+        distances = _distances_between_lines(candidate, proxies)[0]
     if not reference.has_normals:
         return Distances(distances, None)
     return Distances(distances, _plane_offsets(reference, rows, distances, seed, stored))
@@ -176,14 +179,27 @@ def _nearest(separations: FloatArray, sampling: Sampling, *, keep_coincident: bo
     return which
 
 
-def _distances_between_lines(index: Index, rows: IntArray) -> FloatArray:
+def _distances_between_lines(index: Index, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return distances (M,) to the nearest point from random places between the scan lines at the given rows (M,).
 
-    The points of a line are not independent of each other: a point that is left out has neighbours along its line.
+    The points of a line are not independent of each other: a point that is left out has neighbours along its line. The
+    places, as shares (M,) of the gaps, and the gaps (M, 3) themselves are also returned.
     """
     points = index.points[rows]
-    across = np.random.default_rng(0).uniform(-0.5, 0.5, (len(rows), 1))
-    return index.query(points + across * line_gaps(index, points)).distances
+    gaps, shares = line_gaps(index, points), np.random.default_rng(0).uniform(-0.5, 0.5, len(rows))
+    return index.query(points + shares[:, None] * gaps).distances, shares, gaps
+
+
+def _offsets_between_lines(reference: Reference, rows: IntArray, gaps: FloatArray) -> FloatArray:
+    """Return distances (M,) of the next scan line to the planes at `rows` (M,), across gaps (M, 3).
+
+    In between, a curved surface leaves the plane with the square of the distance.
+    """
+    points = reference.points[rows]
+    found = reference.index.query(points + gaps).indices
+    normals = reference.surface.normals(rows)
+    offsets: FloatArray = np.einsum("ni,ni->n", reference.points[found] - points, normals)
+    return offsets
 
 
 def _take_per_row(values: NDArray[Any], which: IntArray) -> NDArray[Any]:

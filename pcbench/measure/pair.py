@@ -108,5 +108,5 @@ def measure_directions(
 def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:
     """Assess deformation, with closest points found anew in the complete clouds."""
     ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
+    theirs = Side(Surface(aligned.index, is_even=False), aligned.inside, aligned.cloud)
     return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)

@@ -70,7 +70,7 @@ class Reference:
         region = as_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)
         inside = points_inside(points, region, settings.crop, "the reference's", origin)
-        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
+        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals, is_even=False)
         rows = None if region is None else np.flatnonzero(inside)
         is_sampled = len(surface) >= _MIN_SAMPLED_POINTS and not surface.is_complete
         tolerance = settings.tolerance if is_sampled else None

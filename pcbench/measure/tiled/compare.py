@@ -73,7 +73,7 @@ from pcbench.measure.tiled.directions import (
 from pcbench.measure.tiled.even import even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
-from pcbench.measure.tiled.normals import add_normals
+from pcbench.measure.tiled.normals import add_normals, add_wide_normals
 from pcbench.measure.tiled.overview import PixelGrid
 from pcbench.measure.tiled.presets import crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
@@ -81,7 +81,7 @@ from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.spreads import Distribution, spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
+from pcbench.measure.tiled.tiles import WIDE_NORMALS, TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
@@ -299,7 +299,7 @@ class _Run:
         measured = local if region is None else local[region.contains(local)]
         if region is not None and len(local) < cloud.count:
             measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
-        spacing = self._add_normals(tiles)
+        spacing, tiles = self._add_normals(tiles)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -341,9 +341,10 @@ class _Run:
             )
         return found
 
-    def _add_normals(self, tiles: TiledCloud) -> float:
-        """Compute the normals of all tiles, and return the spacing of the points."""
-        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
+    def _add_normals(self, tiles: TiledCloud) -> tuple[float, TiledCloud]:
+        """Compute the normals of all tiles, and return the spacing of the points, and the tiles with their normals."""
+        count = int(tiles.counts.sum())
+        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, count)
         write_result(file, self.key, tiles)
         tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
         found = self._results("normals", add_normals, tasks, "computing normals of the reference")
@@ -351,7 +352,14 @@ class _Run:
         files = [tiles.file(number, "spacings") for number in tiles.occupied]
         nearest = median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
         profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
-        return sampling_of_profile(nearest, profile, int(tiles.counts.sum())).spacing
+        sampling = sampling_of_profile(nearest, profile, count)
+        wide = min(sampling.plane_neighbors(self.settings.normal_neighbors), count)
+        if wide > k:
+            tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, wide))
+            for _ in self._results("wide-normals", add_wide_normals, tasks, "computing normals between scan lines"):
+                pass
+            tiles = replace(tiles, normals=WIDE_NORMALS)
+        return sampling.spacing, tiles
 
     def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
         """Register and measure a candidate."""
@@ -524,7 +532,8 @@ class _Run:
         tasks = _tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
         summaries = self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
         found = {tile.number: tile for tile in summaries}
-        return TiledCloud.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
+        every = (found.get(number) or TileSummary.empty(number) for number in range(len(tiles)))
+        return replace(TiledCloud.of(folder, every), normals=tiles.normals)
 
     def _spreads(self, direction: MeasuredDirection) -> dict[str, Spread]:
         """Return the summary statistics of the distances to points and to planes, by the names of their columns."""
