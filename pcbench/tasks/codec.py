@@ -10,9 +10,11 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
+from math import prod
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol, get_args, get_type_hints
 
@@ -179,10 +181,17 @@ def read_array(file: BinaryIO) -> NDArray[Any]:
     """Read an array from a file of `write_array`, from its current position.
 
     Raises:
-        ValueError: it is no array of numbers or texts.
+        ValueError: it is no array of numbers or texts, or states more of them than the file has.
     """
     import numpy as np
 
+    start = file.tell()
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("expected an array of version 1.0")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    if prod(shape) * dtype.itemsize > file.seek(0, os.SEEK_END) - start:
+        raise ValueError(f"expected an array in the file, got the shape {shape}")
+    file.seek(start)
     array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array
 

@@ -116,7 +116,7 @@ def test_fingerprints():
     ("function", "names"),
     [
         (stored.piece_bounds, set()),
-        (runs.store_piece, {"RunSummary", "PieceNotes", "LasCounts"}),
+        (runs.store_piece, {"RunSummary", "PieceNotes", "LasCounts", "CoordinateCounts", "ValueCount"}),
         (even.count_inside, set()),
         (even.every_nth_inside, set()),
         (windows.points_in_windows, {"StoredPoints"}),
