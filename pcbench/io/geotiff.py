@@ -22,6 +22,7 @@ from pcbench.geometry.crs import epsg_code
 from pcbench.io.files import atomic_write
 
 _STRIP_BYTES = 1 << 18
+_MAX_GROWTH = 1032  # of deflate
 _MAX_BYTES = (1 << 32) - 1  # offsets of TIFF have 32 bits
 _HEADER = struct.Struct("<2sHI")
 _ENTRY = struct.Struct("<HHI4s")
@@ -129,19 +130,23 @@ def read_geotiff(path: Path) -> Raster:
     try:
         tags = _read_directory(data)
         (width,), (height,), (count,), (rows,) = (tags[tag] for tag in (_WIDTH, _HEIGHT, _BANDS, _ROWS_PER_STRIP))
+        per_band, strips = -(-height // rows), len(tags[_STRIPS])
+        if strips != count * per_band or 4 * count * height * width > _MAX_GROWTH * len(data):
+            raise ValueError(f"{count} bands of {width} x {height} pixels in {strips} strips and {len(data)} bytes")
         values = np.empty((count, height, width), np.float32)
-        per_band = -(-height // rows)
         for strip, (place, size) in enumerate(zip(tags[_STRIPS], tags[_STRIP_SIZES], strict=True)):
             band, row = strip // per_band, strip % per_band * rows
             lines = values[band, row : row + rows]
-            lines[:] = np.frombuffer(zlib.decompress(data[place : place + size]), "<f4").reshape(lines.shape)
+            raw = zlib.decompressobj().decompress(data[place : place + size], lines.nbytes + 1)
+            lines[:] = np.frombuffer(raw, "<f4").reshape(lines.shape)
         texts = tags[_METADATA].decode().split('role="description">')[1:]
         names = [unescape(text.partition("<")[0]) for text in texts]
         pixel, _, _ = tags[_PIXEL_SCALE]
         west, north = tags[_TIEPOINT][3:5]
-    except (KeyError, ValueError, IndexError, struct.error, zlib.error) as error:
+        return Raster(dict(zip(names, values, strict=True)), west, north, pixel)
+    # A damaged kind of values is a TypeError or KeyError, a damaged number of rows a ZeroDivisionError.
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError, struct.error, zlib.error) as error:
         raise InputError(f"{path}: expected a GeoTIFF of pcbench: {error}") from error
-    return Raster(dict(zip(names, values, strict=True)), west, north, pixel)
 
 
 def _geo_keys(crs: str | None) -> list[float]:

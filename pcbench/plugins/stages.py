@@ -14,7 +14,9 @@ from typing import Any
 
 from pcbench.errors import ReconstructionError
 from pcbench.extras import installed_versions
+from pcbench.io.files import read_json
 from pcbench.plugins.code import code_digest
+from pcbench.regular_files import open_regular
 from pcbench.scratch import attribute_errors_to
 
 _RECORD_FILE = "stage.json"
@@ -93,7 +95,7 @@ def stage_key(folder: Path) -> str | None:
 def _is_complete(folder: Path, inputs: Mapping[str, Any]) -> bool:
     """Return whether a stage was made from these inputs and its files are unchanged."""
     try:
-        record = json.loads((folder / _RECORD_FILE).read_text(encoding="utf-8"))
+        record = read_json(folder / _RECORD_FILE)
         files = [(folder / name, size, known) for name, (size, known) in record["files"].items()]
         # Compared as text, in which NaN equals itself. Sizes come first because they are cheap and show truncation.
         return (
@@ -113,7 +115,7 @@ def _record_files(folder: Path) -> dict[str, tuple[int, str]]:
 
 def _digest(path: Path) -> str:
     """Return the SHA-256 of a file; of a database without its change counters."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = bytearray(file.read(_SQLITE_COUNTERS[-1].stop))
         if head.startswith(_SQLITE):
             for counter in _SQLITE_COUNTERS:

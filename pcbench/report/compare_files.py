@@ -148,7 +148,8 @@ def compare_files(
     clouds = None
     if job.tiles is not None:
         step("reading the headers")
-        clouds = choose_tiles(job.reference, job.candidates, settings, job.tiles, on_notice)
+        draws = outputs.folder is not None and outputs.figures
+        clouds = choose_tiles(job.reference, job.candidates, settings, job.tiles, on_notice, draws=draws)
     plan = ProgressPlan(step, _expected_seconds(job, outputs, clouds))
     with _workspace(job, settings, clouds, outputs.folder, on_notice) as workspace:  # kept until the report is complete
         if outputs.folder is None:

@@ -13,7 +13,8 @@ from pcbench.errors import InputError
 from pcbench.io.paths import EPT, is_pattern
 
 _MAX_NAME_BYTES = 220  # file names have at most 255 bytes, and the longest suffix is `_poisson_meshlab_distance.png`
-_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # characters that would break table lines
+# Characters that would break the lines of tables or reverse their text.
+_UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
 def check_name(name: Any) -> str:

@@ -98,13 +98,13 @@ class CloudsOnDisk:
         """
         return cloud_contents(cloud.path for cloud in (self.reference, *self.candidates.values()))
 
-    def least_memory(self, tiling: TilingSettings) -> int:
+    def least_memory(self, tiling: TilingSettings, *, draws: bool = False) -> int:
         """Estimated bytes of memory that all processes of a tiled comparison need at least."""
         largest = max(cloud.count for cloud in self.candidates.values())
         # A dense candidate has up to twice as many points in the windows of its sample.
         samples = min(self.reference.count, MAX_SAMPLE) + min(largest, 2 * MAX_SAMPLE)
         pieces = [piece.count for cloud in (self.reference, *self.candidates.values()) for piece in cloud.pieces]
-        return tiling.least_memory(samples, max(pieces))
+        return tiling.least_memory(samples, max(pieces), draws=draws)
 
     def input_files(self) -> tuple[InputFile, dict[str, InputFile]]:
         """Return the records of the reference and of the candidates."""
@@ -139,6 +139,8 @@ def choose_tiles(
     settings: Settings,
     choice: TilingChoice,
     on_notice: Callable[[str], None],
+    *,
+    draws: bool = False,
 ) -> CloudsOnDisk | None:
     """Return the clouds on disk if the comparison is computed in tiles; None if it is computed in memory.
 
@@ -148,6 +150,7 @@ def choose_tiles(
         settings: settings of the comparison.
         choice: when tiles are used.
         on_notice: called with one line that says why the size of the clouds decides.
+        draws: whether pictures are drawn afterwards, which need memory too.
 
     Raises:
         InputError: tiles are used and do not support a setting or a file, or a file is damaged.
@@ -162,7 +165,7 @@ def choose_tiles(
                 " memory"
             )
         clouds = CloudsOnDisk.open(reference, candidates, settings, choice.settings)
-        _warn_of_memory(clouds, choice.settings, on_notice)
+        _warn_of_memory(clouds, choice.settings, on_notice, draws=draws)
         return clouds
     if _fits_surely(paths, choice.settings.memory) or _mesh(reference, candidates, settings):
         return None
@@ -178,7 +181,7 @@ def choose_tiles(
     )
     if not unsupported:
         on_notice(f"{needed}: computing in tiles")
-        _warn_of_memory(clouds, choice.settings, on_notice)
+        _warn_of_memory(clouds, choice.settings, on_notice, draws=draws)
         return clouds
     if choice.when == "auto":
         raise InputError(
@@ -188,9 +191,11 @@ def choose_tiles(
     return None
 
 
-def _warn_of_memory(clouds: CloudsOnDisk, tiling: TilingSettings, on_notice: Callable[[str], None]) -> None:
+def _warn_of_memory(
+    clouds: CloudsOnDisk, tiling: TilingSettings, on_notice: Callable[[str], None], *, draws: bool
+) -> None:
     """Say how much memory a comparison in tiles needs, if this is more than it may use."""
-    least = clouds.least_memory(tiling)
+    least = clouds.least_memory(tiling, draws=draws)
     if least > tiling.memory:
         megabytes = -(-least // 1_000_000)
         on_notice(

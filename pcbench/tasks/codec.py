@@ -10,10 +10,13 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial
+from math import prod
 from pathlib import Path, PurePath
+from tokenize import TokenError
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, Protocol, get_args, get_type_hints
 
 if TYPE_CHECKING:  # workers limit the threads of numpy before they import it
@@ -179,10 +182,19 @@ def read_array(file: BinaryIO) -> NDArray[Any]:
     """Read an array from a file of `write_array`, from its current position.
 
     Raises:
-        ValueError: it is no array of numbers or texts.
+        ValueError: it is no array of numbers or texts, or states more of them than the file has.
     """
     import numpy as np
 
+    start = file.tell()
+    try:
+        np.lib.format.read_magic(file)
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    except TokenError as error:
+        raise ValueError(f"expected the header of an array: {error}") from error
+    if min(shape, default=0) < 0 or prod(shape) * dtype.itemsize > file.seek(0, os.SEEK_END) - start:
+        raise ValueError(f"expected an array in the file, got the shape {shape}")
+    file.seek(start)
     array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
 
 from pcbench.errors import InputError
+from pcbench.regular_files import open_regular
 from pcbench.scratch import workspace_file
 from pcbench.tasks.codec import Encoded, as_json, decode, encode, read_array, types_in, write_array
 from pcbench.tasks.files import HashingFile, TaskFile
@@ -113,7 +114,7 @@ def write_result(path: Path, key: str, result: object, files: Sequence[TaskFile]
 def is_intact(path: Path, key: str) -> bool:
     """Return whether a file is the undamaged result of a task of a stage with this key, and its other files are too."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if not _is_intact(file, key):
                 return False
             names = _read_content(file).files
@@ -134,7 +135,7 @@ def read_result(path: Path, key: str, types: Mapping[str, type]) -> Any:
         InputError: the file is missing or damaged. A damaged file is removed, so that its task runs again.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             if _is_intact(file, key):
                 content = _read_content(file)
                 return decode(Encoded(content.tree, [read_array(file) for _ in range(content.arrays)]), types)

@@ -93,3 +93,29 @@ def test_a_truncated_file_is_refused(tmp_path):
     (tmp_path / "a.tif").write_bytes(data[: len(data) - 700])
     with pytest.raises(InputError, match=r"a\.tif: expected a GeoTIFF"):
         read_geotiff(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(
+    ("tag", "place", "value"),
+    [
+        (257, 8, 2**31),  # rows: more than memory holds
+        (257, 8, 290),  # fewer rows than the strips have
+        (278, 8, 1),  # rows of a strip: strips are missing
+        (278, 8, 0),
+        (277, 8, 1),  # bands
+        (256, 2, 77),  # a kind of values that does not exist
+        (42112, 4, 1),  # names of the bands are cut off
+    ],
+)
+def test_damaged_tags_are_refused(tmp_path, tag, place, value):
+    path = tmp_path / "a.tif"
+    write_geotiff(path, a_raster())
+    data = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, start)
+    entries = (start + 2 + 12 * number for number in range(count))
+    entry = next(entry for entry in entries if struct.unpack_from("<H", data, entry) == (tag,))
+    struct.pack_into("<H" if place == 2 else "<I", data, entry + place, value)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"a\.tif: expected a GeoTIFF of pcbench: .+"):
+        read_geotiff(path)

@@ -84,7 +84,12 @@ def replace_record(folder):
     (folder / "stage.json").write_text('{"inputs": 3}')
 
 
-@pytest.mark.parametrize("damage", [truncate, change, remove, damage_record, replace_record])
+def pipe_record(folder):
+    (folder / "stage.json").unlink()
+    os.mkfifo(folder / "stage.json")  # opening it would wait for a writer
+
+
+@pytest.mark.parametrize("damage", [truncate, change, remove, damage_record, replace_record, pipe_record])
 def test_damaged_files_outdate_a_stage(repeatable_stage, damage):
     folder, request, maker = repeatable_stage
     key = stage_key(folder)

@@ -19,6 +19,7 @@ from pcbench.report.names import check_name, names_of
         (["a/x.ply", "b/x.ply", "a_x.ply"], ["a_x", "b_x", "a_x_2"]),
         (["a/../c/x.ply", "b/x.ply"], ["c_x", "b_x"]),
         (["a\n\\/x.ply", "b/x.ply"], ["a___x", "b_x"]),
+        (["\u202eylp.x.ply"], ["_ylp.x"]),  # reverses the text that follows
         (["/x.ply", "/b/x.ply"], ["x", "x_2"]),
         (["reference.ply"], ["reference_2"]),
         ([f"{'a' * 200}/{'x' * 100}.ply", f"{'b' * 200}/{'x' * 100}.ply"], ["x" * 100, "x" * 100 + "_2"]),

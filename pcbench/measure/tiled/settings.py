@@ -20,7 +20,11 @@ _MIN_TILE_POINTS = 100
 _BASE_BYTES = 100 << 20  # memory of a worker without data, measured: 75 MiB
 _BYTES_PER_POINT = 350  # memory of a worker for each point of a tile, measured: 250, more with wide halos
 _BYTES_PER_PIECE_POINT = 200  # memory of a worker for each point of a piece that it reads and sorts
-_SAMPLE_BYTES_PER_POINT = 240  # memory of this process for each point of the samples
+# Measured memory of all processes on Linux, where processes share the pages of code.
+_MAIN_BYTES = 120_000_000  # this process without data
+_SAMPLE_BYTES_PER_POINT = 100  # this process, for each point of the samples
+_WORKER_BYTES = 35_000_000  # a worker without data
+_DRAWING_BYTES = 145_000_000  # the process that draws pictures, after the workers have ended
 _MAX_TILE_POINTS = 1_000_000  # larger tiles are not faster
 _MIN_DEFAULT_TILE_POINTS = 20_000
 
@@ -69,17 +73,20 @@ class TilingSettings:
         per_worker = self.memory / (1 + (self.chosen_workers or 1)) - _BASE_BYTES
         return int(min(max(per_worker / _BYTES_PER_PIECE_POINT, _MIN_DEFAULT_TILE_POINTS), _MAX_TILE_POINTS))
 
-    def least_memory(self, sample_points: int, largest_piece: int) -> int:
+    def least_memory(self, sample_points: int, largest_piece: int, *, draws: bool = False) -> int:
         """Return about how many bytes all processes need at least, whatever `memory` says.
 
         Args:
             sample_points: number of points of all samples in this process.
             largest_piece: number of points of the largest piece, which may be a whole file.
+            draws: whether pictures are drawn.
         """
-        tile = _BYTES_PER_POINT * (self.tile_points or _MIN_DEFAULT_TILE_POINTS)
-        per_worker = _BASE_BYTES + max(tile, _BYTES_PER_PIECE_POINT * largest_piece)
         workers = 0 if self.cluster is not None else self.workers or 1
-        return _BASE_BYTES + _SAMPLE_BYTES_PER_POINT * sample_points + workers * per_worker
+        tile = _BYTES_PER_POINT * (self.tile_points or _MIN_DEFAULT_TILE_POINTS)
+        samples = _SAMPLE_BYTES_PER_POINT * sample_points
+        reading = workers * (_WORKER_BYTES + _BYTES_PER_PIECE_POINT * largest_piece)
+        measuring = samples + workers * (_WORKER_BYTES + tile)
+        return _MAIN_BYTES + max(reading, measuring, samples + _DRAWING_BYTES if draws else 0)
 
     @property
     def chosen_workers(self) -> int | None:

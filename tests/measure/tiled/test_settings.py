@@ -26,3 +26,18 @@ def test_a_budget_that_is_too_small_is_said_once_with_the_least_that_works(tmp_p
         least = text.partition("use --memory ")[2]
         raised = TilingSettings(memory=parse_bytes(least), workers=1)
         choose_tiles(path, {"a": path}, Settings(), TilingChoice(raised), pytest.fail)
+
+
+@pytest.mark.parametrize(
+    ("workers", "samples", "largest_piece", "draws", "measured_mb"),
+    [  # peaks (PSS) of all processes at --memory 60MB
+        (1, 900_000, 20_000, False, 243),
+        (2, 900_000, 20_000, False, 280),
+        (1, 900_000, 500_000, False, 290),  # a text file, which has no pieces
+        (1, 300_000, 20_000, False, 183),
+        (1, 900_000, 20_000, True, 352),
+    ],
+)
+def test_the_least_memory_is_what_was_measured(workers, samples, largest_piece, draws, measured_mb):
+    least = TilingSettings(memory=60_000_000, workers=workers).least_memory(samples, largest_piece, draws=draws)
+    assert least == pytest.approx(measured_mb * 1e6, rel=0.15)
