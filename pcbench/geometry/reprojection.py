@@ -34,7 +34,9 @@ def convert_unit(cloud: Cloud, unit: str) -> Cloud:
     if cloud.crs is not None:
         require("pyproj")
     if is_in_degrees(cloud.crs, cloud.unit):
-        raise InputError(f"expected lengths, got degrees, which have no length in {unit}: convert with --crs")
+        raise InputError(
+            f"expected lengths, got degrees, which have no length in {unit}: add --crs, such as --crs EPSG:32617"
+        )
     length = metres(cloud.unit)
     lengths = axis_lengths(cloud.crs) if length is None else (length, length)
     if lengths is None:

@@ -21,7 +21,6 @@ from pcbench.io.polygons import triangulate
 
 _CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
 _KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
-
 _SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
 
 
@@ -46,7 +45,7 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         words = line.split()
         if not words or words[0] not in rows:
-            with_faces |= bool(words) and words[0] == b"f"
+            with_faces |= bool(words) and words[0] in (b"f", b"fo")
             continue
         try:
             if b"_" in line or len(words) < 4:
