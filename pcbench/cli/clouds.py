@@ -238,7 +238,9 @@ def convert(
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     if (sample is not None or is_mesh_only(cloud)) and (drop_nodata or any(v is not None for v in filters.values())):
-        raise InputError(f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data")
+        raise InputError(
+            f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data: omit these options"
+        )
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])

@@ -83,7 +83,7 @@ def _declared_count(data: bytes, kind: str) -> int | None:
 
 
 def parse_images(data: bytes, warn: Warn) -> list[ImagePose]:
-    """Parse an images.txt: for each image a line of id, quaternion, translation, camera, name, then one of keypoints.
+    """Parse an images.txt: each image has a line of id, quaternion, translation, camera and name, and one of keypoints.
 
     The second line holds (x, y, point) triples. It may be empty, or absent, as some programs and editors write it: each
     line is recognised by its content.

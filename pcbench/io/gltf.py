@@ -97,8 +97,8 @@ def _check_geometry(content: Any, warn: Warn) -> None:
         raise InputError("expected plain arrays, got sparse accessors: export the file without them")
     primitives = [p for mesh in _entries(content, "meshes") for p in _entries(mesh, "primitives")]
     modes = [str(p.get("mode", _TRIANGLES)) for p in primitives if isinstance(p, dict)]
-    if fans := modes.count(_FAN):
-        raise InputError(f"expected triangles or triangle strips, got {fans} triangle fans: export it as triangles")
+    if _FAN in modes:
+        raise InputError("expected triangles or triangle strips, got triangle fans: export it as triangles")
     if any(_is_normalized(content, primitive) for primitive in primitives):
         raise InputError("expected positions as lengths, got normalized integers: export them as floats")
     left_out = [_LINES_AND_POINTS[mode] for mode in modes if mode in _LINES_AND_POINTS]

@@ -72,7 +72,8 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                     raise ValueError
         except (ValueError, OverflowError, IndexError):
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
+            excerpt = repr(b" ".join(words)[:60])[1:]
             expected = f"x y z{' w' * bool(header[1])}" if number < vertex_count else "a count and that many vertices"
-            raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
+            raise InputError(f"{what}: expected {expected}, got {excerpt}: export it again") from None
     faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

@@ -23,7 +23,7 @@ from pcbench.io.names import (
     take_points,
     unnamed_columns,
 )
-from pcbench.io.text_layout import NUMBER, Layout, content, excerpt, find_layout, split
+from pcbench.io.text_layout import NUMBER, Layout, content, excerpt, find_layout
 
 _ROWS_PER_WRITE = 1 << 16
 _MIN_ID_ROWS = 3  # for a column that counts by one
@@ -190,7 +190,9 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
     for number, line in enumerate(lines[start:end], start + 1):
         if not (plain := layout.plain(line)):
             continue
-        words = split(plain, layout.delimiter, layout.width)
+        words = [word.strip() for word in plain.split(layout.delimiter)]
+        if len(words) == layout.width + 1 and not words[-1]:
+            words.pop()  # after a delimiter at the end of this line
         gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
         for k in gaps:
             words[k] = "nan"
@@ -204,7 +206,7 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
         rows.append([float(word) for word in words])
         empty += len(gaps)
     if empty:
-        warn(f"{empty} empty values of attributes are read as NaN")
+        warn(f"read {empty} empty value{'s' * (empty > 1)} of attributes as NaN")
     return np.array(rows, dtype=np.float64)
 
 

@@ -140,7 +140,7 @@ class Reference:
         return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
 
     @property
-    def lattice(self) -> PlacedQuantisation:
+    def rounding(self) -> PlacedQuantisation:
         """How the points are rounded, in local coordinates."""
         return PlacedQuantisation(self.cloud.quantisation, Similarity(np.eye(3), -self.origin))
 
