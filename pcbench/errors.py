@@ -111,6 +111,8 @@ def reason_of(error: BaseException) -> str:
         return "no permission: change its permissions, or name another file"
     if isinstance(error, IsADirectoryError):
         return "it is a folder: name a file"
+    if isinstance(error, OSError) and error.errno == errno.EFBIG:
+        return "too large for this disk or for ulimit -f: allow more with ulimit -f unlimited, or use another disk"
     return getattr(error, "strerror", None) or str(error)
 
 

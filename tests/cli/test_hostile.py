@@ -167,7 +167,7 @@ def test_a_limit_of_file_sizes_names_the_file(files, run, command, output, size)
     assert code == 2
     assert is_one_line(err), err
     assert err.startswith(f"error: {output}")
-    assert "File too large" in err
+    assert "ulimit -f" in err
     assert read_all_files() == before
 
 
