@@ -23,7 +23,7 @@ from pcbench.io.names import (
     take_points,
     unnamed_columns,
 )
-from pcbench.io.text_layout import NUMBER, Layout, content, excerpt, find_layout
+from pcbench.io.text_layout import NUMBER, TableLayout, content, excerpt, find_layout
 
 _ROWS_PER_WRITE = 1 << 16
 _MIN_ID_ROWS = 3  # for a column that counts by one
@@ -72,7 +72,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
 # ---- columns without names ----------------------------------------------------------------------------------------
 
 
-def _column_names(table: FloatArray, layout: Layout, is_pts: bool, warn: Warn) -> list[str]:
+def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Warn) -> list[str]:
     """Return the names of the columns: those of the header, or names by number of columns and values."""
     width = table.shape[1]
     if layout.names is not None and len(layout.names) == width:
@@ -144,7 +144,7 @@ def _are_whole(values: FloatArray) -> bool:
 # ---- numbers ------------------------------------------------------------------------------------------------------
 
 
-def _read_blocks(lines: list[str], layout: Layout, warn: Warn) -> tuple[FloatArray, NDArray[np.int32] | None]:
+def _read_blocks(lines: list[str], layout: TableLayout, warn: Warn) -> tuple[FloatArray, NDArray[np.int32] | None]:
     """Return all numbers (N, columns), and the block of each row if the file has several that start with a count."""
     if layout.points is None:
         return _table(lines, layout.first, len(lines), layout, warn), None
@@ -172,7 +172,7 @@ def _read_blocks(lines: list[str], layout: Layout, warn: Warn) -> tuple[FloatArr
     return np.concatenate(tables), scans
 
 
-def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -> FloatArray:
+def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Warn) -> FloatArray:
     """Parse the numbers of some lines, (N, columns)."""
     body = lines[start:end]
     first = next((line for line in body if content(line)), None)
@@ -210,7 +210,7 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
     return np.array(rows, dtype=np.float64)
 
 
-def _is_coordinate(column: int, layout: Layout) -> bool:
+def _is_coordinate(column: int, layout: TableLayout) -> bool:
     names = layout.names
     return column < 4 if names is None or len(names) != layout.width else names[column] in XYZ
 

@@ -1,4 +1,4 @@
-"""Layout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
+"""TableLayout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _GEOGRAPHIC = {"longitude": "x", "lon": "x", "long": "x", "latitude": "y", "lat"
 _WGS84 = "EPSG:4326"
 
 
-class Layout(NamedTuple):
-    """Layout of a file.
+class TableLayout(NamedTuple):
+    """TableLayout of a file.
 
     Attributes:
         first: index of the first line of numbers.
@@ -62,14 +62,14 @@ class Layout(NamedTuple):
         return text.replace("D", "e").replace("d", "e")
 
 
-class _Header(NamedTuple):
+class _TableHeader(NamedTuple):
     names: list[str]
     unit: str | None
     crs: str | None
     warnings: list[str]
 
 
-def find_layout(lines: list[str]) -> Layout:
+def find_layout(lines: list[str]) -> TableLayout:
     """Detect the layout from the comments, header, units and count before the first line of numbers.
 
     Raises:
@@ -120,7 +120,7 @@ def find_layout(lines: list[str]) -> Layout:
         ends_with_delimiter = False
         words.append("")
     if header is not None:
-        found: _Header | None = _read_header(*header, len(words), units)
+        found: _TableHeader | None = _read_header(*header, len(words), units)
     else:
         found = _read_comment(comment, len(words), warnings)
     if ends_with_delimiter:
@@ -130,7 +130,7 @@ def find_layout(lines: list[str]) -> Layout:
         warnings.append("commas are read as decimal points")
     if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
         raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")
-    return Layout(
+    return TableLayout(
         first=index,
         delimiter=delimiter,
         width=len(words),
@@ -248,7 +248,7 @@ def _has_xyz(text: str) -> bool:
     return set(XYZ) <= set(standard_names(list(dict.fromkeys(names))))
 
 
-def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Header:
+def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _TableHeader:
     """Return the names of the columns, in which repeated names are numbered, and what they say of the coordinates.
 
     Raises:
@@ -289,10 +289,10 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _He
             " one unit"
         )
     unit = next(iter(stated)) if len(stated) == 1 and not is_geographic else ""
-    return _Header(known, unit or None, _WGS84 if is_geographic else None, warnings)
+    return _TableHeader(known, unit or None, _WGS84 if is_geographic else None, warnings)
 
 
-def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _Header | None:
+def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _TableHeader | None:
     """Return the header in a comment, or None if it does not fit the columns."""
     names = _words_of(comment) if comment else []
     try:
