@@ -101,6 +101,8 @@ def _check_geometry(content: Any, warn: Warn) -> None:
         raise InputError("expected triangles or triangle strips, got triangle fans: export it as triangles")
     if any(_is_normalized(content, primitive) for primitive in primitives):
         raise InputError("expected positions as lengths, got normalized integers: export them as floats")
+    if any(isinstance(mesh, dict) and any(_entries(mesh, "weights")) for mesh in _entries(content, "meshes")):
+        warn("the shape is that without its morph targets, which have weights: export it with its modifiers applied")
     left_out = [_LINES_AND_POINTS[mode] for mode in modes if mode in _LINES_AND_POINTS]
     if left_out:
         kinds = " and ".join(sorted(set(left_out)))

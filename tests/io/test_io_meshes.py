@@ -144,6 +144,15 @@ def test_concave_polygons_keep_their_area(tmp_path):
             assert len(np.unique(mesh.normals().round(12), axis=0)) == 1
 
 
+def test_morph_targets_are_named(tmp_path):
+    import_or_skip("trimesh")
+    path, notes = tmp_path / "a.glb", []
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1, "targets": [{"POSITION": 0}]}
+    path.write_bytes(glb_parts((4, VERTICES, FACES.ravel()), meshes=[{"primitives": [primitive], "weights": [1.0]}]))
+    check_cube(read_mesh(path, on_warning=notes.append))
+    check_text(*notes)
+
+
 def test_surplus_bytes_after_stl(tmp_path):
     path = tmp_path / "a.stl"
     for head in (b"made by hand", b"solid but binary"):
