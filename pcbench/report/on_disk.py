@@ -222,7 +222,7 @@ def _mesh(reference: Path, candidates: Mapping[str, Path], settings: Settings) -
     if reference.is_file() and holds_mesh(reference):
         return "a mesh as the reference"
     if not settings.vertices and any(path.is_file() and holds_mesh(path) for path in candidates.values()):
-        return "a mesh as a candidate (only its vertices, with --vertices)"
+        return "a mesh as a candidate (sample points on it with pcbench convert MESH CLOUD.ply --sample N)"
     return None
 
 
