@@ -5,6 +5,7 @@ Opening a named pipe blocks until it has a writer, and a device such as /dev/zer
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from io import BufferedReader
@@ -74,6 +75,16 @@ def regular_status(path: str | os.PathLike[str]) -> os.stat_result:
         raise InputError("expected a file name, got one with a NUL character") from None
     _check_mode(status.st_mode)
     return status
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a regular file in hexadecimal.
+
+    Raises:
+        InputError, OSError: as `open_regular`.
+    """
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_regular_file(path: str | os.PathLike[str]) -> bool:

@@ -238,7 +238,9 @@ def convert(
     if sample is not None and not holds_mesh(cloud):
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
     if (sample is not None or is_mesh_only(cloud)) and (drop_nodata or any(v is not None for v in filters.values())):
-        raise InputError(f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data")
+        raise InputError(
+            f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data: omit these options"
+        )
     with steps(quiet) as show:
         reading = estimate_reading_seconds(cloud)
         step = ProgressPlan(show, [reading, reading])
@@ -351,11 +353,14 @@ def _print_info(path: Path) -> None:
 
 def _steps(steps: FloatArray, cloud: Cloud) -> str:
     """Return the steps in which x, y and z are stored, in words."""
+    from pcbench.geometry.crs import is_in_degrees
+
     if not steps.any():
         return "none visible (in which x, y and z are rounded)"
     different = steps[:1] if (steps == steps[0]).all() else steps
     words = "  ".join(f"{step:.3g}" if step else "none" for step in different)
-    return f"{words}{f' {cloud.unit}' if cloud.unit else ''} (in which x, y and z are rounded)"
+    unit = f" {cloud.unit}" if cloud.unit and not is_in_degrees(cloud.crs, cloud.unit) else ""  # z may have another one
+    return f"{words}{unit} (in which x, y and z are rounded)"
 
 
 def _triple(values: FloatArray, cloud: Cloud) -> str:

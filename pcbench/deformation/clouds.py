@@ -58,7 +58,7 @@ def deform(
         scale, spacing = found.T_local.scale, None if target.is_sampled else target.surface.spacing
         notice = sampling_notice(moved, len(candidate), seed, scale=scale, spacing=spacing)
         found = replace(found, warnings=(notice, *found.warnings))
-    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)))
+    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)), is_even=False)
     region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)
     sides = []

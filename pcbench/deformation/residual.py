@@ -143,7 +143,10 @@ def _cause_of_distance(registration: Registration) -> str:
     if registration.method == "none":
         return "they are not registered (use --register icp), or much has changed"
     if registration.method.startswith(("matrix:", "points:")):
-        return f"the pose of {registration.method} is inaccurate (refine it by --register icp), or much has changed"
+        return (
+            f"the pose of {registration.method} is inaccurate (write the aligned candidate with pcbench register --out,"
+            " and register it by icp), or much has changed"
+        )
     return (
         f"much has changed, or {registration.method} found a wrong pose (--register points:FILE or matrix:FILE gives"
         " another one)"

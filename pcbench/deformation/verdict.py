@@ -171,8 +171,8 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         side = geometry.side * TILE
         remedy = (
             f"it is correlated over {noise.correlation_length:.3g}, so that this scene has too few independent parts"
-            f" (it would have to be about {40 * noise.correlation_length:.3g} wide); measure a larger area, or known points"
-            " in both clouds (--register points:FILE)"
+            f" (it would have to be about {40 * noise.correlation_length:.3g} wide); measure a larger area, or known"
+            " points in both clouds (--register points:FILE)"
             if noise.correlation_length > side / 6
             else "use more points or a larger scene"
         )

@@ -57,12 +57,14 @@ class Surface:
     Args:
         index: index of the points.
         k: number of neighbours from which a normal is estimated.
+        is_even: whether the points are spread evenly. If it is not known, normals are estimated from more neighbours
+            where the points have copies or lie in lines.
         given: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
     """
 
-    def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None) -> None:
+    def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None, *, is_even: bool = True) -> None:
         self.index = index
-        self.k = k
+        self._positions, self._is_even = k, is_even
         self._normals: FloatArray | None = None  # NaN where not yet computed
         self._is_known = np.zeros(len(index), dtype=bool)
         if given is not None:
@@ -79,6 +81,12 @@ class Surface:
     def points(self) -> FloatArray:
         """The indexed points (N, 3)."""
         return self.index.points
+
+    @cached_property
+    def k(self) -> int:
+        """Number of neighbours from which a normal is estimated, the point itself included."""
+        k = self._positions if self._is_even else self.sampling.plane_neighbors(self._positions)
+        return min(k, len(self))
 
     @property
     def is_complete(self) -> bool:
@@ -152,7 +160,7 @@ class Surface:
     def _planes(self, rows: IntArray | None) -> LocalPlanes:
         if len(self) < 3:
             raise InputError(f"expected at least 3 points to estimate normals, got {len(self)}")
-        return self.index.local_planes(min(self.k, len(self)), rows)
+        return self.index.local_planes(self.k, rows)
 
 
 def orient_towards(directions: FloatArray, points: FloatArray, sensors: FloatArray) -> FloatArray:

@@ -27,6 +27,7 @@ _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _RANKS = (0.0, 1.0, 10.0)  # percentiles of the differences that may be one step
 _MAX_GRID_DOUBLES, _MIN_GRID_SHARE = 0.05, 0.3  # points that share a node, and nodes with a point, of a regular grid
 _NEGLIGIBLE_SHARE = 1e-7  # of the largest coordinate range: float32 without an offset
+_MAX_FINE_STEP = 0.1  # in spacings: with larger steps, points coincide, or lie in lines, by rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +84,18 @@ class Quantisation:
 class PlacedQuantisation(NamedTuple):
     """The lattice of a cloud, and the motion from the cloud's coordinates to those of a comparison."""
 
-    lattice: Quantisation
+    quantisation: Quantisation
     pose: Similarity
+
+    def is_coarse(self, spacing: float) -> bool:
+        """Return whether points coincide, or lie in lines, because they are rounded."""
+        return self.quantisation.coarsest > _MAX_FINE_STEP * spacing
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance (3, 3) of the rounding error of a moved point."""
         linear = self.pose.matrix[:3, :3]
-        covariance: FloatArray = linear @ self.lattice.covariance @ linear.T
+        covariance: FloatArray = linear @ self.quantisation.covariance @ linear.T
         return covariance
 
     def normal_variances(self, normals: FloatArray) -> FloatArray:
@@ -100,7 +105,7 @@ class PlacedQuantisation(NamedTuple):
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Return points (N, 3) of the comparison as the cloud stores them."""
-        stored = self.lattice.rounded(self.pose.inverse().apply(points))
+        stored = self.quantisation.rounded(self.pose.inverse().apply(points))
         return self.pose.apply(stored)
 
     def moved_in_cells(self, points: FloatArray, normals: FloatArray | None, seed: int) -> FloatArray:
@@ -111,7 +116,7 @@ class PlacedQuantisation(NamedTuple):
             normals: (N, 3) unit normals of the surface, to which the places are restricted; None: they are not.
             seed: random seed.
         """
-        cells = np.random.default_rng(seed).uniform(-0.5, 0.5, points.shape) * self.lattice.steps
+        cells = np.random.default_rng(seed).uniform(-0.5, 0.5, points.shape) * self.quantisation.steps
         shifts = cells @ self.pose.matrix[:3, :3].T
         if normals is not None:
             shifts -= np.einsum("ni,ni->n", shifts, normals)[:, None] * normals

@@ -34,11 +34,16 @@ def convert_unit(cloud: Cloud, unit: str) -> Cloud:
     if cloud.crs is not None:
         require("pyproj")
     if is_in_degrees(cloud.crs, cloud.unit):
-        raise InputError(f"expected lengths, got degrees, which have no length in {unit}: convert with --crs")
+        raise InputError(
+            f"expected lengths, got degrees, which have no length in {unit}: add --crs, such as --crs EPSG:32617"
+        )
     length = metres(cloud.unit)
     lengths = axis_lengths(cloud.crs) if length is None else (length, length)
     if lengths is None:
-        raise InputError(f"expected a cloud whose unit is known, got {cloud.unit or 'none'}: write it into the file")
+        raise InputError(
+            f"expected a cloud whose unit is known, got {cloud.unit or 'none'}: state it in the file, in a .txt by a"
+            " line '# unit m'"
+        )
     horizontal, height = (length / new for length in lengths)
     crs, units = cloud.crs, axis_units(cloud.crs)
     if crs is not None and units is not None:
@@ -76,10 +81,14 @@ def project(
         )
     (below, *heights), (new, *new_heights) = (_parts(text) for text in (stated, target))
     if not (new.is_projected or new.is_geographic):
-        raise InputError(f"expected a projected or geographic coordinate system, got {crs_name(target)}")
+        raise InputError(
+            f"expected a projected or geographic coordinate system, such as EPSG:32617, got {crs_name(target)}: choose"
+            " another system"
+        )
     if below.is_engineering:
         raise InputError(
-            "expected a coordinate system with a place on Earth, got one of which only the units are known"
+            "expected a coordinate system with a place on Earth, got one of which only the units are known: export the"
+            " file with its system"
         )
     if new_heights and not (heights and new_heights[0].datum == heights[0].datum):
         raise InputError(

@@ -26,6 +26,8 @@ _MAX_COPIES = 16  # of a point
 _COPY_RADIUS = 2.0  # median distances within clumps: the radius of nearly all clumps
 _MAX_COPY_SHARE = 1 / 3  # of the spacing: 7 % of strewn points have a nearest neighbour within it by chance
 
+# Of the neighbours of a point as far as the next scan line, so many times as many have a fifth of their points in it.
+_PLANE_LINES = 2.5
 # Neighbours searched for the next scan line.
 _MIN_LINE_NEIGHBORS, _MAX_LINE_NEIGHBORS, _LINE_NEIGHBOR_GROWTH = 12, 512, 1.5
 _MIN_VARIANCE_RATIO = 0.1  # variance across over variance along: above it, points are not a single line
@@ -46,13 +48,19 @@ class Sampling(NamedTuple):
         copy_radius: points within this distance of each other are copies of one point. It is 0, so that only
             coincident points are, unless many points have near duplicates.
         copies: number of points at a position, on average over the positions.
-        has_lines: whether the points lie in lines, along which they are denser than across.
+        line_neighbors: number of points, itself included, from a point to the nearest one in the next line, if the
+            points lie in lines, along which they are denser than across; otherwise 0.
     """
 
     spacing: float
     copy_radius: float = 0.0
     copies: float = 1.0
-    has_lines: bool = False
+    line_neighbors: int = 0
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether the points lie in lines, along which they are denser than across."""
+        return self.line_neighbors > 0
 
     @property
     def definition(self) -> str:
@@ -66,6 +74,13 @@ class Sampling(NamedTuple):
     def neighbors(self, positions: int) -> int:
         """Return the number of nearest points of a point, itself included, that are at about this many positions."""
         return max(positions, round(positions * self.copies))
+
+    def plane_neighbors(self, positions: int) -> int:
+        """Return the number of nearest points, itself included, that show the plane around a point.
+
+        They are at about this many positions, and in several lines if the points lie in lines.
+        """
+        return max(self.neighbors(positions), math.ceil(_PLANE_LINES * self.line_neighbors))
 
 
 def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
@@ -121,10 +136,11 @@ def sampling_of_profile(nearest: float, profile: FloatArray, count: int) -> Samp
         return Sampling(spacing, radius, copies)
     equivalent = np.median(profile[:, shown], axis=0) * np.sqrt(math.log(2) / (ranks[shown] - _MEDIAN_SHIFT))
     of_surface = float(equivalent.max())
-    if of_surface <= _MAX_SURFACE_GROWTH * spacing:
+    of_points = spacing if radius > 0 else _median_first(profile, profile > 0)  # so that it follows from the profile
+    if of_surface <= _MAX_SURFACE_GROWTH * of_points:
         return Sampling(spacing, radius, copies)
     if of_surface > _MAX_SURFACE_GROWTH * equivalent[0]:  # it grows from neighbour to neighbour
-        return Sampling(of_surface, radius, copies, has_lines=True)
+        return Sampling(of_surface, radius, copies, 2 + int(np.flatnonzero(shown)[equivalent.argmax()]))
     radius = max(radius, _MAX_COPY_SHARE * of_surface)  # of copies that lie almost as far apart as other neighbours
     return Sampling(of_surface, radius, _copies(profile, radius))
 
@@ -195,8 +211,9 @@ def nearest_elsewhere(index: Index, sampling: Sampling, rows: IntArray, queries:
 def line_gaps(index: Index, positions: FloatArray) -> FloatArray:
     """Return the vectors (P, 3) along the surface from the scan line of each position to the next scan line.
 
-    The number of neighbours grows until they are no longer a single line. The widest gap across the line is the result.
-    For evenly spread points it is about their spacing. It is zero if no other line is found.
+    The number of neighbours grows until they are no longer a single line. The nearest of them beyond the widest gap
+    across the line is in the next line. For evenly spread points the result is about their spacing. It is zero if no
+    other line is found.
     """
     gaps, lines = np.zeros(positions.shape), np.zeros(positions.shape)  # directions of the lines; 0: not a line
     pending, count = np.arange(len(positions)), _MIN_LINE_NEIGHBORS
@@ -204,13 +221,15 @@ def line_gaps(index: Index, positions: FloatArray) -> FloatArray:
         offsets = index.points[index.query(positions[pending], count).indices] - positions[pending, None]
         variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets, optimize=False) / count)
         is_broad = variances[:, 1] > _MIN_VARIANCE_RATIO * variances[:, 2]
-        # Neighbours on several lines may extend farther across the lines than along them.
-        along = np.abs(np.einsum("pia,pi->pa", axes, lines[pending], optimize=False))
-        across = np.where(along[:, 2] < along[:, 1], 2, 1)[is_broad]
-        axis = np.take_along_axis(axes[is_broad], across[:, None, None], axis=2)[:, :, 0]
-        distances_across = np.sort(np.abs(np.einsum("pki,pi->pk", offsets[is_broad], axis, optimize=False)), axis=1)
-        gaps[pending[is_broad]] = np.diff(distances_across, axis=1).max(axis=1, initial=0.0)[:, None] * axis
         if count == _MIN_LINE_NEIGHBORS:
+            across = axes[is_broad, :, 1]
             lines[pending[~is_broad]] = axes[~is_broad, :, 2]
+        else:  # neighbours on several lines may extend farther across the lines than along them
+            across = np.cross(axes[is_broad, :, 0], lines[pending[is_broad]])
+            across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny)
+        away = np.sort(np.abs(np.einsum("pki,pi->pk", offsets[is_broad], across, optimize=False)), axis=1)
+        widest = np.diff(away, axis=1).argmax(axis=1)[:, None]
+        beyond, before = (np.take_along_axis(away, widest + after, axis=1) for after in (1, 0))
+        gaps[pending[is_broad]] = (beyond - before if count == _MIN_LINE_NEIGHBORS else beyond) * across
         pending, count = pending[~is_broad], int(_LINE_NEIGHBOR_GROWTH * count)
     return gaps

@@ -14,7 +14,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_folders import POINT_FILES, find_model, points_file
 from pcbench.io.colmap_text import check_complete, data_lines, excerpt
-from pcbench.io.files import Fields, Warn, finite_cloud, read_named
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, finite_cloud, read_named
 
 # One point, without its track of (int32 image, int32 keypoint) entries.
 _POINT = np.dtype(
@@ -67,10 +67,11 @@ def read_colmap(path: Path, warn: Warn) -> Fields:
         InputError: the file is incomplete or contains no points.
         OSError: the file cannot be read.
     """
-    return _read_binary(path.read_bytes()) if path.suffix.lower() == ".bin" else _read_text(path.read_bytes(), warn)
+    read = _read_binary if path.suffix.lower() == ".bin" else _read_text
+    return read(path.read_bytes(), warn)
 
 
-def _read_binary(data: bytes) -> Fields:
+def _read_binary(data: bytes, warn: Warn) -> Fields:
     if len(data) < 8:
         raise InputError(f"expected a point count of 8 bytes, got {len(data)} bytes: copy or export the model again")
     (count,) = struct.unpack_from("<Q", data)
@@ -86,10 +87,7 @@ def _read_binary(data: bytes) -> Fields:
         offset = end
     if len(offsets) < count:
         raise InputError(f"truncated: got {len(offsets)} of {count} points: copy or export the model again")
-    if offset < size:
-        raise InputError(
-            f"expected the end of the file after {count} points, got {size - offset} more bytes: export the model again"
-        )
+    check_end(data[offset:][:MAX_PADDING], size - offset, _POINT.itemsize, f"{count} points", warn)
     if not count:
         raise InputError("expected at least one point, got a model without points: export it with its points")
     windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), _POINT.itemsize)

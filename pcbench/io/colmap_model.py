@@ -20,7 +20,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.colmap_folders import MAX_MODEL_BYTES
 from pcbench.io.colmap_text import ImagePose, check_complete, data_lines, excerpt, parse_images
-from pcbench.io.files import Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Warn, atomic_write, check_end
 from pcbench.regular_files import has_entry, open_regular, read_bytes
 
 # Name and parameter count of the camera models, by COLMAP's model ID.
@@ -45,6 +45,8 @@ _MODELS_BY_ID = {
     17: ("EQUIRECTANGULAR", 2),
 }
 _SUPPORTED_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_LEAST_CAMERA_BYTES = 24 + 2 * 8  # of two parameters
+_LEAST_IMAGE_BYTES = struct.calcsize("<I7di") + 1 + 8  # without name and keypoints
 _PARAMETER_COUNTS = dict(_MODELS_BY_ID.values())
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")  # written by `write_colmap_model`
@@ -71,9 +73,9 @@ def read_colmap_cameras(folder: Path, on_warning: Warn | None = None) -> tuple[C
         try:
             data = read_bytes(path, MAX_MODEL_BYTES)
             if name.startswith("cameras"):
-                intrinsics = _binary_intrinsics(data) if binary else _text_intrinsics(data, warn)
+                intrinsics = _binary_intrinsics(data, warn) if binary else _text_intrinsics(data, warn)
             else:
-                images = _binary_images(data) if binary else parse_images(data, warn)
+                images = _binary_images(data, warn) if binary else parse_images(data, warn)
                 cameras = [_camera(image, intrinsics) for image in images]
         except FileNotFoundError:
             raise InputError(f"{path}: no such file: expected the cameras and images of a COLMAP model") from None
@@ -163,7 +165,7 @@ def _add_camera(intrinsics: dict[int, Intrinsics], number: int, camera: Intrinsi
         raise InputError(f"expected each camera once, got two different cameras {number}: export the model again")
 
 
-def _binary_intrinsics(data: bytes) -> dict[int, Intrinsics]:
+def _binary_intrinsics(data: bytes, warn: Warn) -> dict[int, Intrinsics]:
     (count,) = struct.unpack_from("<Q", data)
     intrinsics: dict[int, Intrinsics] = {}
     offset = 8
@@ -178,11 +180,11 @@ def _binary_intrinsics(data: bytes) -> dict[int, Intrinsics]:
         values = struct.unpack_from(f"<{parameters}d", data, offset + 24)
         _add_camera(intrinsics, number, intrinsics_from_colmap(name, width, height, values))
         offset += 24 + 8 * parameters
-    _check_end(data, offset, f"{count} cameras")
+    check_end(data[offset:][:MAX_PADDING], len(data) - offset, _LEAST_CAMERA_BYTES, f"{count} cameras", warn)
     return intrinsics
 
 
-def _binary_images(data: bytes) -> list[ImagePose]:
+def _binary_images(data: bytes, warn: Warn) -> list[ImagePose]:
     (count,) = struct.unpack_from("<Q", data)
     images: list[ImagePose] = []
     offset = 8
@@ -195,15 +197,8 @@ def _binary_images(data: bytes) -> list[ImagePose]:
         if offset > len(data):
             raise InputError(f"truncated: got {len(images)} of {count} images: copy or export the model again")
         images.append(ImagePose(data[start:end].decode(), camera, tuple(pose)))
-    _check_end(data, offset, f"{count} images")
+    check_end(data[offset:][:MAX_PADDING], len(data) - offset, _LEAST_IMAGE_BYTES, f"{count} images", warn)
     return images
-
-
-def _check_end(data: bytes, offset: int, items: str) -> None:
-    if offset < len(data):
-        raise InputError(
-            f"expected the end of the file after {items}, got {len(data) - offset} more bytes: export the model again"
-        )
 
 
 def has_points(path: Path) -> bool:

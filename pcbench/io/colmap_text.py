@@ -83,7 +83,7 @@ def _declared_count(data: bytes, kind: str) -> int | None:
 
 
 def parse_images(data: bytes, warn: Warn) -> list[ImagePose]:
-    """Parse an images.txt: for each image a line of id, quaternion, translation, camera, name, then one of keypoints.
+    """Parse an images.txt: each image has a line of id, quaternion, translation, camera and name, and one of keypoints.
 
     The second line holds (x, y, point) triples. It may be empty, or absent, as some programs and editors write it: each
     line is recognised by its content.
@@ -93,11 +93,12 @@ def parse_images(data: bytes, warn: Warn) -> list[ImagePose]:
     """
     images: list[ImagePose] = []
     with_second_line: set[int] = set()  # counts of images so far
-    awaits_keypoints = False
+    awaits_keypoints = after_blank = False
     for number, line in data_lines(data):
         if not line:
             with_second_line.add(len(images))
-        elif awaits_keypoints and _is_keypoints(line):
+            after_blank = True
+        elif awaits_keypoints and _is_keypoints(line) and not (after_blank and _parse_pose(line)):
             with_second_line.add(len(images))
             awaits_keypoints = False
         else:
@@ -110,7 +111,7 @@ def parse_images(data: bytes, warn: Warn) -> list[ImagePose]:
                     f"line {number}: expected {expected}; got {excerpt(line)}: copy or export the model again"
                 )
             images.append(image)
-            awaits_keypoints = True
+            awaits_keypoints, after_blank = True, False
     ends_early = len(images) not in with_second_line and bool(with_second_line - {0})
     check_complete(data, "images", len(images), warn, ends_early=ends_early)
     return images

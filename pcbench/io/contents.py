@@ -14,7 +14,7 @@ from pcbench.io.formats import CLOUDS
 from pcbench.io.gltf import external_files
 from pcbench.io.paths import EPT, find_tiles, is_tiled
 from pcbench.io.reading import cloud_file
-from pcbench.regular_files import open_regular
+from pcbench.regular_files import sha256_of
 from pcbench.systems import cpu_count
 
 T = TypeVar("T")
@@ -34,12 +34,7 @@ def digest(path: Path) -> str:
         OSError: a file is missing or cannot be read.
     """
     files = content_files(path)
-    return _digest_file(path) if files == [path] else digest_files(files)
-
-
-def digest_files(paths: Iterable[Path]) -> str:
-    """Return the SHA-256 of the names and contents of files, sorted by path; raises the same errors as `digest`."""
-    return _combine({path: _digest_file(path) for path in paths})
+    return _digest_file(path) if files == [path] else _combine({file: _digest_file(file) for file in files})
 
 
 def content_files(path: Path) -> list[Path]:
@@ -132,6 +127,7 @@ def changed_error(path: Path) -> PcbenchError:
 
 
 def _combine(digests: Mapping[Path, str]) -> str:
+    """Return the SHA-256 of the names and contents of files, sorted by path."""
     combined = hashlib.sha256()
     for path in sorted(digests):
         combined.update(path.name.encode(errors="surrogateescape") + b"\0" + bytes.fromhex(digests[path]))
@@ -146,7 +142,6 @@ def _status(path: Path) -> tuple[int, int, int]:
 
 def _digest_file(path: Path) -> str:
     try:
-        with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(path)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

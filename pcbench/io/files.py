@@ -25,6 +25,9 @@ Warn = Callable[[str], None]
 T = TypeVar("T")
 
 _MAX_JSON_BYTES = 1 << 30  # for results and cameras
+MAX_PADDING = 1 << 16
+"""Largest number of bytes after the last record of a file that may be padding."""
+_PADDING = b"\0 \t\r\n\x1a"
 _FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name a file
 
 
@@ -172,6 +175,28 @@ def read_rest(file: BinaryIO) -> NDArray[np.uint8]:
     file.seek(start)
     got = file.readinto(rest.data)  # type: ignore[attr-defined]
     return rest[:got]
+
+
+def check_end(rest: bytes, size: int, record_bytes: int, last: str, warn: Warn) -> None:
+    """Check what follows the last record of a file: line breaks, padding and less than a record, or more records.
+
+    Padding (NUL bytes and spaces) and less than a record are left out with a warning, as other readers do in silence.
+
+    Args:
+        rest: the bytes after the last record, or at least the first `MAX_PADDING` of them.
+        size: number of all bytes after the last record.
+        record_bytes: size of the smallest record.
+        last: what precedes them, such as "the last point".
+        warn: callback for the warning.
+
+    Raises:
+        InputError: the bytes may be further records.
+    """
+    if size <= MAX_PADDING and not rest.strip():
+        return
+    if size >= record_bytes and (size > MAX_PADDING or rest.strip(_PADDING)):
+        raise InputError(f"expected the end of the file after {last}, got {size} more bytes: export it again")
+    warn(f"left out {size} byte{'s' * (size > 1)} after {last}")
 
 
 def input_files(path: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import trimesh_child
-from pcbench.io.files import Warn
+from pcbench.io.files import MAX_PADDING, Warn, check_end
 from pcbench.io.polygons import merge_vertices
 from pcbench.regular_files import read_bytes, regular_status
 from pcbench.scratch import scratch_folder
@@ -23,6 +23,7 @@ from pcbench.scratch import scratch_folder
 _TRIANGLES, _FAN = "4", "6"  # modes of primitives: glTF 2.0, section 5.24.4
 _LINES_AND_POINTS = {"0": "points", "1": "lines", "2": "lines", "3": "lines"}
 _COMPRESSED = ("KHR_draco", "EXT_meshopt", "KHR_meshopt")  # extensions that replace the plain arrays
+_LEAST_CHUNK_BYTES = 12  # size, type, and data in steps of four bytes
 _INSTANCED = "EXT_mesh_gpu_instancing"
 
 
@@ -41,20 +42,18 @@ def read_glb(path: Path, warn: Warn) -> Mesh:
         magic, version, length = struct.unpack("<4sII", file.read(12).ljust(12, b"\0"))
         if magic != b"glTF" or version != 2:
             raise InputError(f"expected a binary glTF 2 file, got {magic!r} version {version}: export it as glTF 2")
-        if length != size:
-            raise InputError(
-                f"truncated: got {size} of {length} bytes: copy or export the file again"
-                if length > size
-                else f"expected {length} bytes as the header states, got {size}: export the file again"
-            )
+        if length > size:
+            raise InputError(f"truncated: got {size} of {length} bytes: copy or export the file again")
+        file.seek(length)
+        check_end(file.read(MAX_PADDING), size - length, _LEAST_CHUNK_BYTES, "the last chunk", warn)
         offset = 12
-        while offset < size:
+        while offset < length:
             file.seek(offset)
             (chunk,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
             offset += 8 + chunk
-        if offset != size:
+        if offset != length:
             raise InputError(
-                f"truncated: the last chunk ends at byte {offset} of {size}: copy or export the file again"
+                f"truncated: the last chunk ends at byte {offset} of {length}: copy or export the file again"
             )
         file.seek(12)
         length, kind = struct.unpack("<I4s", file.read(8).ljust(8, b"\0"))
@@ -98,8 +97,8 @@ def _check_geometry(content: Any, warn: Warn) -> None:
         raise InputError("expected plain arrays, got sparse accessors: export the file without them")
     primitives = [p for mesh in _entries(content, "meshes") for p in _entries(mesh, "primitives")]
     modes = [str(p.get("mode", _TRIANGLES)) for p in primitives if isinstance(p, dict)]
-    if fans := modes.count(_FAN):
-        raise InputError(f"expected triangles or triangle strips, got {fans} triangle fans: export it as triangles")
+    if _FAN in modes:
+        raise InputError("expected triangles or triangle strips, got triangle fans: export it as triangles")
     if any(_is_normalized(content, primitive) for primitive in primitives):
         raise InputError("expected positions as lengths, got normalized integers: export them as floats")
     left_out = [_LINES_AND_POINTS[mode] for mode in modes if mode in _LINES_AND_POINTS]

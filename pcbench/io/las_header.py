@@ -187,7 +187,7 @@ def _read_records(
         InputError: the count is absurd, or a record does not end before `end`.
     """
     if count > _MAX_RECORDS:
-        raise InputError(f"expected at most {_MAX_RECORDS} variable length records, got {count}: damaged header")
+        raise InputError(f"expected at most {_MAX_RECORDS} variable length records, got {count}: export the file again")
     records: dict[tuple[str, int], bytes] = {}
     for number in range(count):
         if offset + layout.size > end:
@@ -198,7 +198,7 @@ def _read_records(
         if offset + length > end:
             raise InputError(
                 f"variable length record {number + 1} of {count} ends at byte {offset + length}, after byte {end}:"
-                " damaged header"
+                " export the file again"
             )
         key = (user.split(b"\0")[0].decode("latin-1"), record_id)
         if key in _READ_RECORDS and key not in records and length <= _MAX_RECORD_BYTES:

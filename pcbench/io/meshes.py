@@ -68,16 +68,15 @@ def to_shape(value: Mesh | CloudLike) -> Cloud | Mesh:
 
 
 def read_vertices(path: str | os.PathLike[str], on_warning: Callable[[str], None] | None = None) -> Cloud:
-    """Read the vertices of a file that holds a mesh; those of PLY have normals, colours and attributes.
+    """Read the vertices of a file that holds a mesh; those of PLY and OBJ have normals, colours and attributes.
 
     Raises:
         InputError, MissingExtra: see `read_mesh`.
     """
 
     def read(path: Path, warn: Warn) -> Cloud:
-        if path.suffix.lower() != ".ply":
-            return vertex_cloud(_read(path, warn))
-        return finite_cloud(ply.read_ply_vertices(path, warn), warn)
+        vertices = {".ply": ply.read_ply_vertices, ".obj": obj.read_obj_vertices}.get(path.suffix.lower())
+        return vertex_cloud(_read(path, warn)) if vertices is None else finite_cloud(vertices(path, warn), warn)
 
     return read_named(as_path(path), read, on_warning)
 

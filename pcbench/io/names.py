@@ -31,6 +31,17 @@ _COORDINATES = {
     "y": ("northing", "north", "n", "point_y", "y_coord", "coord_y", "y_coordinate"),
     "z": ("elevation", "height", "altitude", "elev", "alt", "h", "point_z", "z_coord", "coord_z", "z_coordinate"),
 }
+_COORDINATES = {
+    axis: (
+        *names,
+        f"cartesian{axis}",
+        f"position_{axis}",
+        f"pos_{axis}",
+        f"{axis}coord",
+        f"points_{k}",
+    )  # E57, ParaView
+    for k, (axis, names) in enumerate(_COORDINATES.items())
+}
 # Normals and colours need three names of one kind: a lone "r" may be a range.
 _NORMAL_NAMES = (
     NORMALS,
@@ -39,6 +50,7 @@ _NORMAL_NAMES = (
     ("nor_normalx", "nor_normaly", "nor_normalz"),  # E57
     ("normal[0]", "normal[1]", "normal[2]"),
     ("n_x", "n_y", "n_z"),
+    ("normals_0", "normals_1", "normals_2"),  # ParaView
 )
 _COLOR_NAMES = (
     COLORS,
@@ -154,8 +166,9 @@ def scale_colors(channels: Sequence[NDArray[Any]]) -> NDArray[np.uint8] | None:
 def unnamed_columns(table: FloatArray, first: int = 1) -> list[str] | None:
     """Return the names of the columns of a table (N, M) that has none: x, y, z, and normals and colours if found.
 
-    Three adjacent columns are normals if all have unit length, and colours if they are whole numbers from 0 to 255 that
-    are not all 0 or 1. Other columns are "column_4", "column_5" ... None: there are two places where colours may be.
+    Three adjacent columns are normals if all have unit length, and colours if they are whole numbers from 0 to 255 and
+    not all 0 or 1. A column after them that is 255 throughout is alpha. Other columns are "column_4", "column_5" ...
+    None: there are two places where colours may be.
 
     Args:
         table: values of the columns, x, y and z first.
@@ -170,11 +183,25 @@ def unnamed_columns(table: FloatArray, first: int = 1) -> list[str] | None:
         names[normals[0] : normals[0] + 3] = NORMALS
     free = [k for k in starts if not set(names[k : k + 3]) & set(NORMALS)]
     colors = [k for k in free if _are_8_bit(table[:, k : k + 3])]
+    if len(colors) == 2 and colors[1] == colors[0] + 1 and (table[:, colors[1] + 2] == 255).all():
+        names[colors.pop() + 2] = "alpha"  # trimesh writes opaque points
     if len(colors) > 1:
         return None
     for k in colors:
         names[k : k + 3] = COLORS
     return names
+
+
+def are_colors(values: FloatArray) -> bool:
+    """Return whether three columns (N, 3) are colours rather than normals.
+
+    They are if most have no unit length, and all are whole numbers or from 0 to 1 and fit a scale of `scale_colors`.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = np.abs(np.linalg.norm(values, axis=1) - 1) < _MAX_NORMAL_LENGTH_ERROR
+        is_possible = values.max() <= 1 or (values == np.floor(values)).all()
+    is_unit = 2 * np.count_nonzero(unit) >= len(unit)
+    return bool(is_possible and not is_unit and values.any()) and scale_colors(list(values.T)) is not None
 
 
 def _are_unit(vectors: FloatArray) -> bool:
@@ -218,8 +245,23 @@ def _take_colors(columns: Columns, warn: Warn) -> NDArray[np.uint8] | None:
     if packed is None:
         return None
     bits = np.ascontiguousarray(columns.pop(packed))
+    if _are_whole_colors(bits):
+        warn(f"{packed} is declared as float, but its values are whole numbers: they are read as packed colours")
+        bits = bits.astype(np.uint32)
     bits = bits.astype(bits.dtype.newbyteorder("="), copy=False).view(np.uint32)
     return np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(np.uint8)
+
+
+def _are_whole_colors(values: NDArray[Any]) -> bool:
+    """Return whether floats are packed colours by their value, as some programs write, not by their four bytes.
+
+    The bytes of 24-bit colours are floats below 1e-37.
+    """
+    return bool(
+        values.dtype.kind == "f"
+        and ((values >= 0) & (values < 1 << 24) & (values == np.floor(values))).all()
+        and values.max() >= 1
+    )
 
 
 def _is_packed(dtype: np.dtype[Any]) -> bool:

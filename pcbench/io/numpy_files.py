@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
     XYZ,
+    are_colors,
     left_out_warning,
     scale_colors,
     standard_names,
     stored_attributes,
-    unnamed_columns,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class _Header:
 def read_npy(path: Path, warn: Warn) -> Fields:
     """Read points (N, 3), or points and normals or colours (N, 6), of any float or integer type.
 
-    The last three of six columns are colours if they are whole numbers from 0 to 255 that are not all 0 or 1.
+    The last three of six columns are colours if most have no unit length and they fit a scale of `names.scale_colors`.
 
     Raises:
         InputError: the file is not a complete array of that shape.
@@ -77,8 +77,11 @@ def read_npy(path: Path, warn: Warn) -> Fields:
     with path.open("rb") as file:
         header = _read_header(file)
         _check_points(header)
-        _check_size(header, path.stat().st_size)
-        return _points_fields(_read_data(file, header))
+        size = path.stat().st_size
+        _check_size(header, size)
+        array = _read_data(file, header)
+        _check_rest(file, header, size, "the array", warn)
+        return _points_fields(array)
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
@@ -132,7 +135,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
                 arrays[name] = _read_data(file, _read_header(file))
-                file.read(1)  # zipfile verifies the checksum at the end of the member
+                # Reading beyond the end makes zipfile verify the checksum.
+                _check_rest(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
@@ -220,10 +224,13 @@ def _check_size(header: _Header, size: int) -> None:
         complete = available // max(per_row, 1)
         total = header.shape[0] if header.shape else 1
         raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
-    if available > header.data_bytes:
-        raise InputError(
-            f"expected the end of the array, got {available - header.data_bytes} more bytes: save it again"
-        )
+
+
+def _check_rest(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> None:
+    """Check the bytes after an array in a file of a size."""
+    rows = header.shape[0] if header.shape else 1
+    surplus = size - header.header_bytes - header.data_bytes
+    check_end(file.read(MAX_PADDING), surplus, max(header.data_bytes // max(rows, 1), 1), what, warn)
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -231,8 +238,8 @@ def _points_fields(array: NDArray[Any]) -> Fields:
         points = array.astype(np.float64, copy=False)
     if points.shape[1] == 3:
         return Fields(points=points)
-    if COLORS[0] in (unnamed_columns(points) or ()):
-        return Fields(points=points[:, :3], colors=points[:, 3:].astype(np.uint8))
+    if are_colors(points[:, 3:]):
+        return Fields(points=points[:, :3], colors=scale_colors(list(points[:, 3:].T)))
     return Fields(points=points[:, :3], normals=points[:, 3:])
 
 
@@ -264,7 +271,10 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
         shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
     except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
         raise unreadable from error
-    if dtype.names or dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
+    if dtype.names:
+        listed = ", ".join(dtype.names)[:80]
+        raise InputError(f"expected a plain array of numbers, got one with the fields {listed}: save it as (N, 3)")
+    if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
         raise unreadable
     if dtype.kind not in kinds:
         raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")

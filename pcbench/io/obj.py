@@ -17,11 +17,12 @@ from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
 from pcbench.io.files import Fields, Warn
 from pcbench.io.names import COLORS, NORMALS, Columns, take_fields
-from pcbench.io.polygons import triangulate
+from pcbench.io.polygons import left_out_surface, triangulate
 
 _CURVED = (b"surf", b"bsp", b"bzp", b"cdp")  # free-form surfaces and patches
 _KEYWORDS = (b"v", b"f", b"fo", b"l", b"p", b"curv", *_CURVED)  # "fo" is "f" in old files
 
+_SURFACES = (b"f", b"fo", *_CURVED)
 _SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
 
 
@@ -35,6 +36,14 @@ def has_surface(path: Path) -> bool:
 
 
 def read_obj_points(path: Path, warn: Warn) -> Fields:
+    """Read the vertices as `read_obj_vertices` does, with a warning if they belong to a mesh."""
+    fields = read_obj_vertices(path, warn)
+    if surfaces := len(_SURFACE.findall(path.read_bytes())):
+        warn(left_out_surface(len(fields["points"]), f"{surfaces} face{'s' * (surfaces > 1)}"))
+    return fields
+
+
+def read_obj_vertices(path: Path, warn: Warn) -> Fields:
     """Read lines `v x y z` or `v x y z r g b`, and the normals of lines `vn` if there is one for each vertex.
 
     Raises:
@@ -43,10 +52,10 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
     """
     rows: dict[bytes, list[list[float]]] = {b"v": [], b"vn": []}
     with_faces = False
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+    for number, line in enumerate(_lines(path), 1):
         words = line.split()
         if not words or words[0] not in rows:
-            with_faces |= bool(words) and words[0] == b"f"
+            with_faces |= bool(words) and words[0] in _SURFACES
             continue
         try:
             if b"_" in line or len(words) < 4:
@@ -71,6 +80,12 @@ def read_obj_points(path: Path, warn: Warn) -> Fields:
     return Fields(points=points, normals=fields.normals, colors=fields.colors, attributes=fields.attributes)
 
 
+def _lines(path: Path) -> list[bytes]:
+    """Return the lines without a byte order mark, which would hide the first vertex; a backslash joins two."""
+    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    return data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+
+
 def read_obj(path: Path, warn: Warn) -> Mesh:
     """Read lines `v x y z` and `f a b c ...`; a corner `7/2/3` is vertex 7, and -1 is the last vertex so far.
 
@@ -80,7 +95,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
     """
     coordinates, lengths, corners = array("d"), array("q"), array("q")
     left_out = 0
-    for number, line in enumerate(path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+    for number, line in enumerate(_lines(path), 1):
         words = line.split()
         if not words or words[0] not in _KEYWORDS:
             continue

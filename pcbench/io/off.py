@@ -14,12 +14,12 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Warn
+from pcbench.io.files import MAX_PADDING, Warn, check_end
 from pcbench.io.polygons import triangulate
 
-# ST, C, N: texture, colour and normal after the coordinates; 4: a homogeneous coordinate; n: other dimensions. Many
-# files lack the space before the counts.
-_HEADER = re.compile(rb"(?:ST)?C?N?(4?)(n?)OFF(\d*)")
+# ST, C, N: texture, colour and normal after the coordinates (NC in MeshLab); 4: a homogeneous coordinate; n: other
+# dimensions. Many files lack the space before the counts.
+_HEADER = re.compile(rb"(?:ST)?(?:C?N?|NC)(4?)(n?)OFF(\d*)")
 
 
 def read_off(path: Path, warn: Warn) -> Mesh:
@@ -31,7 +31,8 @@ def read_off(path: Path, warn: Warn) -> Mesh:
         InputError: the file is truncated, or its counts and lines do not match.
         OSError: the file cannot be read.
     """
-    lines = [line.partition(b"#")[0].split() for line in path.read_bytes().splitlines()]
+    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")  # a byte order mark
+    lines = [line.partition(b"#")[0].split() for line in data.splitlines()]
     lines = [words for words in lines if words]
     header = _HEADER.fullmatch(lines[0][0]) if lines else None
     if header is None:
@@ -53,11 +54,11 @@ def read_off(path: Path, warn: Warn) -> Mesh:
         if len(body) >= vertex_count:
             what = f"{len(body) - vertex_count} of {face_count} faces"
         raise InputError(f"truncated: got {what}: copy or export the file again")
-    if extra := len(body) - vertex_count - face_count:
-        raise InputError(f"expected the end of the file after the last face, got {extra} more lines: export it again")
+    rest = b"\n".join(b" ".join(words) for words in body[vertex_count + face_count :])
+    check_end(rest[:MAX_PADDING], len(rest), len(b"3 0 1 2"), "the last face", warn)
     vertices = np.empty((vertex_count, 3))
     lengths, corners = array("q"), array("q")
-    for number, words in enumerate(body):
+    for number, words in enumerate(body[: vertex_count + face_count]):
         try:
             if number < vertex_count:
                 vertices[number] = [float(word) for word in words[:3]]
@@ -71,7 +72,8 @@ def read_off(path: Path, warn: Warn) -> Mesh:
                     raise ValueError
         except (ValueError, OverflowError, IndexError):
             what = f"vertex {number}" if number < vertex_count else f"face {number - vertex_count}"
+            excerpt = repr(b" ".join(words)[:60])[1:]
             expected = f"x y z{' w' * bool(header[1])}" if number < vertex_count else "a count and that many vertices"
-            raise InputError(f"{what}: expected {expected}, got {b' '.join(words)[:60]!r}") from None
+            raise InputError(f"{what}: expected {expected}, got {excerpt}: export it again") from None
     faces = triangulate(vertices, np.frombuffer(lengths, dtype=np.int64), np.frombuffer(corners, dtype=np.int64), warn)
     return Mesh(vertices, faces)

@@ -132,8 +132,8 @@ class _Reader:
         cameras = [camera for image in posed if (camera := _camera(image, platforms, size_of)) is not None]
         if not cameras:
             raise InputError(
-                f"expected cameras of these images or with a size, got {len(posed)} without a size of other images,"
-                f" such as {posed[0].name!r}: use the images of these cameras"
+                "expected cameras with a size, or their images; got neither, for example for"
+                f" {posed[0].name!r}: use the images of these cameras"
             )
         if len(cameras) < len(posed):
             warn(

@@ -41,7 +41,7 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
     """Return the files of a cloud in a folder, of a pattern, or of a `.vpc` index, in natural order of their names.
 
     Hidden files, and files of a folder with other extensions, are left out. So are .csv, .txt and .obj files of a
-    folder with clouds of other formats, with a warning.
+    folder with clouds of other formats, with a warning. Files that differ only in their format give a warning.
 
     Args:
         path: a folder, a pattern or a `.vpc` file.
@@ -57,7 +57,7 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
         matches = _sorted([Path(match) for match in glob(str(path), recursive=True)])  # noqa: PTH207 (Path.glob takes no root)
         if not matches:
             raise InputError("no file matches this pattern: check the name and the folder")
-        return TileFiles(matches)
+        return TileFiles(matches, _copies_warning(matches))
     files = [file for file in path.iterdir() if file.suffix.lower() in extensions and not file.name.startswith(".")]
     others = [file for file in files if file.suffix.lower() in _SIDE_FILES]
     clouds = [file for file in files if file not in others] or files
@@ -66,10 +66,26 @@ def find_tiles(path: Path, extensions: Collection[str]) -> TileFiles:
             "expected a folder with point clouds, got none directly inside it: name a file, or a pattern such as"
             " '**/*.laz'"
         )
+    copies = _copies_warning(_sorted(clouds))
     if len(clouds) == len(files):
-        return TileFiles(_sorted(clouds))
+        return TileFiles(_sorted(clouds), copies)
     left_out = f"left out {len(others)} .csv, .txt and .obj files beside other clouds, such as {others[0].name}"
-    return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds",))
+    return TileFiles(_sorted(clouds), (f"{left_out}: name them by a pattern if they are clouds", *copies))
+
+
+def _copies_warning(paths: Collection[Path]) -> tuple[str, ...]:
+    """Return a warning if files have one name in several formats, such as a.las, a.laz and a.copc.laz."""
+    names: dict[Path, list[Path]] = {}
+    for path in paths:
+        names.setdefault(path.with_name(path.stem.removesuffix(".copc")), []).append(path)
+    same = [files for files in names.values() if len(files) > 1]
+    if not same:
+        return ()
+    return (
+        f"{sum(map(len, same))} files have the name of another one in another format, such as {same[0][0].name} and"
+        f" {same[0][1].name}: all are read; if they are copies, name one format by a pattern such as"
+        f" '*{same[0][1].suffix}'",
+    )
 
 
 def _sorted(paths: Collection[Path]) -> tuple[Path, ...]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
-from pcbench.io.files import Fields, Warn, atomic_write, read_rest
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end, read_rest
 from pcbench.io.names import (
     PACKED_COLORS,
     XYZ,
@@ -91,11 +91,11 @@ def read_pcd(path: Path, warn: Warn) -> Fields:
         warn(f"the viewpoint {header.viewpoint[:80]!r} was not applied")
     with np.errstate(invalid="ignore", over="ignore"):
         if header.data == "ascii":
-            fields = _ascii_columns(body.tobytes(), header)
+            fields = _ascii_columns(body.tobytes(), header, warn)
         elif header.data == "binary":
             fields = _binary_columns(body, header, warn)
         else:
-            fields = _decompressed_columns(body, header)
+            fields = _decompressed_columns(body, header, warn)
         columns = _split_fields(fields)
         points = take_points(columns)
         normals, colors, attributes = take_fields(columns, warn)
@@ -247,8 +247,7 @@ def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> 
     """Return columns (N, count) as views: the body stores point after point."""
     if len(body) < header.count * header.point_bytes:
         raise header.truncation_error(len(body) // header.point_bytes)
-    if extra := len(body) - header.count * header.point_bytes:
-        warn(f"left out {extra} bytes after the last point")
+    _check_end(body, header.count * header.point_bytes, header, warn)
     columns: Fieldwise = {}
     offset = 0
     for field in header.fields:
@@ -259,7 +258,13 @@ def _binary_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> 
     return columns
 
 
-def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Fieldwise:
+def _check_end(body: NDArray[np.uint8], end: int, header: _PcdHeader, warn: Warn) -> None:
+    """Check the bytes after the points, which end at a byte of the body."""
+    rest = body[end : end + MAX_PADDING].tobytes()
+    check_end(rest, len(body) - end, header.point_bytes, "the last point", warn)
+
+
+def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader, warn: Warn) -> Fieldwise:
     """Return columns (N, count) as views: the body stores field after field, compressed together."""
     total = header.count * header.point_bytes
     if len(body) < 8:
@@ -273,6 +278,7 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Fieldw
         raise InputError(f"truncated: got {len(body) - 8} of {packed} compressed bytes: copy or export the file again")
     if unpacked > packed * lzf.MAX_GROWTH:
         raise InputError(f"damaged LZF data: {packed} bytes cannot decompress to {unpacked}: export the file again")
+    _check_end(body, 8 + packed, header, warn)
     data = lzf.decompress(body[8 : 8 + packed].tobytes(), total)
     columns: Fieldwise = {}
     offset = 0
@@ -283,17 +289,16 @@ def _decompressed_columns(body: NDArray[np.uint8], header: _PcdHeader) -> Fieldw
     return columns
 
 
-def _ascii_columns(text: bytes, header: _PcdHeader) -> Fieldwise:
+def _ascii_columns(text: bytes, header: _PcdHeader, warn: Warn) -> Fieldwise:
     """Return columns (N, count) in their types; coordinates in float64."""
     if header.count * header.values * 2 - 1 > len(text):  # at least a digit and a separator per value
         raise header.truncation_error(min(len(text.splitlines()), header.count - 1))
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < header.count:
         raise header.truncation_error(len(lines))
-    if len(lines) > header.count:
-        raise InputError(
-            f"expected {header.count} points as the header states, got {len(lines)} lines: export the file again"
-        )
+    rest = b"\n".join(lines[header.count :])
+    check_end(rest[:MAX_PADDING], len(rest), 2 * header.values - 1, f"{header.count} points", warn)
+    del lines[header.count :]
     table = _ascii_table(lines, header)
     columns: Fieldwise = {}
     offset = 0

@@ -17,7 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -28,12 +28,11 @@ from pcbench.io.names import (
     take_fields,
     take_points,
 )
-from pcbench.io.ply_body import check_end, read_elements
+from pcbench.io.ply_body import read_elements
 from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, check_faces, check_vertices, read_header
 from pcbench.io.polygons import left_out_surface, triangulate, triangulate_strips
 
 ABOUT = "coordinates about"  # tag of the comment line with the origin that is added to all coordinates
-_MAX_END_BYTES = 1 << 16  # after the vertices; more cannot be the line break that some programs write
 _NORMAL_BLOCK = 1 << 16  # vertices
 
 
@@ -41,9 +40,15 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
     fields = read_ply_vertices(path, warn)
     with path.open("rb") as file:
-        surface = read_header(file).surface
-    if surface:
-        warn(left_out_surface(len(fields["points"]), surface[0].count_text()))
+        header = read_header(file)
+        unknown = [e for e in header.elements if e.lists and e.count and e.name != "vertex" and e not in header.surface]
+    if header.surface:
+        warn(left_out_surface(len(fields["points"]), header.surface[0].count_text()))
+    elif unknown:
+        warn(
+            f"left out {unknown[0].count_text()} with lists of numbers: if they are a surface, name the element 'face'"
+            " and its list 'vertex_indices'"
+        )
     return fields
 
 
@@ -64,7 +69,7 @@ def read_ply_vertices(path: Path, warn: Warn) -> Fields:
     with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
         header = read_header(file)
         check_vertices(header)
-        columns = read_elements(file, header, scalars=("vertex",))["vertex"].columns
+        columns = read_elements(file, header, warn, scalars=("vertex",))["vertex"].columns
         return _fields(columns, header, warn)
 
 
@@ -88,7 +93,7 @@ class PlyRows:
         return (self.header.element("vertex") or Element("vertex", 0)).count
 
 
-def find_rows(path: Path) -> PlyRows | None:
+def find_rows(path: Path, warn: Warn) -> PlyRows | None:
     """Return the vertices of a file from its header, or None if they cannot be read in parts.
 
     They can if they are binary rows of one size, and their colours are bytes: the scale of others depends on all rows.
@@ -118,7 +123,8 @@ def find_rows(path: Path) -> PlyRows | None:
         if element is not header.elements[-1]:
             return None  # other elements are checked by reading all of them
         file.seek(start + element.count * dtype.itemsize)
-        check_end(file.read(_MAX_END_BYTES), left - element.count * dtype.itemsize)
+        rest = file.read(MAX_PADDING)
+        check_end(rest, left - element.count * dtype.itemsize, dtype.itemsize, "the last element", warn)
     return PlyRows(header, start, dtype)
 
 
@@ -192,7 +198,7 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
         check_vertices(header)
         check_faces(header)
         names = [element.name for element in header.surface]
-        tables = read_elements(file, header, scalars=("vertex",), polygons=names)
+        tables = read_elements(file, header, warn, scalars=("vertex",), polygons=names)
         points = _points(tables["vertex"].columns, header)
     faces = [np.empty((0, 3), dtype=np.int64)]
     for name in names:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
-from pcbench.io.files import read_rest
+from pcbench.io.files import MAX_PADDING, Warn, check_end, read_rest
 from pcbench.io.names import XYZ, Columns
 from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, Property, excerpt
 
@@ -39,7 +39,7 @@ class _Selection(NamedTuple):
 
 
 def read_elements(
-    file: BinaryIO, header: PlyHeader, *, scalars: Collection[str], polygons: Collection[str] = ()
+    file: BinaryIO, header: PlyHeader, warn: Warn, *, scalars: Collection[str], polygons: Collection[str] = ()
 ) -> dict[str, Table]:
     """Read the elements of a file by name, from its body. Elements that are not requested are only checked for size.
 
@@ -49,6 +49,7 @@ def read_elements(
     Args:
         file: input file at the position after `read_header`.
         header: its header.
+        warn: callback for warnings.
         scalars: names of the elements whose scalar properties are returned.
         polygons: names of the elements whose list of vertex indices (`Element.polygon`) is returned.
 
@@ -62,9 +63,9 @@ def read_elements(
         for element in header.elements
     }
     return (
-        _ascii_tables(body.tobytes(), header, selection)
+        _ascii_tables(body.tobytes(), header, selection, warn)
         if header.byte_order is None
-        else _tables(body, header, selection)
+        else _tables(body, header, selection, warn)
     )
 
 
@@ -79,27 +80,16 @@ def _polygons(lengths: NDArray[np.int64], numbers: NDArray[Any]) -> Polygons:
 # ---- binary -------------------------------------------------------------------------------------------------------
 
 
-def _tables(body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Selection]) -> dict[str, Table]:
+def _tables(
+    body: NDArray[np.uint8], header: PlyHeader, selection: dict[str, _Selection], warn: Warn
+) -> dict[str, Table]:
     tables: dict[str, Table] = {}
     start = 0
     for element in header.elements:
         tables[element.name], start = _table(body, start, element, selection[element.name])
-    check_end(bytes(body[start:]), len(body) - start)
+    rest = body[start : start + MAX_PADDING].tobytes()
+    check_end(rest, len(body) - start, header.elements[-1].least_bytes, "the last element", warn)
     return tables
-
-
-def check_end(rest: bytes, size: int) -> None:
-    """Raise InputError if there is more after the last element than the line break that some programs write.
-
-    Args:
-        rest: the bytes after the last element, or the first of them.
-        size: number of bytes after the last element.
-    """
-    if rest.strip() or size > len(rest):
-        raise InputError(
-            f"expected the end of the file after the last element, got {size} more byte{'s' * (size > 1)}: export it"
-            " again"
-        )
 
 
 def _table(body: NDArray[np.uint8], start: int, element: Element, selection: _Selection) -> tuple[Table, int]:
@@ -222,7 +212,7 @@ def _gather(body: NDArray[np.uint8], offsets: NDArray[np.int64], dtype: np.dtype
 # ---- ascii --------------------------------------------------------------------------------------------------------
 
 
-def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selection]) -> dict[str, Table]:
+def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selection], warn: Warn) -> dict[str, Table]:
     lines = [line for line in text.splitlines() if line.strip()]
     tables: dict[str, Table] = {}
     start = 0
@@ -234,10 +224,8 @@ def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selectio
             raise element.truncation_error(len(rows))
         start += len(rows)
         tables[element.name] = _ascii_table(rows, element, selection[element.name])
-    if start < len(lines):
-        raise InputError(
-            f"expected the end of the file after the last element, got {len(lines) - start} more lines: export it again"
-        )
+    rest = b"\n".join(lines[start:])
+    check_end(rest[:MAX_PADDING], len(rest), header.elements[-1].least_characters, "the last element", warn)
     return tables
 
 

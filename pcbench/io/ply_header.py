@@ -78,6 +78,17 @@ class Element:
         return next((prop for prop in self.lists if prop.name in _POLYGONS), None)
 
     @property
+    def least_bytes(self) -> int:
+        """Bytes of the smallest row, with three corners in each list."""
+        lists = sum(prop.length.itemsize + 3 * prop.dtype.itemsize for prop in self.properties if prop.length)
+        return sum(prop.dtype.itemsize for prop in self.scalars) + lists
+
+    @property
+    def least_characters(self) -> int:
+        """Characters of the shortest row of an ascii file: one for each number, and the spaces between them."""
+        return 2 * (len(self.scalars) + 4 * len(self.lists)) - 1
+
+    @property
     def is_grid(self) -> bool:
         """Whether the element is the grid of a range scan, which arranges its points."""
         return "grid" in self.name.lower()

@@ -41,7 +41,9 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
     is_ascii = data[:512].lstrip()[:5].lower() == b"solid"
     if len(data) >= 84 and (extra == 0 or (extra > 0 and count and not (is_ascii and b"facet" in data[:1024].lower()))):
         if extra:
-            warn(f"left out {extra} bytes after the last of {count} triangles")
+            more = extra // _FACET_RECORD.itemsize if data[-extra:].strip(b"\0") else 0
+            fit = f", where {more} more would fit" if more else ""
+            warn(f"left out {extra} bytes after the last of {count} triangles{fit}")
         corners = np.frombuffer(data, _FACET_RECORD, count, 84)["corners"].astype(np.float64)
     elif is_ascii:
         corners = _ascii_stl(data)
@@ -60,6 +62,7 @@ def read_stl(path: Path, warn: Warn) -> Mesh:
 
 def _ascii_stl(data: bytes) -> FloatArray:
     """Parse the corners (F, 3, 3) of an ascii file as a table, since each facet has the same 21 words."""
+    data = data.rstrip(b"\0\x1a")
     if b"endsolid" not in data[-512:].lower():
         raise InputError("truncated: expected 'endsolid' at the end of an ascii STL file: copy or export it again")
     words = re.sub(rb"(?im)^[ \t]*(end)?solid\b.*$", b"", data).split()

@@ -11,7 +11,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.ascii_grid import is_ascii_grid, read_ascii_grid
-from pcbench.io.files import Fields, Warn, atomic_write
+from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -23,7 +23,7 @@ from pcbench.io.names import (
     take_points,
     unnamed_columns,
 )
-from pcbench.io.text_layout import NUMBER, Layout, content, excerpt, find_layout, split
+from pcbench.io.text_layout import NUMBER, TableLayout, content, excerpt, find_layout
 
 _ROWS_PER_WRITE = 1 << 16
 _MIN_ID_ROWS = 3  # for a column that counts by one
@@ -45,9 +45,11 @@ def read_text(path: Path, warn: Warn) -> Fields:
         InputError: a line is malformed or has another number of values than the first. The message gives its number.
         OSError: the file cannot be read.
     """
-    data = path.read_bytes()
+    stored = path.read_bytes()
+    data = stored.rstrip(b"\0\x1a")
     if b"\0" in data:
         raise InputError("expected text, got NUL bytes (a binary file or UTF-16): save it as UTF-8")
+    check_end(stored[len(data) :][:MAX_PADDING], len(stored) - len(data), 1, "the last line", warn)
     lines = data.decode("utf-8-sig", errors="replace").splitlines()
     if is_ascii_grid(lines):
         return read_ascii_grid(lines, warn)
@@ -70,7 +72,7 @@ def read_text(path: Path, warn: Warn) -> Fields:
 # ---- columns without names ----------------------------------------------------------------------------------------
 
 
-def _column_names(table: FloatArray, layout: Layout, is_pts: bool, warn: Warn) -> list[str]:
+def _column_names(table: FloatArray, layout: TableLayout, is_pts: bool, warn: Warn) -> list[str]:
     """Return the names of the columns: those of the header, or names by number of columns and values."""
     width = table.shape[1]
     if layout.names is not None and len(layout.names) == width:
@@ -142,7 +144,7 @@ def _are_whole(values: FloatArray) -> bool:
 # ---- numbers ------------------------------------------------------------------------------------------------------
 
 
-def _read_blocks(lines: list[str], layout: Layout, warn: Warn) -> tuple[FloatArray, NDArray[np.int32] | None]:
+def _read_blocks(lines: list[str], layout: TableLayout, warn: Warn) -> tuple[FloatArray, NDArray[np.int32] | None]:
     """Return all numbers (N, columns), and the block of each row if the file has several that start with a count."""
     if layout.points is None:
         return _table(lines, layout.first, len(lines), layout, warn), None
@@ -170,7 +172,7 @@ def _read_blocks(lines: list[str], layout: Layout, warn: Warn) -> tuple[FloatArr
     return np.concatenate(tables), scans
 
 
-def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -> FloatArray:
+def _table(lines: list[str], start: int, end: int, layout: TableLayout, warn: Warn) -> FloatArray:
     """Parse the numbers of some lines, (N, columns)."""
     body = lines[start:end]
     first = next((line for line in body if content(line)), None)
@@ -188,7 +190,9 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
     for number, line in enumerate(lines[start:end], start + 1):
         if not (plain := layout.plain(line)):
             continue
-        words = split(plain, layout.delimiter)
+        words = [word.strip() for word in plain.split(layout.delimiter)]
+        if len(words) == layout.width + 1 and not words[-1]:
+            words.pop()  # after a delimiter at the end of this line
         gaps = [k for k, word in enumerate(words) if not word and not _is_coordinate(k, layout)]
         for k in gaps:
             words[k] = "nan"
@@ -202,11 +206,11 @@ def _table(lines: list[str], start: int, end: int, layout: Layout, warn: Warn) -
         rows.append([float(word) for word in words])
         empty += len(gaps)
     if empty:
-        warn(f"{empty} empty values of attributes are read as NaN")
+        warn(f"read {empty} empty value{'s' * (empty > 1)} of attributes as NaN")
     return np.array(rows, dtype=np.float64)
 
 
-def _is_coordinate(column: int, layout: Layout) -> bool:
+def _is_coordinate(column: int, layout: TableLayout) -> bool:
     names = layout.names
     return column < 4 if names is None or len(names) != layout.width else names[column] in XYZ
 
@@ -231,7 +235,7 @@ def write_text(path: Path, cloud: Cloud, warn: Warn) -> None:
     if cloud.normals is not None:
         columns |= dict(zip(NORMALS, cloud.normals.T, strict=True))
     attributes = stored_attributes(
-        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"[^\w!-~]|[,;#\"'%]|//"
+        cloud.attributes, "text", warn, reserved=set(columns), forbidden=r"^[=+@-]|[^\w!-~]|[,;#\"'%]|//"
     )
     for name, values in attributes.items():
         columns[name] = values.astype(np.uint8) if values.dtype.kind == "b" else values

@@ -1,4 +1,4 @@
-"""Layout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
+"""TableLayout of a text table: delimiter, header, units, point count and notation of numbers, from its first lines."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _GEOGRAPHIC = {"longitude": "x", "lon": "x", "long": "x", "latitude": "y", "lat"
 _WGS84 = "EPSG:4326"
 
 
-class Layout(NamedTuple):
-    """Layout of a file.
+class TableLayout(NamedTuple):
+    """TableLayout of a file.
 
     Attributes:
         first: index of the first line of numbers.
@@ -37,6 +37,7 @@ class Layout(NamedTuple):
         crs: coordinate reference system, if the file states it.
         unit: unit of the coordinates, if the file states it.
         decimal_comma: whether commas are decimal points.
+        ends_with_delimiter: whether a delimiter follows the last value of a line.
         warnings: lines on what is unusual.
     """
 
@@ -48,26 +49,27 @@ class Layout(NamedTuple):
     crs: str | None
     unit: str | None
     decimal_comma: bool
+    ends_with_delimiter: bool
     warnings: tuple[str, ...]
 
     def plain(self, line: str) -> str:
         """Return a line of numbers without comment, quotes and trailing delimiter, in Python's notation."""
         text = content(line).replace('"', "")
-        if self.delimiter is not None:
+        if self.delimiter is not None and self.ends_with_delimiter:
             text = text.removesuffix(self.delimiter)
         if self.decimal_comma:
             text = text.replace(",", ".")
         return text.replace("D", "e").replace("d", "e")
 
 
-class _Header(NamedTuple):
+class _TableHeader(NamedTuple):
     names: list[str]
     unit: str | None
     crs: str | None
     warnings: list[str]
 
 
-def find_layout(lines: list[str]) -> Layout:
+def find_layout(lines: list[str]) -> TableLayout:
     """Detect the layout from the comments, header, units and count before the first line of numbers.
 
     Raises:
@@ -81,7 +83,7 @@ def find_layout(lines: list[str]) -> Layout:
     tags: dict[str, str] = {}
     for index, line in enumerate(lines):
         text = line.strip()
-        numbers = content(text)
+        numbers = content(line)
         if not numbers:
             remark = text.lstrip("#/%; \t")
             tag, _, value = remark.partition(" ")
@@ -91,9 +93,11 @@ def find_layout(lines: list[str]) -> Layout:
                 comment = remark
             continue
         delimiter = find_delimiter(numbers)
+        if delimiter is None and header is not None and _are_tabbed(header[1], numbers):
+            delimiter = "\t"
         words = split(numbers, delimiter)
         if all(not word or _is_number(word, delimiter) for word in words) and any(words):
-            if len(words) == 1 and count is None and numbers.isdigit() and len(numbers) < 19:
+            if len(words) == 1 and count is None and numbers.strip().isdigit() and len(numbers) < 19:
                 count = int(numbers)
                 continue
             if len(words) < 3:
@@ -110,18 +114,23 @@ def find_layout(lines: list[str]) -> Layout:
         raise InputError(f"expected lines of numbers, got none in {len(lines)} lines: export the file again")
 
     warnings: list[str] = []
+    ends_with_delimiter = numbers.endswith(delimiter or "\n")
+    named = _words_of(header[1] if header else comment or "")
+    if ends_with_delimiter and len(named) == len(words) + 1:  # the last value is empty
+        ends_with_delimiter = False
+        words.append("")
     if header is not None:
-        found: _Header | None = _read_header(*header, len(words), units)
+        found: _TableHeader | None = _read_header(*header, len(words), units)
     else:
         found = _read_comment(comment, len(words), warnings)
-    if numbers.endswith(delimiter or "\n"):
+    if ends_with_delimiter:
         warnings.append("left out the empty column after the delimiter at the end of each line")
     decimal_comma = delimiter != "," and _has_decimal_commas(lines[index:], delimiter)
     if decimal_comma:
         warnings.append("commas are read as decimal points")
     if delimiter == "," and '"' in numbers and any(map(_has_quoted_comma, lines[index:])):
         raise InputError(f"line {index + 1}: expected numbers without commas, got {excerpt(text)}: remove the commas")
-    return Layout(
+    return TableLayout(
         first=index,
         delimiter=delimiter,
         width=len(words),
@@ -130,16 +139,17 @@ def find_layout(lines: list[str]) -> Layout:
         crs=tags.get("crs") or (found and found.crs),
         unit=tags.get("unit") or (found and found.unit),
         decimal_comma=decimal_comma,
+        ends_with_delimiter=ends_with_delimiter,
         warnings=(*(found.warnings if found else ()), *warnings),
     )
 
 
 def content(line: str) -> str:
-    """Return a line without its comment."""
+    """Return a line without its comment; tabs at its end stay, since they may delimit an empty value."""
     for mark in _COMMENTS:
         line = line.partition(mark)[0]
-    line = line.strip()
-    return "" if line.startswith(_COMMENT_LINES) else line
+    line = line.lstrip()
+    return "" if line.startswith(_COMMENT_LINES) else line.rstrip(" \r\n\xa0")
 
 
 def find_delimiter(text: str) -> str | None:
@@ -153,6 +163,14 @@ def find_delimiter(text: str) -> str | None:
     # Tabs separate names with blanks, and empty values.
     tabs = text.split("\t")
     return "\t" if len(tabs) >= 3 and len(tabs) != len(blanks) and not all(map(NUMBER.fullmatch, blanks)) else None
+
+
+def _are_tabbed(header: str, row: str) -> bool:
+    """Return whether tabs divide a row of numbers, some of which may be empty, as they divide the header."""
+    words = row.split("\t")
+    return len(words) == header.count("\t") + 1 >= 3 and all(
+        not w.strip() or _is_number(w.strip(), None) for w in words
+    )
 
 
 def split(text: str, delimiter: str | None) -> list[str]:
@@ -230,7 +248,7 @@ def _has_xyz(text: str) -> bool:
     return set(XYZ) <= set(standard_names(list(dict.fromkeys(names))))
 
 
-def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _Header:
+def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _TableHeader:
     """Return the names of the columns, in which repeated names are numbered, and what they say of the coordinates.
 
     Raises:
@@ -258,7 +276,7 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _He
         )
     warnings = []
     if repeated := len(set(unique) - set(names)):
-        warnings.append(f"{repeated} column names are not unique: numbered the later ones")
+        warnings.append(f"numbered {repeated} repeated column name{'s' * (repeated > 1)}")
     stated = {(units_row or units)[known.index(axis)].strip("[]()") for axis in XYZ}
     if is_geographic := any(
         word.lower() in _GEOGRAPHIC and known[at] in XYZ
@@ -271,10 +289,10 @@ def _read_header(index: int, text: str, width: int, units_row: list[str]) -> _He
             " one unit"
         )
     unit = next(iter(stated)) if len(stated) == 1 and not is_geographic else ""
-    return _Header(known, unit or None, _WGS84 if is_geographic else None, warnings)
+    return _TableHeader(known, unit or None, _WGS84 if is_geographic else None, warnings)
 
 
-def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _Header | None:
+def _read_comment(comment: str | None, width: int, warnings: list[str]) -> _TableHeader | None:
     """Return the header in a comment, or None if it does not fit the columns."""
     names = _words_of(comment) if comment else []
     try:

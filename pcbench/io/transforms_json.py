@@ -87,8 +87,8 @@ def read_transforms(
         raise InputError(f"{path}: expected at least one frame, got none: export it again")
     if not cameras:
         raise InputError(
-            f"{path}: expected frames with w and h, or of these images; got neither, such as {names[0]!r}: use the"
-            " images of these cameras"
+            f"{path}: expected frames with w and h, or their images; got neither, for example for"
+            f" {names[0]!r}: use the images of these cameras"
         )
     if without_size:
         warn(

@@ -109,7 +109,7 @@ def from_candidate(
     matches: Matches,
     *,
     seed: int,
-    stored: PlacedQuantisation | None = None,
+    rounding: PlacedQuantisation | None = None,
 ) -> Direction:
     """Measure the direction candidate → reference.
 
@@ -118,7 +118,7 @@ def from_candidate(
         queries: (M, 3) points of the aligned candidate.
         matches: their closest points of the reference.
         seed: random seed of the sample, if distances to planes are sampled.
-        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
+        rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     distances, closest = matches
 
@@ -128,7 +128,7 @@ def from_candidate(
         return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
 
     planes = _to_planes(reference, distances, measure, seed)
-    floor = _means(floors.to_reference(reference, queries, stored))
+    floor = _means(floors.to_reference(reference, queries, rounding))
     return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
 
@@ -140,7 +140,7 @@ def from_reference(
     *,
     forth: Direction,
     seed: int,
-    stored: PlacedQuantisation | None = None,
+    rounding: PlacedQuantisation | None = None,
 ) -> Direction:
     """Measure the direction reference → candidate.
 
@@ -151,7 +151,7 @@ def from_reference(
         back: closest candidate points of the reference's measured points.
         forth: the other direction; its plane distances and their floor estimate the candidate's errors.
         seed: random seed of the floor's sample, and of that of the distances to planes.
-        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
+        rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     measured, queries = reference.rows, reference.measured_points
 
@@ -168,7 +168,7 @@ def from_reference(
     error = 0.0
     if (squares := forth.distances.plane_squares) is not None:
         error = _error_share(float(np.mean(squares)), forth.floors["d2_mse"])
-    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed, stored))
+    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed, rounding))
     return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 

@@ -26,38 +26,41 @@ _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean 
 _PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
 _MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise changes the order
 _MIN_VARIANCE_SHARE = 0.1  # of the largest rounding along a normal, for points whose distance from planes shows it
-_MAX_STEP_OF_DUPLICATES = 0.1  # in spacings: with larger steps, points coincide by rounding
 # Reference points kept per point of a sparse candidate: some neighbour is then at a similar distance.
 _THINNED_DENSITY_RATIO = 3
 
 
-def to_reference(reference: Reference, queries: FloatArray, stored: PlacedQuantisation | None) -> Distances | None:
+def to_reference(reference: Reference, queries: FloatArray, rounding: PlacedQuantisation | None) -> Distances | None:
     """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point.
 
     Args:
         reference: the prepared reference.
         queries: (M, 3) points of the aligned candidate.
-        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
+        rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     if len(reference.points) < 2:
         return None
     sampling = reference.surface.sampling
     rows = _proxies(reference.index, sampling, queries[_even_sample(len(queries))])
     places, others = reference.points[rows], _neighbors(reference.index, sampling, rows)
-    if stored is not None:
+    if rounding is not None:
         normals = reference.surface.compute_normals(rows)[rows] if reference.has_normals else None
         around = reference.points[others].mean(axis=1)
-        places = _stored_anew(places, around, normals, reference.lattice, stored, reference.seed)
+        places = _stored_anew(places, around, normals, reference.rounding, rounding, reference.seed)
         others = _others_near(reference.index, sampling, places, rows)
     separations = np.linalg.norm(reference.points[others] - places[:, None], axis=2)
-    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
+    is_coarse = rounding is not None and reference.rounding.is_coarse(reference.spacing)
+    nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     planes = None
     if reference.has_normals:
         closest = _take_per_row(others, nearest)
         normals = _leave_one_out_normals(reference, closest, _normal_neighborhoods(reference, closest), rows)
         planes = plane_distances(places, reference.points, normals, closest_rows=closest)
-    if sampling.has_lines:
-        return Distances(_distances_between_lines(reference.index, rows), planes)
+    if sampling.has_lines and not is_coarse:
+        distances, shares, gaps = _distances_between_lines(reference.index, rows, reference.seed)
+        if planes is not None:
+            planes = np.hypot(planes, _offsets_between_lines(reference, rows, gaps) * np.square(shares))
+        return Distances(distances, planes)
     return Distances(_take_per_row(separations, nearest), planes)
 
 
@@ -67,7 +70,7 @@ def to_candidate(
     matches: IntArray,
     error: float,
     seed: int,
-    stored: PlacedQuantisation | None,
+    rounding: PlacedQuantisation | None,
 ) -> Distances | None:
     """Distances of the reference's points to an error-free cloud with the local density of the candidate.
 
@@ -78,7 +81,7 @@ def to_candidate(
         error: share, 0 to 1, of the candidate's distances to tangent planes that is error. It is removed, because noise
             would make the candidate look sparse. Distances that are caused by edges must stay.
         seed: random seed for sampling the reference.
-        stored: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
+        rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     if len(candidate) < 2:
         return None
@@ -88,28 +91,24 @@ def to_candidate(
     proxies = _proxies(candidate, sampling, reference.points[rows])
     others = _neighbors(candidate, sampling, proxies)
     places = _shrink_to_surface(reference, candidate, proxies[:, None], matches, error)[:, 0]
-    if stored is not None:
+    if rounding is not None:
         normals = None
         if reference.has_normals:
             at = np.maximum(matches[proxies], 0)
             normals = reference.surface.compute_normals(at)[at]
         around = _shrink_to_surface(reference, candidate, others, matches, error).mean(axis=1)
-        places = _stored_anew(places, around, normals, stored, reference.lattice, seed)
+        places = _stored_anew(places, around, normals, rounding, reference.rounding, seed)
         others = _others_near(candidate, sampling, places, proxies)
     positions = _shrink_to_surface(reference, candidate, others, matches, error)
     separations = np.linalg.norm(positions - places[:, None], axis=2)
-    nearest = _nearest(separations, sampling, keep_coincident=stored is not None and _is_coarse(reference))
+    is_coarse = rounding is not None and reference.rounding.is_coarse(reference.spacing)
+    nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     distances = _take_per_row(separations, nearest)
-    if sampling.has_lines:
-        distances = _distances_between_lines(candidate, proxies)
+    if sampling.has_lines and not (rounding is not None and rounding.is_coarse(sampling.spacing)):
+        distances = _distances_between_lines(candidate, proxies, seed)[0]
     if not reference.has_normals:
         return Distances(distances, None)
-    return Distances(distances, _plane_offsets(reference, rows, distances, seed, stored))
-
-
-def _is_coarse(reference: Reference) -> bool:
-    """Return whether points coincide because they are rounded, and not because a file holds them twice."""
-    return reference.lattice.lattice.coarsest > _MAX_STEP_OF_DUPLICATES * reference.spacing
+    return Distances(distances, _plane_offsets(reference, rows, distances, seed, rounding))
 
 
 def _others_near(index: Index, sampling: Sampling, places: FloatArray, rows: IntArray) -> IntArray:
@@ -125,7 +124,7 @@ def _stored_anew(
     places: FloatArray,
     around: FloatArray,
     normals: FloatArray | None,
-    lattice: PlacedQuantisation,
+    own: PlacedQuantisation,
     other: PlacedQuantisation,
     seed: int,
 ) -> FloatArray:
@@ -139,12 +138,12 @@ def _stored_anew(
         places: (M, 3) points.
         around: (M, 3) means of their neighbours.
         normals: (M, 3) unit normals; None: there are too few points for normals.
-        lattice: how the points are rounded.
+        own: how the points are rounded.
         other: how the other cloud is rounded.
         seed: random seed of the places in the cells.
     """
     if normals is not None:
-        variances = lattice.normal_variances(normals)
+        variances = own.normal_variances(normals)
         off = np.einsum("ni,ni->n", places - around, normals)
         is_rounded = variances > _MIN_VARIANCE_SHARE * variances.max()
         if is_rounded.any() and (typical := float(np.median(np.square(off[is_rounded])))) > 0:
@@ -152,7 +151,7 @@ def _stored_anew(
             explained = min(1.0, 0.75 * float(np.median(variances[is_rounded])) / typical)
             removed = np.where(is_rounded, (1 - np.sqrt(1 - explained)) * off, 0.0)
             places = places - removed[:, None] * normals
-    return other.rounded(lattice.moved_in_cells(places, normals, seed))
+    return other.rounded(own.moved_in_cells(places, normals, seed))
 
 
 def _even_sample(count: int) -> IntArray:
@@ -180,14 +179,27 @@ def _nearest(separations: FloatArray, sampling: Sampling, *, keep_coincident: bo
     return which
 
 
-def _distances_between_lines(index: Index, rows: IntArray) -> FloatArray:
+def _distances_between_lines(index: Index, rows: IntArray, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return distances (M,) to the nearest point from random places between the scan lines at the given rows (M,).
 
-    The points of a line are not independent of each other: a point that is left out has neighbours along its line.
+    The points of a line are not independent of each other: a point that is left out has neighbours along its line. The
+    places, as shares (M,) of the gaps, and the gaps (M, 3) themselves are also returned.
     """
     points = index.points[rows]
-    across = np.random.default_rng(0).uniform(-0.5, 0.5, (len(rows), 1))
-    return index.query(points + across * line_gaps(index, points)).distances
+    gaps, shares = line_gaps(index, points), np.random.default_rng(seed).uniform(-0.5, 0.5, len(rows))
+    return index.query(points + shares[:, None] * gaps).distances, shares, gaps
+
+
+def _offsets_between_lines(reference: Reference, rows: IntArray, gaps: FloatArray) -> FloatArray:
+    """Return distances (M,) of the next scan line to the planes at `rows` (M,), across gaps (M, 3).
+
+    In between, a curved surface leaves the plane with the square of the distance.
+    """
+    points = reference.points[rows]
+    found = reference.index.query(points + gaps).indices
+    normals = reference.surface.normals(rows)
+    offsets: FloatArray = np.einsum("ni,ni->n", reference.points[found] - points, normals)
+    return offsets
 
 
 def _take_per_row(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
@@ -211,7 +223,7 @@ def _shrink_to_surface(
 
 
 def _plane_offsets(
-    reference: Reference, rows: IntArray, distances: FloatArray, seed: int, stored: PlacedQuantisation | None
+    reference: Reference, rows: IntArray, distances: FloatArray, seed: int, rounding: PlacedQuantisation | None
 ) -> FloatArray:
     """Estimate how far the surface leaves the tangent planes at `rows` (M,), at the given distances (M,).
 
@@ -232,18 +244,18 @@ def _plane_offsets(
     which = np.abs(np.log(ratio)).argmin(axis=1)
     closest, found = _take_per_row(near, which), _take_per_row(separations, which)
     normals = _leave_one_out_normals(reference, rows, around, closest if index is reference.index else None)
-    neighbours, rounding = index.points[closest], 0.0
-    if stored is not None:
+    neighbours, variance = index.points[closest], 0.0
+    if rounding is not None:
         centers = points[around].mean(axis=1)
-        neighbours = _stored_anew(neighbours, centers, normals, reference.lattice, stored, seed)
-        rounding = float(np.mean(reference.lattice.normal_variances(normals) + stored.normal_variances(normals)))
+        neighbours = _stored_anew(neighbours, centers, normals, reference.rounding, rounding, seed)
+        variance = float(np.mean(reference.rounding.normal_variances(normals) + rounding.normal_variances(normals)))
     off = plane_distances(points, neighbours, normals, query_rows=rows)
     found = np.maximum(found, least)
     slope, curvature = _slope_and_curvature(np.square(off), np.square(found))
     wanted, there = (slope + curvature * np.square(lengths) for lengths in (distances, found))
     factors = np.square(distances / found) * wanted / there
-    if rounding > 0:  # it is as large at any distance
-        share = min(1.0, rounding / max(float(np.mean(np.square(off))), 1e-300))
+    if variance > 0:  # it is as large at any distance
+        share = min(1.0, variance / max(float(np.mean(np.square(off))), 1e-300))
         factors = (1 - share) * factors + share
     bridged: FloatArray = off * np.sqrt(factors)
     return bridged

@@ -39,7 +39,7 @@ class AlignedCandidate:
     index: Index
     inside: NDArray[np.bool_]
 
-    def lattice(self, reference: Reference) -> PlacedQuantisation | None:
+    def rounding(self, reference: Reference) -> PlacedQuantisation | None:
         """Return how the points are rounded and then moved; None if rounding is negligible in both clouds."""
         clouds, extent = (reference.cloud, self.cloud), reference.target.extent
         if all(cloud.quantisation.is_negligible(extent) for cloud in clouds):
@@ -98,15 +98,17 @@ def measure_directions(
     """Return the distances candidate → reference and reference → candidate, with their sampling floors."""
     points = aligned.index.points
     queries = points if reference.region is None else points[aligned.inside]
-    stored = aligned.lattice(reference)
-    forth = from_candidate(reference, queries, matched.forth, seed=seed, stored=stored)
+    rounding = aligned.rounding(reference)
+    forth = from_candidate(reference, queries, matched.forth, seed=seed, rounding=rounding)
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
-    return forth, from_reference(reference, aligned.index, closest, matched.back, forth=forth, seed=seed, stored=stored)
+    return forth, from_reference(
+        reference, aligned.index, closest, matched.back, forth=forth, seed=seed, rounding=rounding
+    )
 
 
 def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:
     """Assess deformation, with closest points found anew in the complete clouds."""
     ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(aligned.index), aligned.inside, aligned.cloud)
+    theirs = Side(Surface(aligned.index, is_even=False), aligned.inside, aligned.cloud)
     return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)

@@ -70,7 +70,7 @@ class Reference:
         region = as_region(settings.crop, cloud)
         region = None if region is None else region.shifted(origin)
         inside = points_inside(points, region, settings.crop, "the reference's", origin)
-        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals)
+        surface = Surface(Index(points), settings.normal_neighbors, cloud.normals, is_even=False)
         rows = None if region is None else np.flatnonzero(inside)
         is_sampled = len(surface) >= _MIN_SAMPLED_POINTS and not surface.is_complete
         tolerance = settings.tolerance if is_sampled else None
@@ -140,7 +140,7 @@ class Reference:
         return (points, np.arange(len(points))) if self.rows is None else (points[self.rows], self.rows)
 
     @property
-    def lattice(self) -> PlacedQuantisation:
+    def rounding(self) -> PlacedQuantisation:
         """How the points are rounded, in local coordinates."""
         return PlacedQuantisation(self.cloud.quantisation, Similarity(np.eye(3), -self.origin))
 

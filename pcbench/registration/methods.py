@@ -33,10 +33,11 @@ from pcbench.registration.mirrored import (
     mirrored_notice,
 )
 from pcbench.registration.mismatch import explain_failure, unit_warnings
-from pcbench.registration.quality import MAX_SPACINGS_ON_SURFACE, assess_given
+from pcbench.registration.quality import assess_given
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
 from pcbench.registration.rounding import step_warnings
+from pcbench.registration.sample_matches import MAX_SPACINGS_ON_SURFACE
 from pcbench.registration.target import Target, local_origin
 
 Method = IcpSettings | FeatureSettings | ControlPoints | GivenPose

@@ -23,6 +23,7 @@ _SAMPLE_SIZE = 1_000  # candidate points of the coarse registrations
 _MAX_ITERATIONS = 20
 _MIN_OVERLAP = 0.5  # of the reflected candidate with the reference
 _MAX_OFF_SURFACE_RATIO = 0.3  # off-surface share of the reflected candidate over that of the candidate
+_MAX_DISTANCE_RATIO = 0.85  # coarse distance of the reflected candidate over that of the candidate
 _HARMLESS = frozenset((BLURRED, WEAKLY_OBSERVABLE))  # warnings of a reflected candidate that fits
 
 
@@ -57,31 +58,35 @@ def find_reflection(
         with_scale: whether the scale is solved for.
         off_surface: share of the candidate's points near the reference that do not lie on it, at its own pose.
     """
-    if not target.coarse_side > 0:  # a reference without an extent
+    if not target.coarse_side > 0 or len(target.coarse) < 3:  # a reference without an extent, or without a surface
         return None
     settings = IcpSettings(with_scale=with_scale, max_sample=_SAMPLE_SIZE, max_iterations=_MAX_ITERATIONS)
     sample = random_rows(points, _SAMPLE_SIZE)
-    center = target.surface.points.mean(axis=0)
-    fits: list[tuple[float, str, Similarity]] = []
-    for axes in REFLECTIONS:
-        reflected = _reflect(sample, axes, origin)
-        # A frame is mirrored about its origin, or a cloud about its own centre.
-        for shift in (np.zeros(3), center - reflected.mean(axis=0)):
-            try:
-                pose = refine_coarsely(target, reflected + shift, settings, Similarity.identity())
-            except RegistrationError:
-                continue
-            pose = pose @ Similarity(np.eye(3), shift)
-            distances = target.coarse.index.query(pose.apply(reflected)).distances
-            fits.append((float(np.minimum(distances, target.coarse_side).mean()), axes, pose))
-    if not fits:
+    fits = [(*_coarse_fit(target, _reflect(sample, axes, origin), settings), axes) for axes in REFLECTIONS]
+    distance, pose, axes = min(fits, key=lambda fit: fit[0])
+    # A symmetric scene fits its mirror image as well as itself.
+    if not distance <= _MAX_DISTANCE_RATIO * _coarse_fit(target, sample, settings)[0]:
         return None
-    _, axes, pose = min(fits, key=lambda fit: fit[0])
     try:
         quality = align(target, _reflect(points, axes, origin), IcpSettings(with_scale=with_scale), pose).quality
     except RegistrationError:
         return None
     return axes if _fits(quality, off_surface) else None
+
+
+def _coarse_fit(target: Target, points: FloatArray, settings: IcpSettings) -> tuple[float, Similarity]:
+    """Return the mean distance (at most the coarse side) that ICP leaves, and its pose; inf if nothing overlaps."""
+    fits = [(np.inf, Similarity.identity())]
+    # A frame is mirrored about its origin, or a cloud about its own centre.
+    for shift in (np.zeros(3), target.surface.points.mean(axis=0) - points.mean(axis=0)):
+        try:
+            pose = refine_coarsely(target, points + shift, settings, Similarity.identity())
+        except RegistrationError:
+            continue
+        pose = pose @ Similarity(np.eye(3), shift)
+        distances = target.coarse.index.query(pose.apply(points)).distances
+        fits.append((float(np.minimum(distances, target.coarse_side).mean()), pose))
+    return min(fits, key=lambda fit: fit[0])
 
 
 def fits_mirrored_from_any_pose(

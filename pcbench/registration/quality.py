@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds, random_rows
-from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.sampling import line_gaps
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.registration.advice import align_coarsely
@@ -36,19 +34,21 @@ from pcbench.registration.result import (
     OFF_SURFACE,
     WEAKLY_OBSERVABLE,
 )
-from pcbench.registration.target import MIN_EXTENT, Target
+from pcbench.registration.sample_matches import (
+    MAX_SPACINGS_ON_SURFACE,
+    NEAR_EXTENT_SHARE,
+    SampleMatches,
+    match_sample,
+)
+from pcbench.registration.target import Target
 from pcbench.registration.turns import closest_turned_pose
 from pcbench.registration.unmatched import MAX_UNMATCHED_SHARE, unmatched_share
 from pcbench.registration.weighted_pairs import MIN_POINTS, WeightedPairs, weigh
 
-MAX_SPACINGS_ON_SURFACE = 5  # a candidate point within this many reference spacings lies on the reference
 MAX_OFF_SURFACE_SHARE = 0.25  # share of near points off the reference's surface, above which other starts are tried
 
 _MAX_SAMPLE = 30_000  # candidate points for assessing a given pose
-_SPARSE_NEIGHBORS = 8  # 99.9 % of random places of a surface are nearer to a point than its 8th neighbour
-_LINE_GAP_SHARE = 0.75  # points between two lines are nearer to one of them than half the gap, which varies
 _NOISE_SPACINGS = 3.0  # spacing of the thinned reference, in standard deviations of the candidate's noise
-_NEAR_EXTENT_SHARE = 0.05  # of the extent: within this distance a point may have a counterpart
 _MIN_OVERLAP = 0.3  # below it a warning is given
 _MIN_SENSITIVITY = 0.015  # see `Contrast.min_sensitivity`
 _FULL_OVERLAP = 0.95  # overlap above which no relevant part is left without a counterpart
@@ -110,7 +110,7 @@ def assess(
         with_scale: whether the scale is one of the motions that the geometry has to fix.
         hint: reference points last found closest to the sample, where the search starts.
     """
-    matched = _match(target, sample, T, hint)
+    matched = match_sample(target, sample, T, hint)
     on_surface, informing = _pairs_with_weight(matched.on_surface), _pairs_with_weight(matched.informing)
     if matched.on_surface is None or on_surface is None or informing is None:
         return _quality_from_distances(matched, with_scale=with_scale)
@@ -235,7 +235,7 @@ def _contrast_at_noise(
     surface = Surface(Index(surface.points[voxel_downsample(surface.points, side)]))
     moved = T.apply(random_sample)
     nearest = surface.index.query(moved)
-    max_near = max(_NEAR_EXTENT_SHARE * target.extent, MAX_SPACINGS_ON_SURFACE * surface.spacing)
+    max_near = max(NEAR_EXTENT_SHARE * target.extent, MAX_SPACINGS_ON_SURFACE * surface.spacing)
     found = contrast(
         surface,
         moved,
@@ -298,90 +298,6 @@ def assess_given(
     return Fit(T_local, quality)
 
 
-class _SampleMatches(NamedTuple):
-    """Correspondences of the candidate's sample of M points at one pose."""
-
-    target: Target
-    moved: FloatArray  # (M, 3) candidate points in the reference frame
-    nearest: Matches  # reference points closest to them
-    max_on_surface: float  # distance up to which a point lies on the reference, where its density is typical
-    sparse_reach: FloatArray  # (M,) the same where it is sparse
-    on_surface: WeightedPairs | None  # weighted up to that distance; None if the reference has no surface
-    informing: WeightedPairs | None  # weighted up to the distance that the fit may have used; None likewise
-
-    @property
-    def overlap(self) -> float:
-        """Share of the candidate that lies on the reference."""
-        return float(np.mean(self.nearest.distances <= np.maximum(self.max_on_surface, self.sparse_reach)))
-
-    @property
-    def max_near(self) -> float:
-        """Distance up to which a point may have a counterpart."""
-        return max(_NEAR_EXTENT_SHARE * self.target.extent, self.max_on_surface)
-
-    @property
-    def is_near(self) -> NDArray[np.bool_]:
-        """(M,) whether a point may have a counterpart.
-
-        Parts missing in the reference lie far from it; a wrong pose leaves points beside their counterparts.
-        """
-        near: NDArray[np.bool_] = self.nearest.distances <= self.max_near
-        return near
-
-    @property
-    def off_surface(self) -> float:
-        """Share of the points near the reference that do not lie on it.
-
-        Tangent planes bridge areas that the reference samples sparsely, such as the gaps between scan lines.
-        """
-        near = self.is_near
-        distances = self.nearest.distances if self.on_surface is None else np.abs(self.on_surface.residuals)
-        return 1 - float(np.mean((distances <= self.max_on_surface)[near])) if near.any() else 1.0
-
-    @property
-    def nearest_quarter(self) -> float:
-        """First quartile of the distances, so that partial overlap is not taken for a failure."""
-        return float(np.percentile(self.nearest.distances, 25))
-
-
-def _match(target: Target, sample: Index, T: Similarity, hint: IntArray | None) -> _SampleMatches:
-    """Match the sample at a pose with the reference, and weight the pairs for two maximum distances."""
-    surface, spacing = target.surface, target.spacing
-    moved, nearest = surface.index.nearest_of_moved(sample, T.matrix, hint)
-    distances = nearest.distances
-    # The same distance for all methods: if it followed the fit, a worse fit would count more points as overlap.
-    max_on_surface = MAX_SPACINGS_ON_SURFACE * spacing
-    if len(surface) < 3 or target.extent <= MIN_EXTENT:
-        return _SampleMatches(target, moved, nearest, max_on_surface, np.zeros(len(moved)), None, None)
-    # Observability uses all pairs that the fit may have used: if the density varies, these are farther apart.
-    reach = float(np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing))
-    on_surface, informing = (weigh(surface, moved, nearest, d, robust=True) for d in (max_on_surface, reach))
-    sparse_reach = _sparse_reach(target, nearest, max_on_surface)
-    return _SampleMatches(target, moved, nearest, max_on_surface, sparse_reach, on_surface, informing)
-
-
-def _sparse_reach(target: Target, nearest: Matches, max_on_surface: float) -> FloatArray:
-    """Return the distance (M,) up to which points lie on the reference where it is sparse; else 0.
-
-    It is the distance of an outer neighbour of the closest reference point, within which nearly all points of the
-    surface have a reference point. Between scan lines, it is most of the gap. An outlier, which has no neighbours, does
-    not reach farther than a point may have a counterpart.
-    """
-    reach = np.zeros(len(nearest.distances))
-    longest = _NEAR_EXTENT_SHARE * target.extent
-    unclear = np.flatnonzero((nearest.distances > max_on_surface) & (nearest.distances <= longest))
-    if len(unclear):
-        rows, of_point = np.unique(nearest.indices[unclear], return_inverse=True)
-        index, sampling = target.surface.index, target.surface.sampling
-        points = index.points[rows]
-        k = min(sampling.neighbors(1 + _SPARSE_NEIGHBORS), len(index))
-        reached = index.query(points, k).distances[:, -1]
-        if sampling.has_lines:
-            reached = np.maximum(reached, _LINE_GAP_SHARE * np.linalg.norm(line_gaps(index, points), axis=1))
-        reach[unclear] = np.minimum(reached, longest)[of_point]
-    return reach
-
-
 def _pairs_with_weight(pairs: WeightedPairs | None) -> WeightedPairs | None:
     """Return the pairs with positive weight; None if there are fewer than `MIN_POINTS`."""
     if pairs is None or np.count_nonzero(pairs.weights) < MIN_POINTS:
@@ -389,7 +305,7 @@ def _pairs_with_weight(pairs: WeightedPairs | None) -> WeightedPairs | None:
     return pairs.take(pairs.weights > 0)
 
 
-def _quality_from_distances(matched: _SampleMatches, *, with_scale: bool) -> Quality:
+def _quality_from_distances(matched: SampleMatches, *, with_scale: bool) -> Quality:
     """Return the quality of a pose with too few overlapping points, from distances alone."""
     return Quality(
         rmse=float(np.sqrt(np.mean(np.square(matched.nearest.distances)))),
@@ -410,7 +326,7 @@ def _weighted_rmse(pairs: WeightedPairs, *, plane: bool) -> float:
     return float(np.sqrt((pairs.weights * errors**2).sum() / pairs.weights.sum()))
 
 
-def _hovering_share(pairs: WeightedPairs, matched: _SampleMatches) -> float:
+def _hovering_share(pairs: WeightedPairs, matched: SampleMatches) -> float:
     """Return the share of the candidate near the reference that floats above or below its surface.
 
     Args:
@@ -419,12 +335,12 @@ def _hovering_share(pairs: WeightedPairs, matched: _SampleMatches) -> float:
     """
     min_distance = max(matched.max_on_surface, _MIN_SIGMAS_OFF * pairs.sigma)
     is_hovering = (pairs.distances > min_distance) & (np.abs(pairs.residuals) > _MIN_NORMAL_COSINE * pairs.distances)
-    is_near = pairs.distances <= max(_NEAR_EXTENT_SHARE * matched.target.extent, 2 * min_distance)
+    is_near = pairs.distances <= max(NEAR_EXTENT_SHARE * matched.target.extent, 2 * min_distance)
     return float(np.mean(is_hovering[is_near])) if is_near.any() else 0.0
 
 
 def _warnings(
-    matched: _SampleMatches,
+    matched: SampleMatches,
     observation: Observability,
     pose_contrast: Contrast | None,
     hovering: float,
@@ -456,11 +372,6 @@ def _warnings(
         )
         warnings.append(Notice(FAR_OFF, text))
     return tuple(warnings)
-
-
-def _mad(values: FloatArray) -> float:
-    """Return the robust standard deviation about zero: 1.4826 times the median absolute value."""
-    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def _format(point: FloatArray) -> str:

@@ -11,13 +11,15 @@ from pcbench.geometry.cloud import Cloud
 
 COARSE_STEP = "coarse-step"
 """Code of the warning that rounded coordinates contribute to the distances."""
-_MAX_SHARE = 0.1  # of the point spacing or the noise, which a step does not affect noticeably
+_MAX_SHARE = 0.1  # of the spacing that a step, and of the noise that the rounding error, may be without notice
+# Noise below this share of the spacing is rather the surface between the points, unless most of it is rounding.
+_MIN_NOISE_SHARE, _MOST = 0.03, 0.5
 
 
 def step_warnings(
     reference: Cloud, candidate: Cloud, *, scale: float, spacing: float, noise: float, extent: float, unit: str | None
 ) -> Iterator[Notice]:
-    """Yield warnings about clouds with coordinates in steps above a tenth of the spacing or the noise.
+    """Yield warnings about clouds whose steps exceed a tenth of the spacing, or whose rounding a tenth of the noise.
 
     Args:
         reference: the reference.
@@ -33,15 +35,19 @@ def step_warnings(
     for name, cloud, factor in (("reference", reference, 1.0), ("candidate", candidate, scale)):
         lattice = cloud.quantisation
         step = factor * lattice.coarsest
-        limits = (("the point spacing", spacing), ("the registration's residuals", noise))
-        exceeded = [f"{words} ({length:.3g}{unit_text})" for words, length in limits if step > _MAX_SHARE * length > 0]
+        moved = factor * float(np.sqrt(np.trace(lattice.covariance)))
+        limit = min(_MAX_SHARE * max(noise, _MIN_NOISE_SHARE * spacing), _MOST * noise)
+        exceeded = []
+        if step > _MAX_SHARE * spacing > 0:
+            exceeded.append(f"the point spacing ({spacing:.3g}{unit_text})")
+        if moved > limit > 0:
+            exceeded.append(f"the registration's residuals ({noise:.3g}{unit_text})")
         if lattice.is_negligible(extent / factor) or not exceeded:
             continue
         steps = ", ".join(f"{value:.3g}" for value in factor * lattice.steps)
-        moved = factor * float(np.sqrt(np.trace(lattice.covariance)))
         text = (
-            f"in steps of {steps}{unit_text}, which exceeds a tenth of {' and of '.join(exceeded)}: rounding moves"
-            f" points by {moved:.3g}{unit_text} RMS, which no registration removes; export again as float64, with a"
+            f"in steps of {steps}{unit_text}: rounding moves points by {moved:.3g}{unit_text} RMS, which is not small"
+            f" against {' and '.join(exceeded)}, and which no registration removes; export again as float64, with a"
             " finer scale or more decimals, or subtract a constant from the coordinates before they become float32"
         )
         owners.setdefault(text, []).append(name)

@@ -49,7 +49,8 @@ class Target:
             is_sampled: whether it was sampled.
         """
         origin = local_origin(reference) if origin is None else origin
-        target = cls(Surface(Index(reference.points - origin), given=reference.normals), is_sampled=is_sampled)
+        surface = Surface(Index(reference.points - origin), given=reference.normals, is_even=False)
+        target = cls(surface, is_sampled=is_sampled)
         target._checked_reference = reference
         return target
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from pcbench.errors import InputError
-from pcbench.regular_files import open_regular
+from pcbench.regular_files import sha256_of
 from pcbench.scratch import workspace_file
 
 
@@ -24,7 +24,7 @@ class TaskFile(NamedTuple):
     def is_unchanged(self) -> bool:
         """Return whether the file still has this content."""
         try:
-            return self.path.stat().st_size == self.size and _sha256(self.path) == self.sha256
+            return self.path.stat().st_size == self.size and sha256_of(self.path) == self.sha256
         except (OSError, InputError):  # it is missing, or no regular file any more
             return False
 
@@ -63,7 +63,7 @@ def record_file(path: Path) -> None:
     Raises:
         OSError: the file cannot be read.
     """
-    _record(TaskFile(path, path.stat().st_size, _sha256(path)))
+    _record(TaskFile(path, path.stat().st_size, sha256_of(path)))
 
 
 class HashingFile:
@@ -82,8 +82,3 @@ def _record(file: TaskFile) -> None:
     found = _written.get()
     if found is not None:
         found.append(file)
-
-
-def _sha256(path: Path) -> str:
-    with open_regular(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

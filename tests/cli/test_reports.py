@@ -37,7 +37,7 @@ def test_compare_prints_the_answer_and_leaves_a_folder(files, run):
     )
     matrix = read_matrix("report/a_T.txt").matrix
     np.testing.assert_array_equal(matrix, values["candidates"][0]["registration"]["T_reference_candidate"])
-    rows = list(csv.DictReader((files / "report/metrics.csv").open()))
+    rows = list(csv.DictReader((files / "report/metrics.csv").read_text().splitlines()))
     identity = ["candidate", "metric", "variant", "threshold", "direction"]
     assert list(rows[0]) == [*identity, "definition", "value", "unit", "ci_low", "ci_high"]
     assert len({tuple(r[key] for key in identity) for r in rows}) == len(rows)

@@ -48,7 +48,7 @@ CLOUDS = {  # file: what it holds beside points, and its attributes
     "pypcd4_binary.pcd": ("colors", set()),
     "pypcd4_binary_compressed.pcd": ("colors", set()),
     "trimesh.ply": ("colors", {"alpha"}),
-    "trimesh.xyz": ("colors", set()),
+    "trimesh.xyz": ("colors", {"alpha"}),
 }
 
 

@@ -206,8 +206,6 @@ DAMAGED_BODIES = {
     "truncated ascii faces": MESH_PLY["ascii"][:-9],
     "truncated unknown": ply("binary_big_endian", ("box", ["int a"], [(1,)]))[:-2].replace(
         b"end_header", b"element vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header"),
-    "trailing bytes": PLAIN_PLY["binary_little_endian"] + b"abc",
-    "trailing lines": PLAIN_PLY["ascii"] + b"1 2 3\n\n4 5 6\n",
     "negative list": NEGATIVE_LIST,
     "short line": ASCII_HEADER + b"end_header\n1 2 3\n4 5\n",
     "long lines": ASCII_HEADER + b"end_header\n1 2 3 4\n4 5 6 7\n",

@@ -101,7 +101,6 @@ DAMAGED_FILES = {
         "the last byte": model_bytes(9)[:-1],
         "absurd count": struct.pack("<Q", 2**64 - 1) + point_bytes(1, 0),
         "absurd track": HUGE_TRACK,
-        "trailing bytes": model_bytes(3) + b"abc",
     },
     "points3D.txt": {
         "nothing": b"# nothing\n",

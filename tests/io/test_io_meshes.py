@@ -1,6 +1,7 @@
 """Mesh files of all formats, hand-made or written by trimesh; damaged files give a one-line error."""
 
 import random
+import re
 import struct
 
 import numpy as np
@@ -153,8 +154,10 @@ def test_surplus_bytes_after_stl(tmp_path):
 
 
 def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
+    (tmp_path / "a.obj").write_bytes(re.sub(rb"(v .*)", rb"\1 9 9 9", obj()))
     for name in ("ascii.ply", "strips.ply"):
         (tmp_path / name).write_bytes(CUBES[name])
+    for name in ("ascii.ply", "strips.ply", "a.obj"):
         with pytest.warns(UserWarning) as caught:
             assert len(read_cloud(tmp_path / name)) == 8
         check_text(caught[0].message)
@@ -162,6 +165,12 @@ def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
         assert len(read_shape(tmp_path / name, on_warning=pytest.fail)) == 12
         [tile] = open_cloud(tmp_path / name).warnings
         assert tile == str(caught[0].message)
+    assert read_vertices(tmp_path / "a.obj").colors is not None
+    cells = ("cell", ["list uchar int corners"], [((0, 1, 2),)])
+    (tmp_path / "cells.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)] * 3), cells))
+    notes = []
+    read_shape(tmp_path / "cells.ply", on_warning=notes.append)
+    check_text(*notes)
     grid = ("range_grid", ["list uchar int vertex_indices"], [((0,),), ((),)])
     (tmp_path / "scan.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), grid))
     assert not holds_mesh(tmp_path / "scan.ply")
@@ -224,7 +233,6 @@ REFUSED_FILES = {
     "counts.off": b"OFF\nmany words\n",
     "huge.off": off().replace(b"8 12 0", b"8 999999999 0"),
     "cut.off": off()[:30],
-    "long.off": off() + b"3 0 1 2\n",
     "short face.off": off()[:-3] + b"\n",
     "words.off": off().replace(b"8 12 0\n-1.0", b"8 12 0\none"),
     "binary.off": b"OFF BINARY\n" + bytes(40),
@@ -233,7 +241,6 @@ REFUSED_FILES = {
     "flat.off": b"OFF 1 1\n0 0\n3 0 0 0\n",
     "magic.glb": b"abc",
     "cut.glb": glb()[:-8],
-    "long.glb": glb() + b"abc",
     "chunk.glb": glb()[:12] + b"\xff" * 4 + glb()[16:],
 }  # fmt: skip
 

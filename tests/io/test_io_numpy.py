@@ -80,6 +80,18 @@ def test_numpy_reads_written_npy(tmp_path):
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").points, points)
 
 
+def test_six_columns_with_colors_or_normals(tmp_path):
+    path, points = tmp_path / "a.npy", np.arange(12.0).reshape(4, 3)
+    normals = np.array([[0, 0, 1.0], [0, 0, 0], [0.6, 0.8, 0], [1, 0, 0]])
+    colors = np.array([[0.1, 0.2, 0.3], [1, 1, 1], [0, 0, 1], [0.5, 0.5, 0]])
+    path.write_bytes(npy_bytes(np.hstack([points, normals])))
+    np.testing.assert_array_equal(read_cloud(path).normals, normals)
+    for scale in (1, 255, 65535):
+        path.write_bytes(npy_bytes(np.hstack([points, np.rint(colors * scale) if scale > 1 else colors])))
+        assert read_cloud(path).normals is None
+        np.testing.assert_allclose(read_cloud(path).colors, colors * 255, atol=1)  # whole numbers
+
+
 POINTS = np.arange(12.0).reshape(4, 3)
 DAMAGED_NPY = {
     "magic": b"ply\n" + bytes(40),
@@ -89,7 +101,6 @@ DAMAGED_NPY = {
     "huge header": b"\x93NUMPY\x02\x00\xff\xff\xff\xff",
     "no dictionary": b"\x93NUMPY\x01\x00\x04\x00abc\n",
     "truncated": npy_bytes(POINTS)[:-30],
-    "trailing": npy_bytes(POINTS) + b"abc",
     "absurd": npy_header(shape=f"({10**17}, 3)"),
     "overflow": npy_header(shape=f"({2**64}, 3)"),
     "negative": npy_header(shape="(-4, 3)"),
@@ -101,6 +112,7 @@ DAMAGED_NPY = {
     "signs": npy_header(shape="-" * 9000 + "4"),
     "sum": npy_header(shape="1+" * 4500 + "1"),
     "digits": npy_header(shape=f"({'9' * 9000}, 3)"),
+    "fields": npy_header("[('x', '<f8'), ('y', '<f8')]"),
     "records": npy_header("[('x', '<f8')]"),
     "rows of rows": npy_header("'(2,)<f8'"),
     "bool": npy_bytes(np.ones((4, 3), bool)),
@@ -192,7 +204,7 @@ DAMAGED_NPZ = {
     "no array": zip_bytes({"readme.txt": b"hello"}),
     "bzip2": zip_bytes({"points.npy": npy_bytes(POINTS)}, zipfile.ZIP_BZIP2),
     "shape and size": zip_bytes({"points.npy": npy_header(shape="(10000000, 3)")}),
-    "trailing": zip_bytes({"points.npy": npy_bytes(POINTS) + b"a"}),
+    "trailing": zip_bytes({"points.npy": npy_bytes(POINTS) + b"a" * 24}),
     "pickle": npz_bytes(points=POINTS, a=np.array([{}] * 4)),
     "normals": npz_bytes(points=POINTS, normals=POINTS[:2]),
     "colors": npz_bytes(points=POINTS, colors=POINTS - 9),

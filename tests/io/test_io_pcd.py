@@ -5,7 +5,7 @@ import pytest
 import refusals
 from optional import import_or_skip
 from pcd_bytes import XYZ, corpus, lzf, pcd, points
-from wording import check_error
+from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf as lzf_reader
@@ -113,10 +113,11 @@ def test_short_headers(tmp_path):
     assert len(read(tmp_path, pcd("ascii", XYZ, points(4), WIDTH=None, HEIGHT=None))) == 4
 
 
-def test_trailing_bytes_are_reported(tmp_path):
-    notes = []
-    assert len(read(tmp_path, pcd("binary", XYZ, points(4)) + b"12345", on_warning=notes.append)) == 4
-    assert notes == [f"{tmp_path / 'a.pcd'}: left out 5 bytes after the last point"]
+def test_packed_colors_as_whole_numbers(tmp_path):
+    rows, notes = [(*row, 0x0A0B0C) for row in points(4)], []
+    cloud = read(tmp_path, pcd("ascii", [*XYZ, "rgb F4"], rows), on_warning=notes.append)
+    assert (cloud.colors.tolist(), len(notes)) == ([[10, 11, 12]] * 4, 1)
+    check_text(*notes)
 
 
 # ---- LZF ----

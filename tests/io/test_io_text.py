@@ -177,6 +177,11 @@ TABLES = {  # text, number of warnings and unit
     "ArcGIS": ("POINT_X,POINT_Y,POINT_Z\n1.5,2.5,3.25\n4.5,5.5,6.25\n", 0, None),
     "count of one more": ("3\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
     "count of one less": ("1\n1.5 2.5 3.25\n4.5 5.5 6.25\n", 1, None),
+    "last value is empty": ("x,y,z,i\n1.5,2.5,3.25,\n4.5,5.5,6.25,7\n", 1, None),
+    "last column is empty": ("x;y;z;i\n1.5;2.5;3.25;\n4.5;5.5;6.25;\n", 1, None),
+    "end of file": ("1.5 2.5 3.25\n4.5 5.5 6.25\n\x1a", 1, None),
+    "padding": ("1.5 2.5 3.25\n4.5 5.5 6.25\n" + 99 * "\0", 1, None),
+    "ParaView": ('"Normals:0","Points:0","Points:1","Points:2"\n0,1.5,2.5,3.25\n0,4.5,5.5,6.25\n', 0, None),
     "row numbers": ("x y z\n1 1.5 2.5 3.25\n2 4.5 5.5 6.25\n3 nan nan nan\n", 2, None),
 }  # fmt: skip
 
@@ -193,10 +198,22 @@ def test_repeated_names_are_numbered(tmp_path):
     assert {name: values.tolist() for name, values in cloud.attributes.items()} == {"a": [4], "a_5": [5]}
 
 
-def test_empty_values_of_attributes_are_nan(tmp_path):
-    cloud, _ = read_with_notes(tmp_path, "x,y,z,a,b\n1,2,3,4,5\n6,7,8,,9\n")
-    np.testing.assert_array_equal(cloud.attributes["a"], [4, np.nan])
-    assert cloud.attributes["b"].tolist() == [5, 9]
+EMPTY_VALUES = {  # of attributes a and b; other programs write them for NaN
+    "in the middle": ("x,y,z,a,b\n1,2,3,4,5\n6,7,8,,9\n", [[4, np.nan], [5, 9]]),
+    "at the end": ("x,y,z,a,b\n1,2,3,4,5\n6,7,8,9,\n", [[4, 9], [5, np.nan]]),
+    "at the end of the first line": ("# x;y;z;a;b\n1;2;3;4;\n6;7;8;;9\n", [[4, np.nan], [np.nan, 9]]),
+    "in all lines": ("x,y,z,a,b\n1,2,3,4,\n6,7,8,,\n", [[4, np.nan], [np.nan, np.nan]]),
+    "between tabs": ("x\ty\tz\ta\tb\n1\t2\t3\t4\t\n6\t7\t8\t\t9\n", [[4, np.nan], [np.nan, 9]]),
+    "before a last delimiter": ("x,y,z,a,b,\n1,2,3,4,5,\n6,7,8,9,,\n", [[4, 9], [5, np.nan]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EMPTY_VALUES)
+def test_empty_values_of_attributes_are_nan(tmp_path, name):
+    text, expected = EMPTY_VALUES[name]
+    cloud, _ = read_with_notes(tmp_path, text)
+    assert cloud.points.tolist() == [[1, 2, 3], [6, 7, 8]]
+    np.testing.assert_array_equal([cloud.attributes["a"], cloud.attributes["b"]], expected)
 
 
 def test_longitude_and_latitude_are_degrees(tmp_path):
@@ -305,7 +322,7 @@ def test_columns_without_names(tmp_path, row, expected):
 # ---- damage ----
 
 DAMAGED_TEXTS = {
-    "binary": b"1 2 3\n\0\0",
+    "binary": b"1 2 3\0\0\n",
     "utf-16": "1 2 3\n".encode("utf-16"),
     "blank": "\n \n# nothing\n",
     "header only": "x y z\n",

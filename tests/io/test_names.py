@@ -140,6 +140,7 @@ FULL = Cloud(
         "rgb": np.arange(5, dtype=np.float32),
         "": np.arange(5, dtype=np.int16),
         "flag": np.arange(5) % 2 == 0,
+        "=cmd|calc!A1": np.arange(5),
     },
     crs="EPSG:32617",
     unit="m",

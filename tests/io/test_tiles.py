@@ -95,6 +95,15 @@ def test_tables_beside_clouds_are_left_out(tiles):
     assert len(check_pieces(tiles)[1]) == 1
 
 
+def test_copies_in_other_formats_are_named(tmp_path):
+    for name in ("a.xyz", "b.xyz", "b.copc.npy", "b.npy"):
+        write_cloud(tmp_path / name, np.eye(3))
+    for path in (tmp_path, tmp_path / "*"):
+        lines = []
+        assert len(read_cloud(path, on_warning=lines.append)) == 12
+        check_text(*lines, masked=False)
+
+
 def test_pattern(tiles):
     disk, _ = check_pieces(tiles / "tile_*.las", 7)
     assert names(disk) == ["tile_3.las", "tile_10.las"]

@@ -27,8 +27,7 @@ def test_the_candidate_lies_on_the_reference(kind, register):
     registration = found.registration
     # The counterpart of a point is within 5 % of the extent, which is 0.7 spacings at the sparse end.
     assert registration.overlap > (0.85 if kind == "1:1000" else 0.97)
-    # The 20 neighbours that a normal is estimated from are on one line, if points are 50 times denser along it.
-    assert {warning.code for warning in registration.warnings} <= ({"blurred"} if kind == "lines 50:1" else set())
+    assert not registration.warnings
     assert found.deformation.verdict != "deformed"
     if register == "icp":
         moved = registration.T_reference_candidate.apply(np.array([[20.0, 20.0, 0.0]]) + _OFFSET)
@@ -39,10 +38,20 @@ def test_the_candidate_lies_on_the_reference(kind, register):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_floor_is_the_distance_of_error_free_points(kind):
     found = compared(kind, "icp").candidates[0].metrics.mean_distance.accuracy
-    # 2,500 distances with a relative spread of 0.5 and the points' own arrangement: 5 %. Gaps between lines are
-    # measured at positions that see only parts of the lines, and loose copies are partly other points.
-    tolerance = 0.35 if kind in LINES or kind == "1:1000" else 0.15
+    # 2,500 distances with a relative spread of 0.5 and the points' own arrangement: 5 %. Loose copies are partly other
+    # points, and the sparse end of a cloud has few.
+    tolerance = 0.35 if kind == "1:1000" else 0.15
     assert found.floor == pytest.approx(found.value, rel=tolerance)
+
+
+@pytest.mark.parametrize("kind", ["exactly twice", "twice", "five times", *LINES])
+def test_planes_do_not_lie_along_one_line_or_through_copies(kind):
+    found = compared(kind, "icp").candidates[0].metrics.d2_mse.accuracy
+    # Strewn points are 0.007 off the planes. Gaps of 1.9, 3.1 and 4 have sagittas of 0.05 to 0.25 where the radius of
+    # curvature is least, about 8. Planes along single lines would be 0.2 off.
+    least, most = (0.005, 0.01) if kind in COPIES else (0.01, 0.15)
+    assert least < found.value**0.5 < most
+    assert 0.4 < (found.floor / found.value) ** 0.5 < 1.3  # at borders, there are neighbours on one side alone
 
 
 @pytest.mark.parametrize("kind", COPIES)

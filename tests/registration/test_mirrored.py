@@ -9,8 +9,12 @@ from wording import check_error, check_text
 from pcbench import Cloud, read_cloud, register, write_cloud
 from pcbench.cli.clouds import convert
 from pcbench.errors import RegistrationError
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
 from pcbench.geometry.reflections import REFLECTIONS, reflection
 from pcbench.geometry.transform import Similarity
+from pcbench.registration import Target
+from pcbench.registration.mirrored import find_reflection
 from pcbench.registration.result import MIRRORED
 
 # Boxes on the ground: centre and size. No reflection maps them onto themselves.
@@ -60,6 +64,13 @@ def test_other_candidates_are_not_called_mirrored():
     turn = Similarity(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(3))
     for candidate in (town(2), turn.apply(town(2)), town(2, boxes=BOXES[:2]), town(2, boxes=[((0, 0, 1), (9, 2, 2))])):
         assert MIRRORED not in codes(register(town(1), candidate))
+
+
+def test_a_symmetric_scene_is_not_called_mirrored():
+    ground = np.random.default_rng(1).uniform(-10, 10, (4000, 2))
+    points = np.column_stack([ground, np.sin(ground[:, 0]) + 0.5 * np.cos(ground[:, 1])])
+    target = Target(Surface(Index(points[::2])))
+    assert find_reflection(target, points[1::2], np.zeros(3), with_scale=False) is None
 
 
 def test_convert_undoes_a_reflection(tmp_path):

@@ -7,10 +7,10 @@ import pytest
 from wording import check_text
 
 import pcbench
-from pcbench import Settings
+from pcbench import Cloud, Settings
 from pcbench.measure.tiled.compare import compare_on_disk
 from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.registration.rounding import COARSE_STEP
+from pcbench.registration.rounding import COARSE_STEP, step_warnings
 from pcbench.report.answer import answer
 from pcbench.report.comparison import Comparison
 from pcbench.report.document import document
@@ -63,6 +63,24 @@ def test_only_coarse_steps_are_a_warning(reference, candidate, is_coarse):
     noise = np.random.default_rng(2).normal(0, 0.03, (4_000, 1)) * [0, 0, 1]
     comparison = compare(reference, candidate + noise if not is_coarse else candidate)
     assert has_warning(comparison) == is_coarse
+
+
+@pytest.mark.parametrize(
+    ("step", "noise", "spacing", "is_coarse"),
+    [
+        (0.001, 0.0018, 0.2, False),  # error-free points on a curved surface: the noise is the surface between them
+        (0.001, 0.007, 0.2, False),
+        (0.01, 0.027, 0.2, True),
+        (0.01, 0.027, 1.0, True),
+        (0.01, 0.09, 0.2, False),
+        (0.001, 0.0004, 0.2, True),  # the noise is rounding
+        (0.001, 0.05, 0.005, True),
+    ],
+)
+def test_steps_are_a_warning_where_they_matter_for_the_numbers(step, noise, spacing, is_coarse):
+    cloud = Cloud(np.round(hills(0) / step) * step)
+    found = step_warnings(cloud, cloud, scale=1.0, spacing=spacing, noise=noise, extent=70.0, unit=None)
+    assert any(found) == is_coarse
 
 
 def test_tiles_have_the_steps_floors_and_warnings_of_the_memory(tmp_path):

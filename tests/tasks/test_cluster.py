@@ -107,10 +107,12 @@ def test_tasks_in_flight_are_bounded(address, tmp_path):
         tasks = [Task(f"task-{x}", (str(running),)) for x in range(6)]
         assert values(runner.run("stage", task_functions.concurrency, tasks)) == [1] * 6
     pool = cluster.ClusterWorkers(address, None, lambda _: None)
-    pool._client.wait_for_workers(2, 30)
-    pool.keep_connected()
-    assert pool.slots == 4  # two workers with one thread each
-    pool.stop()
+    try:
+        pool._client.wait_for_workers(2, 120)
+        pool.keep_connected()
+        assert pool.slots == 4  # two workers with one thread each
+    finally:
+        pool.stop()
 
 
 # Clusters that cannot be used
@@ -132,28 +134,24 @@ def eager_collector():
     gc.set_threshold(*thresholds)
 
 
-def io_threads():
-    return {thread for thread in threading.enumerate() if thread.name == "IO loop"}
-
-
-def unclosed_clients():
-    return [
-        client for client in gc.get_objects() if isinstance(client, distributed.Client) and client.status != "closed"
-    ]
+def unclosed():
+    """Return the threads of event loops, and the clients that are not closed."""
+    clients = {item for item in gc.get_objects() if isinstance(item, distributed.Client) and item.status != "closed"}
+    return clients | {thread for thread in threading.enumerate() if thread.name == "IO loop"}
 
 
 def test_clients_that_cannot_connect_leave_nothing_to_the_collector(monkeypatch, eager_collector):
     monkeypatch.setattr(cluster, "_CONNECT_S", 0.05)
-    before = io_threads()
+    before = unclosed()
     for _ in range(3):
         with pytest.raises(InputError):
             cluster.ClusterWorkers("tcp://127.0.0.1:9", None, lambda _: None)
-        assert io_threads() <= before and not unclosed_clients()
+        assert unclosed() <= before
     assert gc.isenabled()
 
 
 def test_lost_connections_leave_nothing_to_the_collector(monkeypatch, eager_collector):
-    before = io_threads()
+    before = unclosed()
     with distributed.LocalCluster(
         n_workers=0, processes=False, dashboard_address=":0", host="127.0.0.1", protocol="tcp://"
     ) as local:
@@ -164,15 +162,15 @@ def test_lost_connections_leave_nothing_to_the_collector(monkeypatch, eager_coll
         assert lost.status == "closed" and pool._client.status == "running"
         pool.stop()
         pool.stop()
-    assert io_threads() <= before and not unclosed_clients()
+    assert unclosed() <= before
 
 
 def test_a_client_whose_workers_cannot_be_counted_is_closed(address, monkeypatch):
-    before = io_threads()
+    before = unclosed()
     monkeypatch.setattr(cluster, "_count_threads", lambda client: client.no_such_attribute)
     with pytest.raises(AttributeError):
         cluster.ClusterWorkers(address, None, lambda _: None)
-    assert io_threads() <= before and not unclosed_clients()
+    assert unclosed() <= before
 
 
 def test_dask_is_missing(tmp_path):

@@ -123,6 +123,7 @@ def test_fingerprints():
         (tiles.make_tile, {"TileSummary"}),
         (presets.crop_tile, {"TileSummary"}),
         (normals.add_normals, {"BitHistogram"}),
+        (normals.add_wide_normals, set()),
         (functools.partial(ranks.count_values, wanted=None), {"BitHistogram"}),
         (maps.sample_map, {"MapPoints"}),
         (maps.write_tile_of_map, set()),

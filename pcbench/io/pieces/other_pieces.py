@@ -31,7 +31,7 @@ def describe_ply(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, 
         InputError: the header is damaged, or the file is truncated.
         OSError: the file cannot be read.
     """
-    rows = find_rows(path)
+    rows = find_rows(path, warn)
     if rows is None:
         return describe_whole(path, piece_points, warn)
     normals = has_normals(path, rows)
@@ -45,7 +45,7 @@ def read_ply_piece(
     path: Path, address: tuple[int, ...], filters: LasFilters, warn: Warn
 ) -> tuple[Fields, LasCounts | None]:
     """Read a range of vertices; raises the same errors as `describe_ply`."""
-    rows = find_rows(path)
+    rows = find_rows(path, warn)
     if rows is None or not address:
         return read_whole(path, address, filters, warn)
     first, end = address

@@ -12,31 +12,24 @@ workspace.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from pcbench.errors import InputError, Notice, PcbenchError
-from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.crs import check_lengths, is_in_degrees
 from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.sampling import sampling_of_profile
 from pcbench.geometry.voxels import robust_bounds, robust_extent
-from pcbench.io import has_filters
-from pcbench.io.contents import FileState, cloud_contents, cloud_digest, cloud_files
-from pcbench.io.files import file_in_setting
+from pcbench.io.contents import FileState, cloud_contents, cloud_files
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
-from pcbench.io.pieces import CloudOnDisk, open_cloud, read_piece
+from pcbench.io.pieces import CloudOnDisk
 from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
@@ -71,9 +64,10 @@ from pcbench.measure.tiled.directions import (
     measure_reference_tile,
 )
 from pcbench.measure.tiled.even import even_points
+from pcbench.measure.tiled.inputs import inputs_key, open_input
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
-from pcbench.measure.tiled.normals import add_normals
+from pcbench.measure.tiled.normals import add_normals, add_wide_normals
 from pcbench.measure.tiled.overview import PixelGrid
 from pcbench.measure.tiled.presets import crop_tile, presets_of
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
@@ -81,7 +75,7 @@ from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.spreads import Distribution, spread_of
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.tiles import TiledCloud, TileSummary, make_tile
+from pcbench.measure.tiled.tiles import WIDE_NORMALS, TiledCloud, TileSummary, make_tile
 from pcbench.registration import Registration, local_origin_of_box
 from pcbench.systems import peak_memory
 from pcbench.tasks import Task, TaskRunner, Workers
@@ -126,51 +120,16 @@ def compare_on_disk(
     paths = {_REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
     pieces = tiling.chosen_piece_points
-    clouds = {name: _open(path, settings, pieces, skip_bad=tiling.skip_bad) for name, path in paths.items()}
+    clouds = {name: open_input(path, settings, pieces, skip_bad=tiling.skip_bad) for name, path in paths.items()}
     tile_points = tiling.chosen_tile_points
     if contents is None:
         contents = cloud_contents(cloud.path for cloud in clouds.values())
-    key = _key(clouds, contents, settings, replace(tiling, tile_points=tile_points), maps)
+    key = inputs_key(clouds, contents, settings, replace(tiling, tile_points=tile_points), maps)
     workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
         run = _Run(runner, folder, key, contents, settings, tiling, tile_points, maps, report)
         return run.compare(clouds, list(candidates))
-
-
-def _open(path: Path, settings: Settings, piece_points: int, *, skip_bad: bool) -> CloudOnDisk:
-    """Describe a cloud; classes and returns select points where files have them, as in memory."""
-    classes, returns = (settings.classes, settings.returns) if has_filters(path) else (None, None)
-    cloud = open_cloud(path, classes=classes, returns=returns, piece_points=piece_points, skip_bad=skip_bad)
-    if is_in_degrees(cloud.crs, cloud.unit):  # some points, because headers need not state a place
-        points = read_piece(cloud, cloud.pieces[0]).points
-        check_lengths(Cloud(points if len(points) else np.zeros((1, 3)), crs=cloud.crs, unit=cloud.unit), str(path))
-    return cloud
-
-
-def _key(
-    clouds: Mapping[str, CloudOnDisk],
-    contents: Mapping[Path, FileState],
-    settings: Settings,
-    tiling: TilingSettings,
-    maps: Path | None,
-) -> str:
-    """Return a text that identifies the inputs and everything that stored results depend on."""
-    files = {
-        name: [[str(file.path) for file in cloud.files], cloud_digest(cloud.path, contents)]
-        for name, cloud in clouds.items()
-    }
-    how = tiling.tile_points, tiling.chosen_piece_points, tiling.max_distance
-    pose, crop = known_pose(settings), file_in_setting(settings.crop)
-    region = fingerprint(_plain_region(settings.crop) if crop is None else crop.read_bytes())
-    read = None if pose is None else pose.matrix.tolist(), region
-    found = [installed_versions(("pcbench",)), files, settings.plain(), how, read, maps]
-    return hashlib.sha256(json.dumps(found, default=str).encode()).hexdigest()
-
-
-def _plain_region(region: str | Region) -> Any:
-    """Return a region for its fingerprint; of a class that is no data class, its attributes."""
-    return region if isinstance(region, str) or is_dataclass(region) else [region.text, vars(region)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +258,7 @@ class _Run:
         measured = local if region is None else local[region.contains(local)]
         if region is not None and len(local) < cloud.count:
             measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
-        spacing = self._add_normals(tiles)
+        spacing, tiles = self._add_normals(tiles)
         return _TiledReference(
             stored=cloud,
             tiles=tiles,
@@ -341,9 +300,10 @@ class _Run:
             )
         return found
 
-    def _add_normals(self, tiles: TiledCloud) -> float:
-        """Compute the normals of all tiles, and return the spacing of the points."""
-        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, int(tiles.counts.sum()))
+    def _add_normals(self, tiles: TiledCloud) -> tuple[float, TiledCloud]:
+        """Compute the normals of all tiles, and return the spacing of the points, and the tiles with their normals."""
+        count = int(tiles.counts.sum())
+        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, count)
         write_result(file, self.key, tiles)
         tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
         found = self._results("normals", add_normals, tasks, "computing normals of the reference")
@@ -351,7 +311,14 @@ class _Run:
         files = [tiles.file(number, "spacings") for number in tiles.occupied]
         nearest = median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
         profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
-        return sampling_of_profile(nearest, profile, int(tiles.counts.sum())).spacing
+        sampling = sampling_of_profile(nearest, profile, count)
+        wide = min(sampling.plane_neighbors(self.settings.normal_neighbors), count)
+        if wide > k:
+            tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, wide))
+            for _ in self._results("wide-normals", add_wide_normals, tasks, "computing normals between scan lines"):
+                pass
+            tiles = replace(tiles, normals=WIDE_NORMALS)
+        return sampling.spacing, tiles
 
     def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
         """Register and measure a candidate."""
@@ -524,7 +491,8 @@ class _Run:
         tasks = _tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
         summaries = self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
         found = {tile.number: tile for tile in summaries}
-        return TiledCloud.of(folder, (found.get(number) or TileSummary.empty(number) for number in range(len(tiles))))
+        every = (found.get(number) or TileSummary.empty(number) for number in range(len(tiles)))
+        return replace(TiledCloud.of(folder, every), normals=tiles.normals)
 
     def _spreads(self, direction: MeasuredDirection) -> dict[str, Spread]:
         """Return the summary statistics of the distances to points and to planes, by the names of their columns."""

@@ -122,7 +122,7 @@ def measure_candidate_tile(file: Path, key: str, number: int, region: Region | N
     points, rows, inside = _queries(pair.candidate, number, region)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
-    planes = plane_distances(points, closest, matches.column(pair.reference, "normals")[:, 0])
+    planes = plane_distances(points, closest, matches.column(pair.reference, pair.reference.normals)[:, 0])
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
     return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
@@ -137,7 +137,7 @@ def measure_reference_tile(file: Path, key: str, number: int, region: Region | N
     points, rows, inside = _queries(pair.reference, number, region)
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
     closest = matches.column(pair.candidate, "points")[:, 0]
-    normals = pair.reference.load(number, "normals")
+    normals = pair.reference.load(number, pair.reference.normals)
     planes = plane_distances(points, closest, normals if inside is None else normals[inside])
     cells = pair.grid.cells_of(points)
     return _store(pair, pair.back, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))

@@ -15,7 +15,7 @@ from pcbench.geometry.sampling import COINCIDENT_NEIGHBORS, PROFILE_NEIGHBORS, p
 from pcbench.measure.tiled.columns import save_column
 from pcbench.measure.tiled.ranks import BitHistogram
 from pcbench.measure.tiled.search import nearest_in_tiles, positions_in_box
-from pcbench.measure.tiled.tiles import TiledCloud
+from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TiledCloud
 from pcbench.tasks.results import read_shared
 
 _HALO_SPACINGS = 4.0  # width of the halo, in radii of a disk that holds k points at the tile's mean density
@@ -45,10 +45,7 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     points = cloud.load(number, "points")
     around = _Surroundings.of(cloud, number, k)
     distances, directions = _local_planes(cloud, number, points, around, k)
-    if cloud.file(number, "given_normals").exists():
-        given = cloud.load(number, "given_normals")
-        directions = np.where(np.isnan(given[:, :1]), directions, given)
-    save_column(cloud.folder, number, "normals", directions)
+    _save_normals(cloud, number, NORMALS, directions)
     save_column(cloud.folder, number, "profile", _profile(cloud, number, points, around))
     coincident = np.flatnonzero(distances == 0)
     for start in range(0, len(coincident), _SEARCHED_AT_ONCE):
@@ -58,6 +55,21 @@ def add_normals(file: Path, key: str, number: int, k: int) -> BitHistogram:
     spacings = distances[np.isfinite(distances)]
     save_column(cloud.folder, number, "spacings", spacings)
     return BitHistogram.of(spacings)
+
+
+def add_wide_normals(file: Path, key: str, number: int, k: int) -> None:
+    """Store the column `wide_normals` (N, 3) of a tile: normals as from `add_normals`, with another number k."""
+    cloud = read_shared(file, key, TiledCloud)
+    points, around = cloud.load(number, "points"), _Surroundings.of(cloud, number, k)
+    _save_normals(cloud, number, WIDE_NORMALS, _local_planes(cloud, number, points, around, k)[1])
+
+
+def _save_normals(cloud: TiledCloud, number: int, column: str, directions: FloatArray) -> None:
+    """Store estimated normals (N, 3) of a tile, or those given with the cloud where there are any."""
+    if cloud.file(number, "given_normals").exists():
+        given = cloud.load(number, "given_normals")
+        directions = np.where(np.isnan(given[:, :1]), directions, given)
+    save_column(cloud.folder, number, column, directions)
 
 
 class _Surroundings(NamedTuple):

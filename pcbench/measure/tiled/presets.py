@@ -13,7 +13,7 @@ from pcbench.measure.metrics import FScore, harmonic_mean
 from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
 from pcbench.measure.summaries import within_key
 from pcbench.measure.tiled.columns import column_file, load_column, save_column
-from pcbench.measure.tiled.tiles import TileSummary
+from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TileSummary
 from pcbench.measure.tiled.totals import DirectionTotals
 
 
@@ -30,7 +30,7 @@ def crop_tile(tiles: Path, number: int, region: Region, folder: Path) -> TileSum
     inside = np.flatnonzero(region.contains(points))
     if not len(inside):
         return TileSummary.empty(number)
-    for name in ("points", "rows", "normals"):
+    for name in ("points", "rows", NORMALS, WIDE_NORMALS):
         if column_file(tiles, number, name).exists():
             save_column(folder, number, name, load_column(tiles, number, name)[inside])
     return TileSummary.of(number, points[inside], points[inside])

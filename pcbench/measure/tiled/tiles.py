@@ -17,6 +17,11 @@ from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.columns import column_file, load_column, save_column
 from pcbench.measure.tiled.runs import CloudRuns
 
+NORMALS = "normals"
+"""Column of normals from as many neighbours as the settings say."""
+WIDE_NORMALS = "wide_normals"
+"""Column of normals from more neighbours, of points that have copies or lie in lines."""
+
 
 @dataclass(frozen=True, eq=False)
 class TileSummary:
@@ -60,12 +65,14 @@ class TiledCloud:
         folder: folder of the files.
         counts: (T,) number of points of each tile.
         low, high: (T, 3) corners of the box of each tile; without meaning where a tile is empty.
+        normals: name of the column of the normals.
     """
 
     folder: Path
     counts: NDArray[np.int64]
     low: FloatArray
     high: FloatArray
+    normals: str = NORMALS
 
     @classmethod
     def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> TiledCloud:

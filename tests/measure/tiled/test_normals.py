@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from sampled_surfaces import sampled
 from tiled_clouds import clouds_of_all_kinds, stored_tiles
 
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.sampling import sampling_of, sampling_of_profile
 from pcbench.measure.tiled import normals as tiled_normals
-from pcbench.measure.tiled.normals import add_normals
+from pcbench.measure.tiled.normals import add_normals, add_wide_normals
 from pcbench.tasks.results import write_result
 
 
@@ -52,6 +53,18 @@ def test_normals_and_spacings_are_those_in_memory(tmp_path_factory, seed, count,
     np.testing.assert_array_equal(found, expected)
     index = Index(points)
     assert sampling == sampling_of(index, index.nearest_other())
+
+
+def test_wide_normals_are_those_in_memory(tmp_path):
+    points = sampled("lines 25:1", 900)
+    tiles = stored_tiles(tmp_path, points, 200, piece_points=300)
+    write_result(tmp_path / "shared", "key", tiles)
+    surface, found = Surface(Index(points), is_even=False), np.empty(points.shape)
+    assert surface.k > 50
+    for number in tiles.occupied:
+        add_wide_normals(tmp_path / "shared", "key", number, surface.k)
+        found[tiles.load(number, "rows")] = tiles.load(number, "wide_normals")
+    np.testing.assert_array_equal(found, surface.compute_normals(None))
 
 
 def test_tiles_of_one_point_have_normals(tmp_path):

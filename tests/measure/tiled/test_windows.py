@@ -1,5 +1,6 @@
 """Registration, floors and deformation of clouds that are too large for it, from windows at full density."""
 
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -201,6 +202,7 @@ def test_a_dense_candidate_is_thinned_by_the_workers(tmp_path, small_windows, mo
     returned = []
     points_in_windows = windows.points_in_windows
 
+    @functools.wraps(points_in_windows)  # the annotation names the type of the stored result
     def counted(*arguments):
         found = points_in_windows(*arguments)
         returned.append(len(found.points))

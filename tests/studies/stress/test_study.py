@@ -57,7 +57,7 @@ def test_quick_study_answers_each_subject(outcome):
 
 def test_files_of_a_study(outcome, folder):
     assert read_study(folder) == replace(outcome.study, provenance=None)
-    rows = list(csv.DictReader((folder / "stress.csv").open()))
+    rows = list(csv.DictReader((folder / "stress.csv").read_text().splitlines()))
     assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in SUBJECTS)
     assert {row["subject"] for row in rows} == set(SUBJECTS) and rows[0]["outcome"]
     page = (folder / "stress.md").read_text()

@@ -104,7 +104,7 @@ def test_files_of_a_quick_study_and_resumed_runs(tmp_path, monkeypatch):
     # float32 rounds by 1e-7 of 10 m.
     assert study.row("float32 stored").group_bound(MEANS) < 1e-4
     assert study.row("search within 1.5").errors["mean c→r"].mean >= 0
-    rows = list(csv.DictReader((folder / "tradeoff.csv").open()))
+    rows = list(csv.DictReader((folder / "tradeoff.csv").read_text().splitlines()))
     assert {row["approximation"] for row in rows} == {row.name for row in study.rows}
     page = (folder / "tradeoff.md").read_text()
     assert all(sentence in page for sentence in study.sentences)

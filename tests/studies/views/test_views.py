@@ -109,7 +109,7 @@ def test_scores_round_trip(tmp_path):
     for scene, other in zip(study.scenes, restored.scenes, strict=True):
         assert other.views == scene.views
         np.testing.assert_array_equal(np.array(scene.scores, dtype=float), np.array(other.scores, dtype=float))
-    rows = list(csv.DictReader((tmp_path / "scores.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "scores.csv").read_text().splitlines()))
     assert len(rows) == 18 + 9 + 9
     assert float(rows[0]["psnr"]) == study.scenes[0].scores[0].psnr
     assert [row["set"] for row in rows[:18]] == ["train"] * 15 + ["test"] * 3
