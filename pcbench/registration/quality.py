@@ -286,9 +286,10 @@ def assess_given(
     margin = 0.1 * float(np.linalg.norm(upper - lower))
     # Fewer than three points have no extent that could overlap.
     if len(surface) >= 3 and ((moved.min(axis=0) > upper + margin).any() or (moved.max(axis=0) < lower - margin).any()):
+        centre, other = ((low + high) / 2 + origin for low, high in ((lower, upper), bounds(moved)))
         raise RegistrationError(
             f"the candidate does not overlap the reference after --register {text}: their bounding boxes are disjoint"
-            f" (reference centre {_format(origin)}, candidate centre {_format(moved.mean(axis=0) + origin)}):"
+            f" (reference centre {_format(centre)}, candidate centre {_format(other)}):"
             f" {align_coarsely()}"
         )
     random_sample, with_scale = random_rows(points, MAX_RANDOM_SAMPLE), T_local.scale != 1

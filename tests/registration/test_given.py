@@ -6,7 +6,8 @@ import shapes
 from registrations import motion
 from wording import check_error
 
-from pcbench import Similarity
+from pcbench import Similarity, compare
+from pcbench.errors import RegistrationError
 from pcbench.geometry.transform import format_matrix, read_matrix
 from pcbench.registration import (
     GivenPose,
@@ -62,3 +63,10 @@ def test_invalid_similarities_are_refused(name):
         register(cloud, cloud, array)
     with check_error():
         register(cloud, cloud, "icp", initial=array)
+
+
+def test_clouds_that_are_apart_are_named_with_the_centres_of_their_boxes():
+    points = np.random.default_rng(0).uniform((0, 0, -0.2), (10, 10, 0.2), (500, 3))
+    points[:2] = (0, 0, -0.2), (10, 10, 0.2)
+    with pytest.raises(RegistrationError, match=r"reference centre \(5, 5, 0\), candidate centre \(1005, 5, 0\)"):
+        compare(points, points + (1000, 0, 0), register="none")
