@@ -26,7 +26,7 @@ _MAX_COPIES = 16  # of a point
 _COPY_RADIUS = 2.0  # median distances within clumps: the radius of nearly all clumps
 _MAX_COPY_SHARE = 1 / 3  # of the spacing: 7 % of strewn points have a nearest neighbour within it by chance
 
-# Of the neighbours of a point as far as the next scan line, so many times as many have a fifth of their points in it.
+# Of the neighbours of a point as far as the next scan line, that many times as many have a fifth of their points in it.
 _PLANE_LINES = 2.5
 # Neighbours searched for the next scan line.
 _MIN_LINE_NEIGHBORS, _MAX_LINE_NEIGHBORS, _LINE_NEIGHBOR_GROWTH = 12, 512, 1.5

@@ -160,7 +160,7 @@ def _compare_one(
         deformation=deformation,
         timings_s=timings,
         peak_rss_bytes=peak_memory(),
-        steps=cloud.quantisation.steps,
+        steps=tuple(cloud.quantisation.steps.tolist()),
         warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
     ), measurement
 

@@ -159,7 +159,7 @@ class Reference:
             extent=robust_extent(self.points),
             crs=self.cloud.crs,
             unit=self.cloud.unit,
-            steps=self.cloud.quantisation.steps,
+            steps=tuple(self.cloud.quantisation.steps.tolist()),
             normals="given" if self.cloud.normals is not None else "estimated" if self.has_normals else None,
             faces=None if mesh is None else len(mesh.mesh.faces),
             block_side=self.cells.side,

@@ -205,7 +205,7 @@ class ReferenceSummary:
         extent: diagonal of the box that contains the inner 98 % of all points along each axis.
         crs: coordinate system, if known.
         unit: unit of the coordinates, if known.
-        steps: (3,) steps in which x, y and z are rounded, see `pcbench.geometry.quantisation`; 0 if none is visible.
+        steps: steps in which x, y and z are rounded, see `pcbench.geometry.quantisation`; 0 if none is visible.
         normals: "given" with the points, "estimated", or None if there are too few points for normals.
         faces: number of faces if the reference is a mesh; None for a cloud.
         block_side: side of the correlation cells of the intervals.
@@ -219,7 +219,7 @@ class ReferenceSummary:
     extent: float
     crs: str | None
     unit: str | None
-    steps: FloatArray
+    steps: tuple[float, ...]
     normals: str | None
     faces: int | None
     block_side: float
@@ -244,7 +244,7 @@ class Candidate:
         timings_s: seconds per step.
         peak_rss_bytes: peak memory of the process so far.
         warnings: warnings about the clouds; registration and deformation have their own.
-        steps: (3,) steps in which its own x, y and z are rounded, in its own unit; 0 if none is visible.
+        steps: steps in which its own x, y and z are rounded, in its own unit; 0 if none is visible.
         censored: share of the points of each direction without a closest point within the maximum distance, by
             `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum. Their distances
             count as the maximum, so that means, mean squares and extremes are lower bounds. Their distances to planes
@@ -262,7 +262,7 @@ class Candidate:
     deformation: Deformation
     timings_s: Mapping[str, float]
     peak_rss_bytes: int
-    steps: FloatArray
+    steps: tuple[float, ...]
     warnings: tuple[Notice, ...] = ()
     censored: Mapping[str, float] = field(default_factory=dict)
     faces: int | None = None

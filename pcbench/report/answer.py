@@ -199,7 +199,8 @@ class _Writer:
         if all(notice.code != COARSE_STEP for notice in candidate.registration.warnings):
             return ""
         scale = candidate.registration.T_reference_candidate.scale
-        return f"steps of {self.length(max(*self.comparison.reference.steps, *(scale * candidate.steps)))}"
+        steps = (*self.comparison.reference.steps, *(scale * step for step in candidate.steps))
+        return f"steps of {self.length(max(steps))}"
 
     def _sampling_words(self, candidates: Sequence[Candidate]) -> str:
         """Return what explains the floors of candidates, with the verb."""

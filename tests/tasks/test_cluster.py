@@ -93,7 +93,7 @@ def test_tasks_of_a_killed_worker_run_again(runner, tmp_path):
 
 @pytest.mark.long
 def test_a_task_that_ends_its_workers_is_an_error(tmp_path, folder):
-    """On a cluster of its own: Dask does not always start workers again that end while they start."""
+    """On a separate cluster: Dask does not always start workers again that end while they start."""
     with local_cluster() as local, TaskRunner(Workers(cluster=local.scheduler_address), folder) as runner:
         with check_error(WorkerError):
             runner.run("stage", task_functions.ended, [Task("task-0", (str(tmp_path), 0, 0, 99))])

@@ -373,7 +373,7 @@ class _Run:
             deformation=sample.deformation,
             timings_s=timings,
             peak_rss_bytes=peak_memory(),
-            steps=cloud.thinned.quantisation.steps,
+            steps=tuple(cloud.thinned.quantisation.steps.tolist()),
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
@@ -555,7 +555,7 @@ class _Run:
             extent=robust_extent(reference.stored.even - reference.origin),
             crs=source.crs,
             unit=source.unit,
-            steps=reference.stored.thinned.quantisation.steps,
+            steps=tuple(reference.stored.thinned.quantisation.steps.tolist()),
             normals=sample.normals,
             faces=None,
             block_side=reference.grid.side,

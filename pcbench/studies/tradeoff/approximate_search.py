@@ -71,7 +71,7 @@ def compare_by_approximate_search(
         deformation=residual_deformation(ours, theirs, registration, reference.origin, seed=settings.seed),
         timings_s={},
         peak_rss_bytes=peak_memory(),
-        steps=candidate.quantisation.steps,
+        steps=tuple(candidate.quantisation.steps.tolist()),
     )
 
 

@@ -104,7 +104,7 @@ def small_windows(monkeypatch):
 
 @pytest.mark.parametrize("most", [7_000, 10_000, 13_000])
 def test_windows_have_the_wanted_number_of_points(tmp_path, monkeypatch, most):
-    """Those of the reference and those of the candidate differ, although both cover the same ground."""
+    """The windows of the reference differ from those of the candidate, although both cover the same ground."""
     monkeypatch.setattr(windows, "MAX_SAMPLE", most)
     monkeypatch.setattr(windows, "_WINDOW_POINTS", 500)
     points = surface(np.random.default_rng(0), 40_000)
