@@ -17,7 +17,7 @@ from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.icp_stages import refine_coarsely
 from pcbench.registration.quality import Quality
 from pcbench.registration.result import BLURRED, MIRRORED, OFF_SURFACE, WEAKLY_OBSERVABLE, Registration
-from pcbench.registration.target import Target
+from pcbench.registration.target import MIN_EXTENT, Target
 
 _SAMPLE_SIZE = 1_000  # candidate points of the coarse registrations
 _MAX_ITERATIONS = 20
@@ -58,7 +58,7 @@ def find_reflection(
         with_scale: whether the scale is solved for.
         off_surface: share of the candidate's points near the reference that do not lie on it, at its own pose.
     """
-    if not target.coarse_side > 0 or len(target.coarse) < 3:  # a reference without an extent, or without a surface
+    if target.extent <= MIN_EXTENT or len(target.coarse) < 3:  # a reference without an extent, or without a surface
         return None
     settings = IcpSettings(with_scale=with_scale, max_sample=_SAMPLE_SIZE, max_iterations=_MAX_ITERATIONS)
     sample = random_rows(points, _SAMPLE_SIZE)

@@ -222,20 +222,20 @@ class Finished:
             "XDG_RUNTIME_DIR": str(folder),
         }
         before = _children_cpu()
-        process = subprocess.Popen(
+        with subprocess.Popen(
             [*command, *map(str, arguments)],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-        )
-        clock, name, lines = Clock(lambda: _cpu(process.pid, before)), "import", []
-        for line in process.stdout:
-            lines.append(line)
-            if next_name := _CLOUDCOMPARE_STEPS.get(line.strip()):
-                clock.step(name)
-                name = next_name
-        if process.wait():
+        ) as process:
+            clock, name, lines = Clock(lambda: _cpu(process.pid, before)), "import", []
+            for line in process.stdout:
+                lines.append(line)
+                if next_name := _CLOUDCOMPARE_STEPS.get(line.strip()):
+                    clock.step(name)
+                    name = next_name
+        if process.returncode:
             sys.exit(f"CloudCompare ended with code {process.returncode}: {lines[-1] if lines else ''}")
         clock.step(name)
         self.steps = add_steps([*self.steps.items(), *clock.steps.items()])

@@ -37,7 +37,7 @@ def make_gltf():
 
 def make_colmap_text():
     rows = [" ".join(map(str, [k, *point, 1, 2, 3, 0.5])) for k, point in enumerate(POINTS.tolist(), 1)]
-    return "\n".join(rows).encode()
+    return "".join(f"{row}\n" for row in rows).encode()
 
 
 def make_colmap_binary():

@@ -147,10 +147,10 @@ def test_rounding_beyond_a_tenth_of_the_spacing_gives_a_warning(tmp_path):
     points[7, 2] = 1e10
     notes = []
     write_cloud(tmp_path / "a.las", Cloud(points, unit="m"), on_warning=notes.append)
-    assert len(notes) == 1
+    assert len(notes) == 2  # the other one: LAS has no unit without a crs
     check_text(notes[0])
-    with pytest.warns(UserWarning, match="LAS stores z in steps of 5 m"):
-        write_cloud(tmp_path / "a.las", Cloud(points, unit="m"))
+    with pytest.warns(UserWarning, match="LAS stores z in steps of 5"):
+        write_cloud(tmp_path / "a.las", Cloud(points))
 
 
 @pytest.mark.parametrize("scale", [0.01, 0.00025, 0.0078125, 3.048e-4, 1.7e-5])

@@ -110,7 +110,7 @@ def test_a_full_disk_names_the_file(pair, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("pcbench.measure.tiled.columns.np.save", full)
+    monkeypatch.setattr("pcbench.measure.tiled.columns.write_array", full)
     with pytest.raises(OSError, match="No space left on device") as error:
         pair.tiled()
     assert error.value.errno == errno.ENOSPC and str(error.value.filename).endswith(".npy")

@@ -242,7 +242,8 @@ def test_views_command(tmp_path, run, monkeypatch):
     import_or_skip("matplotlib")
     code, out, _ = run("plot", "out", "near_splat", "--range", "20")
     assert (code, out) == (0, "out/figures/near_splat.png\n")
-    assert Image.open("out/figures/near_splat.png").width > 1000
+    with Image.open("out/figures/near_splat.png") as image:
+        assert image.width > 1000
     for arguments in (("nowhere", "--out", "other"), ("a", "--out", "b")):
         code, _, err = run("views", *arguments)
         assert code == 2
