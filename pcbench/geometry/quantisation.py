@@ -20,7 +20,7 @@ _SAMPLE_POINTS = 100_000  # every n-th point, as in an evenly thinned cloud on d
 _MIN_VALUES = 10  # distinct values on a lattice; fewer may be levels of a model
 _MIN_LEVELS, _MAX_LEVEL_STEP = 3, 1.0  # or this many, without a gap and with a step that files have
 _MIN_SHARE = 0.95  # of the differences between neighbouring values that are multiples of the step
-_TESTED_GAPS = 1_000
+_TESTED_GAPS, _MIN_TESTED_SHARE = 64, 0.75  # gaps that rule out most steps, and their share of multiples
 _MAX_ERROR = 0.05  # of these multiples, in steps
 _DECIMAL_FACTORS = (1.0, 0.5, 0.25, 0.2)
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
@@ -157,9 +157,12 @@ def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
         value_errors: (M + 1,) possible rounding error of each value.
     """
     errors = value_errors[1:] + value_errors[:-1]
-    stride = max(1, len(gaps) // _TESTED_GAPS)  # most steps can be ruled out by few gaps
+    stride = max(1, len(gaps) // _TESTED_GAPS)
+    few, few_errors = gaps[::stride], errors[::stride]
     for step in sorted(set(_possible_steps(gaps)), reverse=True):
-        if not _are_multiples(gaps[::stride], errors[::stride], step) or not _are_multiples(gaps, errors, step):
+        if _share_of_multiples(few, few_errors, step) < _MIN_TESTED_SHARE:
+            continue
+        if _share_of_multiples(gaps, errors, step) < _MIN_SHARE:
             continue
         if len(gaps) + 1 >= _MIN_VALUES:
             return step
@@ -168,10 +171,10 @@ def _common_step(gaps: FloatArray, value_errors: FloatArray) -> float:
     return 0.0
 
 
-def _are_multiples(gaps: FloatArray, errors: FloatArray, step: float) -> bool:
+def _share_of_multiples(gaps: FloatArray, errors: FloatArray, step: float) -> float:
     off = np.abs(gaps - np.maximum(np.round(gaps / step), 1.0) * step)
     is_multiple = (off <= 2 * errors) & (errors <= _MAX_ERROR * step)
-    return bool(np.count_nonzero(is_multiple) >= _MIN_SHARE * len(gaps))
+    return np.count_nonzero(is_multiple) / len(gaps)
 
 
 def _possible_steps(gaps: FloatArray) -> Iterator[float]:
