@@ -26,7 +26,19 @@ _MAX_NAMED = 6  # models that a warning names
 
 class _CountedModel(NamedTuple):
     folder: Path
-    size: int  # number of points or images; 0 if its file is damaged
+    images: int  # 0 if the file is missing or damaged
+    points: int  # likewise
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers by which models are ranked."""
+        return self.images, self.points
+
+    @property
+    def counts(self) -> str:
+        """Numbers of images and points in words, without those that are 0."""
+        numbers = {"images": self.images, "points": self.points}
+        return ", ".join(f"{number:,} {noun}" for noun, number in numbers.items() if number) or "damaged"
 
 
 def is_colmap_model(folder: Path) -> bool:
@@ -43,11 +55,12 @@ def find_model(path: Path, content: Content, warn: Warn | None = None) -> Path |
     """Return the folder of the COLMAP model in a folder, or of the largest of several models; None if there is none.
 
     Models are searched in the folder, in sparse/, colmap/sparse/, colmap/ and models/, and in the numbered subfolders
-    of these. The first of several equally large models is returned.
+    of these. The largest has the most images and, among these, the most points, whichever are read: points and cameras
+    of two models would have different coordinates. The first of several equally large models is returned.
 
     Args:
         path: folder. A folder that holds one model itself, such as sparse/1, is returned unless it holds others too.
-        content: whether models need points, or images with cameras; the size of a model is their number.
+        content: whether models need points, or images with cameras.
         warn: callback, called with one line, without the path, that names all of several models.
 
     Raises:
@@ -56,10 +69,10 @@ def find_model(path: Path, content: Content, warn: Warn | None = None) -> Path |
     folders = list(_model_folders(path, content))
     if len(folders) < 2:
         return folders[0] if folders else None
-    models = [_CountedModel(folder, _count(folder, content)) for folder in folders]
+    models = [_CountedModel(folder, _count(folder, "images"), _count(folder, "points")) for folder in folders]
     largest = max(models, key=lambda model: model.size)
     if warn is not None:
-        warn(_describe(path, models, largest, content))
+        warn(_describe(path, models, content))
     return largest.folder
 
 
@@ -75,8 +88,10 @@ def _model_folders(path: Path, content: Content) -> Iterator[Path]:
 
 
 def _count(folder: Path, content: Content) -> int:
-    """Return the number of points or images of a model: of those that its file states, or of its lines."""
+    """Return the number of points or images of a model, which its file states or which are its lines; 0 without one."""
     file = _content_file(folder, content)
+    if file is None:
+        return 0
     try:
         if file.suffix == ".txt":
             return count_items(read_bytes(file, MAX_MODEL_BYTES), content)
@@ -87,19 +102,18 @@ def _count(folder: Path, content: Content) -> int:
         return 0
 
 
-def _content_file(folder: Path, content: Content) -> Path:
-    """Return the file with the points or images of a model."""
-    if content == "images":
-        return folder / ("images.bin" if has_entry(folder / "cameras.bin") else "images.txt")
-    file = points_file(folder)
-    assert file is not None
-    return file
+def _content_file(folder: Path, content: Content) -> Path | None:
+    """Return the file with the points or images of a model; None if there is none."""
+    if content == "points":
+        return points_file(folder)
+    file = folder / ("images.bin" if has_entry(folder / "cameras.bin") else "images.txt")
+    return file if has_entry(file) else None
 
 
-def _describe(path: Path, models: list[_CountedModel], largest: _CountedModel, content: Content) -> str:
+def _describe(path: Path, models: list[_CountedModel], content: Content) -> str:
     """Name the models of a folder, the largest first, and the file that selects another one."""
-    ordered = [largest, *sorted((model for model in models if model is not largest), key=lambda model: -model.size)]
-    named = [f"{_relative(path, model)} ({model.size:,} {content})" for model in ordered[:_MAX_NAMED]]
+    ordered = sorted(models, key=lambda model: model.size, reverse=True)
+    named = [f"{_relative(path, model)} ({model.counts})" for model in ordered[:_MAX_NAMED]]
     rest = f" and {len(models) - _MAX_NAMED} more" if len(models) > _MAX_NAMED else ""
     option = "--cameras " if content == "images" else ""
     return (
