@@ -21,7 +21,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.sampling import median_spacing
+from pcbench.geometry.sampling import line_gaps, median_spacing
 from pcbench.geometry.voxels import cells, voxel_downsample_to
 
 _MAX_PAIRS = 20_000
@@ -29,6 +29,7 @@ _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
 _ROUNDS = 7
 _FIELD_REACH = 0.7  # maximum correspondence distance, in the 95th percentile of the field found so far
 _MAX_WIDENINGS = 5  # searches for pairs under the field found so far
+_MAX_GAP_SAMPLE = 1_000  # pairs at which the gap between scan lines is measured; at most twice as many are used
 _MIN_FIELD_CHANGE = 1.0  # RMS change of the field, in spacings, below which no further search is needed
 MIN_PAIRS = 300
 _MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
@@ -364,7 +365,10 @@ def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArr
         is_other[:, -1] = True
         means = np.einsum("nk,nki->ni", is_other, points) / np.count_nonzero(is_other, axis=1)[:, None]
         spacings = np.take_along_axis(distances, is_other.argmax(axis=1)[:, None], axis=1)[:, 0]
-    return means, np.maximum(spacings, sampling.spacing) if sampling.has_lines else spacings
+    if sampling.has_lines:  # planes bridge the gap to the next line, and a curved surface leaves them there
+        gaps = line_gaps(index, index.points[rows[:: max(1, len(rows) // _MAX_GAP_SAMPLE)]])
+        spacings = np.maximum(spacings, np.median(np.linalg.norm(gaps, axis=1)))
+    return means, spacings
 
 
 def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Whether a triangle mesh encloses a volume, and which side of each face is outside.
+"""Closed meshes: find out whether a triangle mesh encloses a volume, and which side of each face is outside.
 
 Many formats store vertices per face, and some round them. So edges are compared by the positions of their ends: first
 as the faces index them, then with equal positions merged, then with ends of open edges merged within a tolerance.

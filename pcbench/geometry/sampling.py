@@ -59,7 +59,7 @@ class Sampling(NamedTuple):
 
     @property
     def has_lines(self) -> bool:
-        """Whether the points lie in lines, along which they are denser than across."""
+        """Return whether the points lie in lines, along which they are denser than across."""
         return self.line_neighbors > 0
 
     @property

@@ -90,7 +90,7 @@ class Element:
 
     @property
     def is_grid(self) -> bool:
-        """Whether the element is the grid of a range scan, which arranges its points."""
+        """Return whether the element is the grid of a range scan, which arranges its points."""
         return "grid" in self.name.lower()
 
     def count_text(self, count: int | None = None) -> str:

@@ -28,7 +28,7 @@ def test_the_candidate_lies_on_the_reference(kind, register):
     # The counterpart of a point is within 5 % of the extent, which is 0.7 spacings at the sparse end.
     assert registration.overlap > (0.85 if kind == "1:1000" else 0.97)
     assert not registration.warnings
-    assert found.deformation.verdict != "deformed"
+    assert found.deformation.verdict in ("none", "undecided")
     if register == "icp":
         moved = registration.T_reference_candidate.apply(np.array([[20.0, 20.0, 0.0]]) + _OFFSET)
         # The normals of sparse lines and dense parts are less accurate. The spacing of strewn points is 0.3.
