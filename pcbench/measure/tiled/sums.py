@@ -133,7 +133,10 @@ def _sum_exactly(name: str, values: FloatArray, groups: IntArray, number: int) -
     limbs = np.zeros((number, _LIMBS), np.int64)
     if not _core.add_exactly(np.ascontiguousarray(values, np.float64), groups, limbs):
         worst = values[np.argmax(np.where(np.isnan(values), np.inf, np.abs(values)))]
-        raise InputError(f"expected finite values below 8e28 to sum ({name}), got {worst:g}")
+        raise InputError(
+            f"expected finite values below 8e28 to sum ({name}), got {worst:g}: remove points that stand for missing"
+            " data, or lie far away by mistake (pcbench convert FILE OUT --drop-nodata)"
+        )
     return _carry(limbs)
 
 
