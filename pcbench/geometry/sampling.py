@@ -28,6 +28,9 @@ _MAX_COPY_SHARE = 1 / 3  # of the spacing: 7 % of strewn points have a nearest n
 
 # Of the neighbours of a point as far as the next scan line, that many times as many have a fifth of their points in it.
 _PLANE_LINES = 2.5
+# Where most points lie in single lines, the distance of neighbours doubles from one rank to the other, and on a surface
+# it grows by sqrt(2). It was at most 1.58 in real scans, of which only parts look like lines from nearby.
+_LINE_RANKS, _MIN_LINE_GROWTH = (10, 20), 1.7
 # Neighbours searched for the next scan line.
 _MIN_LINE_NEIGHBORS, _MAX_LINE_NEIGHBORS, _LINE_NEIGHBOR_GROWTH = 12, 512, 1.5
 _MIN_VARIANCE_RATIO = 0.1  # variance across over variance along: above it, points are not a single line
@@ -48,19 +51,16 @@ class Sampling(NamedTuple):
         copy_radius: points within this distance of each other are copies of one point. It is 0, so that only
             coincident points are, unless many points have near duplicates.
         copies: number of points at a position, on average over the positions.
+        has_lines: whether the points, or many of them, lie in lines, along which they are denser than across.
         line_neighbors: number of points, itself included, from a point to the nearest one in the next line, if the
-            points lie in lines, along which they are denser than across; otherwise 0.
+            nearest points of most points lie in a single line; otherwise 0.
     """
 
     spacing: float
     copy_radius: float = 0.0
     copies: float = 1.0
+    has_lines: bool = False
     line_neighbors: int = 0
-
-    @property
-    def has_lines(self) -> bool:
-        """Return whether the points lie in lines, along which they are denser than across."""
-        return self.line_neighbors > 0
 
     @property
     def definition(self) -> str:
@@ -140,9 +140,18 @@ def sampling_of_profile(nearest: float, profile: FloatArray, count: int) -> Samp
     if of_surface <= _MAX_SURFACE_GROWTH * of_points:
         return Sampling(spacing, radius, copies)
     if of_surface > _MAX_SURFACE_GROWTH * equivalent[0]:  # it grows from neighbour to neighbour
-        return Sampling(of_surface, radius, copies, 2 + int(np.flatnonzero(shown)[equivalent.argmax()]))
+        next_line = 2 + int(np.flatnonzero(shown)[equivalent.argmax()])
+        return Sampling(of_surface, radius, copies, True, next_line if _are_single_lines(profile, copies) else 0)
     radius = max(radius, _MAX_COPY_SHARE * of_surface)  # of copies that lie almost as far apart as other neighbours
     return Sampling(of_surface, radius, _copies(profile, radius))
+
+
+def _are_single_lines(profile: FloatArray, copies: float) -> bool:
+    """Return whether the nearest points of most points lie in a single line, from distances (M, K) to neighbours."""
+    near, far = (min(round(rank * copies), profile.shape[1]) - 1 for rank in _LINE_RANKS)
+    inner, outer = profile[:, near], profile[:, far]
+    growth = np.divide(outer, inner, out=np.zeros_like(inner), where=inner > 0)
+    return float(np.median(growth)) >= _MIN_LINE_GROWTH
 
 
 def _copies(profile: FloatArray, radius: float) -> float:
