@@ -1,0 +1,5 @@
+"""Parts of a scene that differ between two registered clouds: moved, added, removed, or seen by one cloud only."""
+
+from pcbench.changes.result import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, Change, Changes
+
+__all__ = ["ADDED", "MOVED", "REMOVED", "STABLE", "UNMATCHED", "Change", "Changes"]
