@@ -85,6 +85,17 @@ class Changes:
     of_reference: NDArray[np.int32]
     of_candidate: NDArray[np.int32]
 
+    @property
+    def share(self) -> float:
+        """Share of the points of both clouds that belong to changes, 0 to 1: the larger one."""
+        return max(
+            float(np.mean(labels >= 0)) if len(labels) else 0.0 for labels in (self.of_reference, self.of_candidate)
+        )
+
+    def shifted(self, origin: FloatArray) -> Changes:
+        """Return the same changes in coordinates that include `origin` (3,)."""
+        return replace(self, found=tuple(change.shifted(origin) for change in self.found))
+
     @classmethod
     def none(cls, reference: int, candidate: int) -> Changes:
         """Return the result without changes, for clouds of these numbers of points."""

@@ -8,12 +8,13 @@ without one: in a volume such as a forest, closest points seem to confirm any as
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.changes import STABLE
 from pcbench.deformation.blocks import noise_sizes, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.sums import TileSums
@@ -60,6 +61,10 @@ class Side:
     surface: Surface
     inside: NDArray[np.bool_]
     cloud: Cloud
+
+    def without(self, labels: NDArray[np.int32]) -> Side:
+        """Return the cloud without the points (N,) of changes, and without those that have no counterpart."""
+        return replace(self, inside=self.inside & (labels == STABLE))
 
     @property
     def is_metric(self) -> bool:
@@ -168,6 +173,16 @@ class PairSearch:
             follow: whether closest points are searched after the model's displacement is removed, or at the points as
                 they are.
         """
+        fitted = self._fit(follow)
+        return None if fitted is None else _freeze(*fitted, self.surface.surface)
+
+    def displacement(self) -> Displacement | None:
+        """Return the displacement of the candidate by the largest model; None if there are too few pairs."""
+        fitted = self._fit(follow=True)
+        return None if fitted is None else fitted[1]
+
+    def _fit(self, follow: bool) -> tuple[_PlanePairs, Displacement] | None:
+        """Fit the largest model to closest points; return the last pairs, and the model."""
         points, surface = self.queries.surface.points[self.rows], self.surface.surface
         lower, upper = np.percentile(points, [1, 99], axis=0)
         field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
@@ -184,7 +199,7 @@ class PairSearch:
             if change <= max(_MIN_FIELD_CHANGE * surface.spacing, pairs.noise):
                 break
             closest = surface.index.query(points - self.sign * bend, hint=closest.indices)
-        return None if pairs is None else _freeze(pairs, field, surface)
+        return None if pairs is None else (pairs, field)
 
 
 class _PlanePairs(NamedTuple):
