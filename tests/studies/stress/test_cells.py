@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcbench.deformation import Deformation
-from pcbench.deformation.result import ModelScore
+from pcbench.deformation.parts import ModelScore
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress import cells, metrics, verdicts
