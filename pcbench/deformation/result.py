@@ -299,10 +299,10 @@ class Deformation:
         texts = values["warnings"]
         codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        found: Deformation = _from_json_value(cls, {**values, "warnings": notices})
+        found: Deformation = from_json_value(cls, {**values, "warnings": notices})
         return found
 
-    def sentence(self, name: str = "the candidate", unit: str = "") -> str:
+    def sentence(self, name: str = "the candidate", unit: str = "", *, is_noise: bool = True) -> str:
         """Return the verdict as a sentence.
 
         It starts with its limitations: the reasons of an undecided verdict, or a pose that the geometry does not fix.
@@ -310,10 +310,12 @@ class Deformation:
         Args:
             name: name of the candidate.
             unit: unit of the clouds.
+            is_noise: whether noise explains the distances between the clouds, as far as known. Otherwise the sentence
+                never says that the candidate equals the reference or is not deformed.
         """
         notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
         lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
-        return lead + self._verdict_in_words(name, f" {unit}" if unit else "") + self._origin_in_words()
+        return lead + self._verdict_in_words(name, f" {unit}" if unit else "", is_noise) + self._origin_in_words()
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
@@ -343,15 +345,15 @@ class Deformation:
         reason = "the clouds are too noisy" if is_seen else "the surfaces hardly show vertical displacements"
         return f"no size limit can be given, because {reason}"
 
-    def _verdict_in_words(self, name: str, unit: str) -> str:
+    def _verdict_in_words(self, name: str, unit: str, is_noise: bool) -> str:
         parts = self._parts_that_moved(unit)
         if self.verdict == "undecided":
             reasons = "; ".join(notice.text for notice in self.warnings if notice.code != BOTH_FROM_PHOTOGRAPHS)
             text = f"{name}: whether it is deformed is undecided: {reasons}"
             if self.conditional_verdict is None:
                 return f"{text}{parts}"
-            return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit)}"
-        if self.remaining_rms == 0 and self.verdict == "none":
+            return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit, is_noise)}"
+        if self.remaining_rms == 0 and self.verdict == "none" and is_noise:
             return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
         unseen = self._limit_in_words(unit)
         if self.verdict == "non-affine" and self.amplitude is not None:
@@ -368,6 +370,8 @@ class Deformation:
             )
         if self.verdict == "similarity":
             return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
+        if not is_noise:
+            return f"{name} shows no deformation as a whole{unseen}{parts}"
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed{whole}{unseen}{parts}"
 
@@ -511,7 +515,7 @@ def round_to_six_digits(value: Any) -> Any:
     return value
 
 
-def _from_json_value(kind: Any, value: Any) -> Any:
+def from_json_value(kind: Any, value: Any) -> Any:
     """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
     if value is None:
         return None
@@ -520,7 +524,7 @@ def _from_json_value(kind: Any, value: Any) -> Any:
         hints = get_type_hints(kind)
         names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
         # Older reports lack some fields: they take their defaults, and missing required ones are errors.
-        return kind(**{name: _from_json_value(hints[name], value[name]) for name in names if name in value})
+        return kind(**{name: from_json_value(hints[name], value[name]) for name in names if name in value})
     if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(_from_json_value(get_args(kind)[0], part) for part in value)
+        return tuple(from_json_value(get_args(kind)[0], part) for part in value)
     return value

@@ -9,6 +9,7 @@ floor or the white noise explains it, and the rest is unexplained.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -36,7 +37,6 @@ PARTS = ("unmatched", "changed", "motion", "affine", "smooth", "noise", "unexpla
 CONTRADICTED = "contradicted-by-budget"
 """Code of the warning that most of the squared distance is a smooth field which the test does not confirm."""
 MAX_NOISE_RATIO = 1.25  # a distance up to this multiple of its floor mostly reflects point spacing
-_MAX_NAMED_SHARE = NEGLIGIBLE_SHARE**2  # of D2 or its floor, for all parts with a name together
 _MIN_CONTRADICTING_SHARE = 0.5  # of D2, for a smooth field that a verdict cannot leave out
 _POINTS_PER_PARAMETER = 20  # noise explains 5 % of the squares by chance at most
 _MIN_PLACE_RATIO = 10.0  # of the variation of a polynomial over the points to that by the noise of their positions
@@ -83,6 +83,9 @@ class Budget:
         smooth: smooth deformation beyond that: a cubic polynomial of position, in small clouds a quadratic one.
         noise: what the sampling floor or the white noise explains of the rest.
         unexplained: what no other part explains.
+
+    Raises:
+        ValueError: the contributions do not add up.
     """
 
     mean_square: float
@@ -98,8 +101,10 @@ class Budget:
 
     def __post_init__(self) -> None:
         contributions = [part.mean_square for part in self.parts.values()]
-        assert min(contributions) >= 0, "a part of the budget is negative"
-        assert abs(sum(contributions) - self.mean_square) <= _ROUNDING * self.mean_square, "the parts do not add up"
+        total, changed = sum(contributions), sum(part.mean_square for part in self.of_changes)
+        pairs = (total, self.mean_square), (changed, self.changed.mean_square)
+        if min(contributions) < 0 or not all(math.isclose(*pair, rel_tol=_ROUNDING) for pair in pairs):
+            raise ValueError(f"expected parts of D2 that add up to {self.mean_square}, got {contributions}")
 
     @property
     def parts(self) -> Mapping[str, Part]:
@@ -112,14 +117,14 @@ class Budget:
 
     @property
     def is_noise(self) -> bool:
-        """Whether noise explains the distances: all other parts are small beside D2 and its floor.
+        """Whether noise explains the distances: each other part is small beside D2 or its floor, as are all together.
 
         Only then may a text say that the candidate lies as far away as error-free points, or that it is not deformed.
         """
         scale = max(self.mean_square, self.floor or 0.0)
-        unexplained = self.unexplained.mean_square
-        named = self.mean_square - self.noise.mean_square - unexplained
-        return named <= _MAX_NAMED_SHARE * scale and unexplained <= (1 - MAX_NOISE_RATIO**-2) * scale
+        named = [self.parts[name].mean_square for name in PARTS if name not in ("noise", "unexplained")]
+        others = self.mean_square - self.noise.mean_square
+        return max(named) <= NEGLIGIBLE_SHARE**2 * scale and others <= (1 - MAX_NOISE_RATIO**-2) * scale
 
 
 class Frame(NamedTuple):
@@ -263,10 +268,10 @@ def _explained_squares(sums: BudgetSums, frame: Frame, power: float) -> tuple[fl
     matrix, scores = normal_matrix(sums.moments) / count, sums.scores.ravel() / count
     polynomials = _visible_polynomials(gram_matrix(sums.moments) / count, matrix, power / frame.radius**2)
     degree = sum(PARAMETERS[model] <= affordable for model in _MODELS)
-    steps: list[FloatArray] = [
+    steps = [
         model_columns("rigid"),
-        np.kron(polynomials[min(degree, 1)], np.eye(3)),
-        np.kron(polynomials[degree], np.eye(3)),
+        _fields(polynomials[min(degree, 1)]),
+        _fields(polynomials[degree]),
     ]
     fields, explained = np.zeros((len(scores), 0)), []
     for columns in steps:
@@ -296,6 +301,12 @@ def _visible_polynomials(gram: FloatArray, matrix: FloatArray, power: float) -> 
         found = np.hstack([found, new @ vectors[:, values <= _MIN_PLACE_RATIO**-2]])
         by_degree.append(found)
     return by_degree
+
+
+def _fields(polynomials: FloatArray) -> FloatArray:
+    """Return coefficients (60, 3 K) of displacement fields whose components are multiples of polynomials (20, K)."""
+    fields: FloatArray = np.einsum("ak,ij->aikj", polynomials, np.eye(3)).reshape(3 * len(polynomials), -1)
+    return fields
 
 
 def _orthonormal(columns: FloatArray, form: FloatArray, known: FloatArray) -> FloatArray:

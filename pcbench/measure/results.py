@@ -295,8 +295,9 @@ class Candidate:
 
     @property
     def is_noise(self) -> bool:
-        """Whether noise explains the distances to the reference's surface, as far as the budget is known."""
-        return self.budget is None or self.budget.accuracy.is_noise
+        """Whether no part changed and noise explains the distances to the surface, as far as both are known."""
+        changed = self.changes is not None and bool(self.changes.found)
+        return not changed and (self.budget is None or self.budget.accuracy.is_noise)
 
 
 class LeftOut(NamedTuple):

@@ -163,8 +163,11 @@ def test_far_coordinates_and_units_change_no_share():
 
 def test_parts_that_do_not_add_up_are_refused():
     zero = Part(1.0, 0.0)
-    with pytest.raises(AssertionError):
-        Budget(1.0, None, zero, zero, (), zero, zero, zero, zero, Part(1.0, 0.9))
+    for parts in ((zero, Part(1.0, 0.9)), (Part(1.0, 1.1), Part(1.0, -0.1))):
+        with pytest.raises(ValueError, match="add up"):
+            Budget(1.0, None, zero, zero, (), zero, zero, zero, *parts)
+    with pytest.raises(ValueError, match="add up"):  # one of two changes is missing
+        Budget(1.0, None, zero, Part(0.5, 1.0), (Part(0.2, 0.4),), zero, zero, zero, zero, zero)
 
 
 def test_budget_of_a_comparison():
