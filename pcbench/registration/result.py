@@ -87,6 +87,11 @@ class Registration:
         return self.residuals.check
 
     @property
+    def keeps_pose(self) -> bool:
+        """Whether the pose is the given one (`none` or `matrix`), so that a remaining motion is the candidate's own."""
+        return self.method.partition(":")[0] in ("none", "matrix")
+
+    @property
     def doubtful(self) -> bool:
         """Return whether any warning says that the pose may be wrong: then no later score can be trusted."""
         return bool(self.doubts)
