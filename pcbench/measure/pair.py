@@ -30,14 +30,19 @@ class AlignedCandidate:
     Attributes:
         cloud: the candidate as it was read.
         registration: its registration to the reference.
-        index: search index over the aligned points, minus the reference's origin.
+        surface: the aligned points, minus the reference's origin.
         inside: (N,) whether each point lies in the region.
     """
 
     cloud: Cloud
     registration: Registration
-    index: Index
+    surface: Surface
     inside: NDArray[np.bool_]
+
+    @property
+    def index(self) -> Index:
+        """Search index over the aligned points."""
+        return self.surface.index
 
     def rounding(self, reference: Reference) -> PlacedQuantisation | None:
         """Return how the points are rounded and then moved; None if rounding is negligible in both clouds."""
@@ -71,7 +76,7 @@ def align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> 
         raise RegistrationError(f"{name}: {error}") from error
     points = registration.T_local.apply(cloud.points - reference.origin)
     inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
-    return AlignedCandidate(cloud, registration, Index(points), inside)
+    return AlignedCandidate(cloud, registration, Surface(Index(points), is_even=False), inside)
 
 
 def match_pair(reference: Reference, aligned: AlignedCandidate) -> Matched:
@@ -103,12 +108,12 @@ def measure_directions(
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
     return forth, from_reference(
-        reference, aligned.index, closest, matched.back, forth=forth, seed=seed, rounding=rounding
+        reference, aligned.surface, closest, matched.back, forth=forth, seed=seed, rounding=rounding
     )
 
 
 def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:
     """Assess deformation, with closest points found anew in the complete clouds."""
     ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(aligned.index, is_even=False), aligned.inside, aligned.cloud)
+    theirs = Side(aligned.surface, aligned.inside, aligned.cloud)
     return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)
