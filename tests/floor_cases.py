@@ -46,7 +46,12 @@ def measure_directions(reference: np.ndarray, candidate: np.ndarray, settings: S
     candidate_matches, reference_matches = prepared.index.query(index.points), index.query(prepared.points)
     accuracy = from_candidate(prepared, index.points, candidate_matches, seed=0)
     return accuracy, from_reference(
-        prepared, Surface(index, is_even=False), candidate_matches.indices, reference_matches, forth=accuracy, seed=settings.seed
+        prepared,
+        Surface(index, is_even=False),
+        candidate_matches.indices,
+        reference_matches,
+        forth=accuracy,
+        seed=settings.seed,
     )
 
 

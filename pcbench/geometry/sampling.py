@@ -104,11 +104,21 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     return sampling_of(index, nearest_other).spacing
 
 
-def sampling_of(index: Index, nearest_other: Matches | None = None) -> Sampling:
-    """Return the sampling of a cloud; the arguments are those of `median_spacing`."""
+def sampling_of(index: Index, nearest_other: Matches | None = None, profile: FloatArray | None = None) -> Sampling:
+    """Return the sampling of a cloud.
+
+    Args:
+        index: index of the cloud.
+        nearest_other: see `median_spacing`.
+        profile: distances (M, K) of every `profile_step`-th point to its K nearest other points, in any order of the
+            points; None: they are searched.
+    """
     if len(index) < 2:
         return Sampling(0.0)
-    profile = index.query(index.every(profile_step(len(index))), k=min(1 + PROFILE_NEIGHBORS, len(index))).distances[:, 1:]
+    if profile is None:
+        profile = index.query(
+            index.every(profile_step(len(index))), k=min(1 + PROFILE_NEIGHBORS, len(index))
+        ).distances[:, 1:]
     return sampling_of_profile(_median_nearest(index, nearest_other), profile, len(index))
 
 
