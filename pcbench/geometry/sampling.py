@@ -116,9 +116,8 @@ def sampling_of(index: Index, nearest_other: Matches | None = None, profile: Flo
     if len(index) < 2:
         return Sampling(0.0)
     if profile is None:
-        profile = index.query(
-            index.every(profile_step(len(index))), k=min(1 + PROFILE_NEIGHBORS, len(index))
-        ).distances[:, 1:]
+        places = index.every(profile_step(len(index)))
+        profile = index.query(places, k=min(1 + PROFILE_NEIGHBORS, len(index))).distances[:, 1:]
     return sampling_of_profile(_median_nearest(index, nearest_other), profile, len(index))
 
 

@@ -28,8 +28,11 @@ from pcbench.tasks import Task, TaskRunner
 from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import read_shared, write_result
 
-_MIN_NEAR_POINTS = 16  # kept around a place: closest points move while a deformation is followed
-_NEAR_GROWTH = 2  # times as many points as asked for are kept
+# Around a place, so many points are kept, and so many times as many as asked for: closest points move while a
+# deformation is followed.
+_MIN_NEAR_POINTS, _NEAR_GROWTH = 16, 2
+MAX_NEAR_POINTS = 2_000_000
+"""Points of a cloud that its assessment may have in memory, unless it follows a large deformation."""
 _PLACES_AT_ONCE = 4_096  # of a task
 _CENTERS = 4  # places nearest to a query that may show that its result is complete
 _SLACK = 1e-9  # share of distances, far above their rounding
@@ -107,11 +110,21 @@ class TiledIndex(Index):
         runner: runs the searches.
         stage: start of the names of the stages.
         key: identifies the cloud.
+        is_reused: whether later queries are near to earlier ones, so that more points are kept than asked for.
     """
 
     def __init__(
-        self, cloud: TiledCloud, file: Path, picker: Picker | None, runner: TaskRunner, stage: str, key: str
+        self,
+        cloud: TiledCloud,
+        file: Path,
+        picker: Picker | None,
+        runner: TaskRunner,
+        stage: str,
+        key: str,
+        *,
+        is_reused: bool = True,
     ) -> None:
+        self._is_reused = is_reused
         self._cloud, self._file, self._picker = cloud, file, picker
         self._runner, self._stage, self._key = runner, stage, key
         write_result(file, key, cloud)
@@ -149,8 +162,9 @@ class TiledIndex(Index):
         return TiledIndex(cloud, folder / "cloud.tiles", None, self._runner, name, f"{self._key}{share}")
 
     def fresh(self) -> TiledIndex:
-        """Return an index of the same cloud with no point in memory."""
-        return TiledIndex(self._cloud, self._file, self._picker, self._runner, f"{self._stage}-sampling", self._key)
+        """Return an index of the same cloud with no point in memory, for places far from each other."""
+        stage = f"{self._stage}-sampling"
+        return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
 
     def numbers_of(self, rows: IntArray, points: FloatArray, classes: NDArray[np.uint8] | None) -> IntArray:
         """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
@@ -203,7 +217,7 @@ class TiledIndex(Index):
         """Load the points around places (M, 3), at least the k nearest ones of each."""
         if not len(places):
             return
-        count = min(max(_NEAR_GROWTH * k, _MIN_NEAR_POINTS), len(self))
+        count = min(max(_NEAR_GROWTH * k, _MIN_NEAR_POINTS) if self._is_reused else k, len(self))
         order = np.argsort(Lattice.around(*bounds(places)).codes(places), kind="stable")
         tasks = []
         for number, start in enumerate(range(0, len(order), _PLACES_AT_ONCE)):
