@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -35,19 +34,19 @@ class AlignedCandidate:
     Attributes:
         cloud: the candidate as it was read.
         registration: its registration to the reference.
-        index: search index over the aligned points, minus the reference's origin.
+        surface: the aligned points, minus the reference's origin.
         inside: (N,) whether each point lies in the region.
     """
 
     cloud: Cloud
     registration: Registration
-    index: Index
+    surface: Surface
     inside: NDArray[np.bool_]
 
-    @cached_property
-    def surface(self) -> Surface:
-        """Aligned points as a surface."""
-        return Surface(self.index, is_even=False)
+    @property
+    def index(self) -> Index:
+        """Search index over the aligned points."""
+        return self.surface.index
 
     def rounding(self, reference: Reference) -> PlacedQuantisation | None:
         """Return how the points are rounded and then moved; None if rounding is negligible in both clouds."""
@@ -81,7 +80,7 @@ def align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> 
         raise RegistrationError(f"{name}: {error}") from error
     points = registration.T_local.apply(cloud.points - reference.origin)
     inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
-    return AlignedCandidate(cloud, registration, Index(points), inside)
+    return AlignedCandidate(cloud, registration, Surface(Index(points), is_even=False), inside)
 
 
 def match_pair(reference: Reference, aligned: AlignedCandidate) -> Matched:
@@ -113,7 +112,7 @@ def measure_directions(
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
     return forth, from_reference(
-        reference, aligned.index, closest, matched.back, forth=forth, seed=seed, rounding=rounding
+        reference, aligned.surface, closest, matched.back, forth=forth, seed=seed, rounding=rounding
     )
 
 

@@ -315,8 +315,7 @@ class Tiling:
     Attributes:
         tile_points: largest number of points of a tile, except where more points coincide.
         tiles: number of tiles of the reference and of each candidate together.
-        sampled_points: number of points of the reference that registration, floors and deformation are based on; None:
-            all points.
+        sampled_points: number of points of the reference that registration is based on; None: all points.
         max_distance: length beyond which no closest point was searched; None: all distances are exact.
         left_out: damaged files that were left out.
     """

@@ -79,8 +79,8 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
         text += f" Closest points were searched within {limit} (--max-distance)."
     if tiling.sampled_points is not None:
         text += (
-            " Registration, sampling floors and the test for deformation are based on a sample of"
-            f" {tiling.sampled_points:,} of the reference's {pluralize(comparison.reference.points, 'point')}."
+            f" Registration is based on a sample of {tiling.sampled_points:,} of the reference's"
+            f" {pluralize(comparison.reference.points, 'point')}."
         )
     known = comparison.candidates[0].metrics.presets
     if missing := [name for name in comparison.settings.presets if name not in known]:
