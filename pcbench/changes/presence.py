@@ -72,7 +72,7 @@ def find_absence(sample: Sample, other: Index) -> Absence:
     from scipy.special import bdtr
 
     own = sample.near.distances
-    distances = other.query(sample.points, min(2 * own.shape[1], len(other))).distances.reshape(len(sample), -1)
+    distances = other.query(sample.points, min(own.shape[1], len(other))).distances.reshape(len(sample), -1)
 
     def count(points: int) -> IntArray:
         found: IntArray = (distances <= own[:, points - 1, None]).sum(axis=1)
