@@ -29,6 +29,7 @@ from pcbench.deformation.pairs import Side
 from pcbench.deformation.parts import (
     Amplitude,
     Bin,
+    DetectableSize,
     Field,
     Growth,
     LocalChanges,
@@ -46,6 +47,7 @@ __all__ = [
     "Amplitude",
     "Bin",
     "Deformation",
+    "DetectableSize",
     "Field",
     "Growth",
     "LocalChanges",

@@ -92,7 +92,7 @@ def residual_deformation(
     # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
     which = -1 if (finding.conditional or finding.verdict) == "none" else 0
     described, whole = views[which], wholes[which]
-    answer = describe(described, finding, resolution=resolution, seed=seed)
+    answer = describe(described, finding, resolution=resolution, seed=seed).without_empty_denial()
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     if finding.verdict == "undecided" and finding.conditional is None and finding.warnings[0].code in _POSE_CODES:

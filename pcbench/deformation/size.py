@@ -66,6 +66,13 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
     )
 
 
+def stated_rms(negligible: float, noise: Noise) -> float:
+    """Return the RMS from which the interval of a size lies above the negligible size, for its systematic errors."""
+    scatter = 1.96 * _BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated)
+    rest = 1 - (1.96 * _BIAS_SIZE_SHARE) ** 2
+    return (negligible + math.sqrt(negligible**2 - rest * (negligible**2 - scatter**2))) / rest
+
+
 def _widen(value: float, interval: Interval, error: float) -> Interval:
     """Return an interval with an independent standard error added."""
     low, high = (math.hypot(end - value, 1.96 * error) for end in interval)
@@ -102,8 +109,8 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     return None if kind is None else kind.rms * _NullDistribution.of(geometry, noise).detectable_factor(kind)
 
 
-def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tuple[DetectableSize, ...]:
-    """Return the smallest detectable size of each kind of deformation; negligible sizes are not stated."""
+def detectable_sizes(geometry: Geometry, noise: Noise, stated: float) -> tuple[DetectableSize, ...]:
+    """Return the smallest detectable size of each kind of deformation, at least the smallest one that is `stated`."""
     null, sizes = _NullDistribution.of(geometry, noise), []
     for name in KINDS:
         kind = _Kind.of(geometry, name)
@@ -111,7 +118,7 @@ def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tup
         if kind is None or not math.isfinite(factor):
             sizes.append(DetectableSize(name))
             continue
-        factor = max(factor, negligible / kind.rms)
+        factor = max(factor, stated / kind.rms)
         sizes.append(DetectableSize(name, factor * kind.rms, factor * kind.displacement))
     return tuple(sizes)
 
