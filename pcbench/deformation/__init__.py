@@ -38,6 +38,8 @@ from pcbench.deformation.parts import (
     Observable,
     Tiles,
     Trend,
+    Wave,
+    WaveLimit,
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
@@ -58,6 +60,8 @@ __all__ = [
     "TileSums",
     "Tiles",
     "Trend",
+    "Wave",
+    "WaveLimit",
     "deform",
     "assess",
     "residual_deformation",

@@ -24,7 +24,10 @@ from pcbench.deformation.parts import (
     NoiseSize,
     Observable,
     Tiles,
+    Wave,
+    WaveLimit,
     from_json_value,
+    round_to_six_digits,
     scale_amplitude,
 )
 from pcbench.errors import Notice
@@ -79,6 +82,8 @@ class Deformation:
         stated_rms: RMS of the smallest deformation that is stated as non-affine: from here on the interval of its size
             lies above `negligible_rms`.
         detectable: smallest detectable sizes by kind of deformation.
+        wave: the wave that stands out of what the models leave; None if there is none.
+        waves_from: range of wave lengths that were searched, and the size above which a wave is found.
         conditional_verdict: the verdict if the pose is right, where the registration is doubtful and `verdict` is
             therefore undecided; sizes and p-value then belong to it. None otherwise.
         warnings: codes and texts; for an undecided verdict, the reasons.
@@ -105,6 +110,8 @@ class Deformation:
     negligible_rms: float | None = None
     stated_rms: float | None = None
     detectable: tuple[DetectableSize, ...] = ()
+    wave: Wave | None = None
+    waves_from: WaveLimit | None = None
     conditional_verdict: str | None = None
     warnings: tuple[Notice, ...] = ()
     field: Field | None = dataclasses.field(default=None, compare=False, metadata={"json": False})
@@ -199,6 +206,11 @@ class Deformation:
             if a.rms_surface is not None and a.ci_surface is not None:
                 least, most = a.ci_surface
                 over = f", {a.rms_surface:.3g} [{least:.3g}, {most:.3g}]{unit} over the whole surface,"
+            if self.wave is not None:
+                return (
+                    f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth"
+                    f" areas beyond any affine motion, of which {self._wave_in_words(unit)}{parts}"
+                )
             return (
                 f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
                 f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)}){parts}"
@@ -220,6 +232,18 @@ class Deformation:
         if self.surface_share is not None and self.surface_share < _WHOLE_SURFACE:
             limits.append(f"for {self.surface_share:.0%} of the surface")
         return f"{', '.join(limits)}, " if limits else ""
+
+    def _wave_in_words(self, unit: str) -> str:
+        """Return the size, length and direction of the wave."""
+        if self.wave is None:
+            return ""
+        x, y, z = self.wave.direction
+        angle = math.degrees(math.atan2(y, x)) % 180
+        along = f"at {angle:.0f} degrees from x" if abs(z) < 0.1 else f"along ({x:.2f}, {y:.2f}, {z:.2f})"
+        return (
+            f"{self.wave.rms:.3g}{unit} in waves of {self.wave.length:.3g}{unit} {along}, displaced along"
+            f" {self.wave.axis}"
+        )
 
     def _origin_in_words(self) -> str:
         """Return what a comparison of two clouds from photographs cannot show."""
@@ -255,6 +279,9 @@ class Deformation:
         if large:
             parts = [f"{_in_words(size.kind)} above {size.displacement:.3g}{unit}" for size in large]
             text += f", and so would {' or '.join(parts)}"
+        if (waves := self.waves_from) is not None:
+            size = f"{waves.shortest:.3g} to {waves.longest:.3g}{unit} length above {waves.rms:.3g}{unit} RMS"
+            text += f", and so would waves of {size}"
         if hidden := [_in_words(size.kind) for size in self.detectable if size.displacement is None]:
             text += f"; the surfaces do not show {' or '.join(hidden)}, however large"
         return text
@@ -308,6 +335,8 @@ class Deformation:
             negligible_rms=None,
             stated_rms=None,
             detectable=(),
+            wave=None,
+            waves_from=None,
         )
 
     def without_rounding(self) -> Deformation:
@@ -324,7 +353,21 @@ class Deformation:
             negligible_rms=None if self.negligible_rms is None else 0.0,
             stated_rms=None if self.stated_rms is None else 0.0,
             detectable=(),
+            waves_from=None,
         )
+
+    def with_waves(self, wave: Wave | None, limit: WaveLimit | None) -> Deformation:
+        """Add a wave and the limit of the search for waves; the amplitude includes the wave."""
+        if limit is not None and self.stated_rms is not None:
+            limit = replace(limit, rms=max(limit.rms, self.stated_rms))
+        amplitude = self.amplitude
+        if wave is not None and amplitude is not None:
+            rms = math.hypot(wave.rms, amplitude.rms)
+            low, high = (math.hypot(*ends) for ends in zip(wave.ci, amplitude.ci, strict=True))
+            most = math.sqrt(2) * wave.rms
+            amplitude = Amplitude(rms, max(amplitude.p95, most), max(amplitude.max, most), (low, high))
+        found: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
+        return found
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         """Return the same result with further warnings."""

@@ -55,7 +55,7 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
     of a displacement by a few per cent. Both were measured on clouds of photographs with exact truth, see
     `docs/measured/deformation.md`.
     """
-    error = math.hypot(_BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated), _BIAS_SIZE_SHARE * size.rms)
+    error = _systematic_error(size.rms, noise)
     if size.rms == 0 or size.rms_surface is None or size.ci_surface is None:
         return replace(size, ci=_widen(size.rms, size.ci, error))
     surface_error = error * size.rms_surface / size.rms
@@ -64,6 +64,16 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
         ci=_widen(size.rms, size.ci, error),
         ci_surface=_widen(size.rms_surface, size.ci_surface, surface_error),
     )
+
+
+def widened(value: float, interval: Interval, noise: Noise) -> Interval:
+    """Return the interval of an RMS with systematic errors included."""
+    return _widen(value, interval, _systematic_error(value, noise))
+
+
+def _systematic_error(value: float, noise: Noise) -> float:
+    """Return the standard error of an RMS from systematic errors."""
+    return math.hypot(_BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated), _BIAS_SIZE_SHARE * value)
 
 
 def stated_rms(negligible: float, noise: Noise) -> float:

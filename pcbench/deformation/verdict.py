@@ -18,6 +18,7 @@ from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
+CORRELATED_MISFIT = "correlated-misfit"  # residuals that look like noise of a long correlation
 MIN_TILES = 40
 _FOLDS = 10
 _MAX_P_DOUBTFUL = 1e-3
@@ -68,6 +69,12 @@ class Finding(NamedTuple):
     evidence: Evidence  # that there is a non-affine part
     warnings: tuple[Notice, ...]
     conditional: str | None = None  # the verdict if the pose is right, where the verdict is undecided
+
+    @property
+    def is_open_to_waves(self) -> bool:
+        """Return whether a wave settles the verdict: a model was found, or residuals that are only correlated."""
+        codes = {notice.code for notice in self.warnings}
+        return self.verdict in ("none", "similarity", "affine") or codes == {CORRELATED_MISFIT}
 
     def as_undecided(self, reason: Notice) -> Finding:
         """Return the finding as undecided, with the reason as first warning."""
@@ -169,7 +176,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             "the residuals are correlated more strongly than the noise of scans and photographs: closest points may"
             " hide a displacement along the surfaces; measure known points in both clouds (--register points:FILE)"
         )
-        warnings.append(Notice("correlated-misfit", text))
+        warnings.append(Notice(CORRELATED_MISFIT, text))
         verdict = "undecided"
     if is_indicated or may_be_noise:
         side = geometry.side * TILE
