@@ -325,7 +325,7 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
     yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
-    text = f"RMS of a dome that is detected and exceeds {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
+    text = f"RMS of a dome that is detected, its interval above {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
     yield Quantity("detectable_rms", "", text, bend.size_limit, section="deformation", label="  detectable RMS")
 
 
