@@ -24,6 +24,7 @@ from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.measure.offset import signed_offset
 from pcbench.measure.pair import AlignedCandidate, align, assess_deformation, match_pair, measure_directions
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, CandidateComparisons, Difference
@@ -162,6 +163,7 @@ def _compare_one(
         peak_rss_bytes=peak_memory(),
         steps=tuple(cloud.quantisation.steps.tolist()),
         warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
+        offset=signed_offset(forth.distances, forth.cells, reference.cells),
     ), measurement
 
 

@@ -61,7 +61,7 @@ _MIN_NORMAL_COSINE = 0.9  # floating points lie along the normal, and not beyond
 _MIN_UNEXPLAINED_SHARE, _MAX_TURNED_RATIO = 0.05, 0.7
 _MAX_SPACINGS_OFF = 10  # distance of the candidate's nearest quarter, above which a warning is given
 
-PoseSource = Literal["icp", "given", "search"]
+PoseSource = Literal["icp", "given", "stated", "search"]
 
 
 class Quality(NamedTuple):
@@ -188,6 +188,8 @@ def with_doubt(
                 f" candidate's mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if source == "stated":
+        return quality
     if source == "search":
         unmatched = unmatched_share(target, T.apply(random_sample))
         if unmatched > MAX_UNMATCHED_SHARE:
@@ -277,7 +279,8 @@ def assess_given(
         T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
         text: method text for the error message.
-        source: `given` by the user, or found by a `search` over all poses.
+        source: `given` by the user, `stated` by one coordinate system of both clouds, or found by a `search` over all
+            poses. A displacement in stated coordinates is a result and no doubt.
 
     Raises:
         RegistrationError: the bounding boxes do not overlap.
@@ -303,6 +306,13 @@ def assess_given(
     quality = assess(target, sample, random_sample, T_local, plane=True, with_scale=with_scale)
     quality = with_doubt(target, random_sample, T_local, quality, with_scale=False, source=source)
     return Fit(T_local, quality)
+
+
+def plane_rms(surface: Surface, points: FloatArray) -> float:
+    """Return the RMS distance of a random sample of points (N, 3) to the tangent planes at their closest points."""
+    sample = random_rows(points, MAX_RANDOM_SAMPLE)
+    pairs = weigh(surface, sample, surface.index.query(sample), np.inf, robust=False)
+    return float(np.sqrt(np.mean(np.square(pairs.residuals))))
 
 
 def _pairs_with_weight(pairs: WeightedPairs | None) -> WeightedPairs | None:

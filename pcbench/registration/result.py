@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from pcbench.errors import Notice
 from pcbench.geometry.transform import Similarity
-from pcbench.registration.motion import PoseCovariance
+from pcbench.registration.motion import PoseCovariance, RemovedMotion
 from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
 # Warning codes of a registration: programs use these, not the texts.
@@ -58,6 +58,9 @@ class Registration:
             not fix it.
         covariance: covariance of the pose, in the reference's coordinates: of ICP from that bootstrap, of control
             points from their residuals. None for a given pose, or if it is unknown.
+        shares_crs: whether both clouds state the same coordinate system.
+        rms_as_given: RMS distance of a sample of the candidate, in its given coordinates, to the tangent planes of the
+            reference; None for a given pose, or where those coordinates have no meaning in the reference.
         residuals: residuals of control and check points; empty unless the pose was fitted to such pairs.
         warnings: warnings to read before any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A given scale is not.
@@ -79,6 +82,8 @@ class Registration:
     information_eigenvalues: tuple[float, ...] = ()
     weakest_sigma: float | None = None
     covariance: PoseCovariance | None = None
+    shares_crs: bool = False
+    rms_as_given: float | None = None
     residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
@@ -89,6 +94,21 @@ class Registration:
     def is_given(self) -> bool:
         """Return whether the user gave the pose (`none`, `matrix`), so that no data determined it."""
         return self.converged is None and not self.residuals
+
+    @property
+    def motion(self) -> RemovedMotion | None:
+        """Motion of the candidate that the registration removed; None for a given pose, or if its error is unknown."""
+        if self.covariance is None:
+            return None
+        return RemovedMotion.of(self.T_reference_candidate, self.covariance, self.rmse)
+
+    @property
+    def keeps_frame(self) -> bool:
+        """Return whether the candidate's given coordinates mean the same as the reference's.
+
+        Both clouds state the same coordinate system, or the given coordinates fit as well up to a shift.
+        """
+        return self.shares_crs or ((motion := self.motion) is not None and motion.is_shift)
 
     @property
     def check_points(self) -> tuple[PointResidual, ...]:

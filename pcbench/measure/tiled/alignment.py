@@ -14,6 +14,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.metrics import Distances
+from pcbench.measure.offset import SignedOffset, signed_offset
 from pcbench.measure.pair import align, assess_deformation, match_pair, measure_directions
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import ReferenceSummary
@@ -81,6 +82,7 @@ class SampleResults:
         registration: the registration, with `T_local` between coordinates minus the local origin of the reference.
         floors: sampling floors of both directions, c→r and r→c, of each mean metric by name.
         deformation: the deformation that remains.
+        offset: signed offset from the reference's surface; None without normals.
         near: fit of the sample, to compare with that of all points; None if the sample is all points.
         reference: the reference's sample in short: its normals and warnings.
     """
@@ -88,6 +90,7 @@ class SampleResults:
     registration: Registration
     floors: tuple[Mapping[str, float | None], Mapping[str, float | None]]
     deformation: Deformation
+    offset: SignedOffset | None
     near: NearFit | None
     reference: ReferenceSummary
 
@@ -147,4 +150,5 @@ def assess_samples(
         registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
         near = NearFit.of(forth.distances, registration.overlap_distance)
     deformation = assess_deformation(reference, aligned, settings.seed)
-    return SampleResults(registration, (forth.floors, back.floors), deformation, near, reference.summary())
+    offset = signed_offset(forth.distances, forth.cells, reference.cells)
+    return SampleResults(registration, (forth.floors, back.floors), deformation, offset, near, reference.summary())

@@ -375,6 +375,7 @@ class _Run:
             peak_rss_bytes=peak_memory(),
             steps=tuple(cloud.thinned.quantisation.steps.tolist()),
             warnings=tuple(warnings),
+            offset=sample.offset,
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
