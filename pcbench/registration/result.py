@@ -23,13 +23,16 @@ OFF_SURFACE = "off-surface"  # many points near the reference float beside its s
 FAR_OFF = "far-off"  # even the nearest quarter is far from the reference
 NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were small
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
+UNKNOWN_SCALE = "unknown-scale"  # the scale was to be solved for, but the geometry does not fix it
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a ratio of units
 DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surroundings
 MIRRORED = "mirrored"  # no rotation aligns the candidate, but its reflection fits
 BLURRED = "blurred"  # noise or blur hides how well the pose fits, but restarts return to it
 
 # Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
-_DOUBT_CODES = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE, MIRRORED))
+_DOUBT_CODES = frozenset(
+    (FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNKNOWN_SCALE, UNIT_MISMATCH, DOUBTFUL_POSE, MIRRORED)
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,6 +16,7 @@ from pcbench.registration.result import (
     MIRRORED,
     NO_CONVERGENCE,
     UNIT_MISMATCH,
+    UNKNOWN_SCALE,
 )
 from pcbench.registration.rounding import COARSE_STEP
 from pcbench.report.inputs import SourcedComparison
@@ -37,6 +38,7 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
 
 _DOUBTS = {  # why poses are doubtful, by the code of the warning
     FEW_POINTS: "too few points overlap",
+    UNKNOWN_SCALE: "the geometry does not fix the scale",
     UNIT_MISMATCH: "the sizes suggest different units",
     MIRRORED: "mirrored",
     FAR_OFF: "far from the reference",
