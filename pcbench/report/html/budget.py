@@ -1,4 +1,4 @@
-"""What differs, on the page: a bar for the budget of D2 of each candidate and direction, and a table of the changes."""
+"""Bars for the budgets of D2 of each candidate and direction, and a table of the changes, on the page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pcbench.measure.budget import PARTS, D2Budget
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
 from pcbench.report.budget import kind_words, squared
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import UNKNOWN, length, percentage, printable
+from pcbench.report.words import UNKNOWN, length, percentage, printable, rounding_limit
 
 _LABELS = {  # of the parts in the legend, with their colours: of Okabe and Ito, and greys for what has no shape
     "unmatched": ("no counterpart", "#cc79a7"),
@@ -68,14 +68,17 @@ class ChangeRow(NamedTuple):
 
 
 def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[BudgetBar]:
-    """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r."""
+    """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r.
+
+    Directions whose distances are within rounding have none.
+    """
     unit, found = comparison.reference.unit, []
     for candidate in comparison:
         if candidate.budget is None:
             continue
         for way, arrow in ARROWS.items():
             budget, is_first = candidate.budget[way], way == CANDIDATE_TO_REFERENCE
-            if budget.mean_square > 0 and (is_first or not is_wide):
+            if budget.mean_square**0.5 > rounding_limit(comparison) and (is_first or not is_wide):
                 name = printable(candidate.name) if is_first else ""
                 found.append(BudgetBar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
     return found
