@@ -17,7 +17,7 @@ from pcbench.changes import Changes
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.budget import Budget
+from pcbench.measure.budget import D2Budget
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
@@ -140,11 +140,11 @@ class DirectedBudget:
             moved; otherwise it is what its registration left.
     """
 
-    accuracy: Budget
-    completeness: Budget
+    accuracy: D2Budget
+    completeness: D2Budget
     keeps_pose: bool
 
-    def __getitem__(self, direction: str) -> Budget:
+    def __getitem__(self, direction: str) -> D2Budget:
         """Return the budget of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
