@@ -13,6 +13,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.voxels import voxel_downsample
 
 MAX_SAMPLE = 60_000
+_COUNTED_POINTS = 240_000  # even sample that fills nearly all of `MAX_SAMPLE` voxels
 _SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
 NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
 
@@ -34,7 +35,7 @@ class Sample:
     @classmethod
     def of(cls, surface: Surface, side: float) -> Sample:
         """Return the sample with one point per voxel of a side."""
-        rows = voxel_downsample(surface.points, side)
+        rows = surface.first_in_cells(side)
         return cls(rows, Index(surface.points[rows]), side)
 
     def __len__(self) -> int:
@@ -76,8 +77,9 @@ def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
     """
     side = max(2 * noise, 1.5 * max(reference.spacing, candidate.spacing))
     for surface in (reference, candidate):
-        rows = voxel_downsample(surface.points, side)
-        while len(rows) > MAX_SAMPLE:
-            side *= max(1.05, float(np.sqrt(len(rows) / MAX_SAMPLE)))
-            rows = rows[voxel_downsample(surface.points[rows], side)]
+        points = surface.index.every(max(1, len(surface) // _COUNTED_POINTS))
+        points = points[voxel_downsample(points, side)]
+        while len(points) > MAX_SAMPLE:
+            side *= max(1.05, float(np.sqrt(len(points) / MAX_SAMPLE)))
+            points = points[voxel_downsample(points, side)]
     return side

@@ -40,7 +40,7 @@ from pcbench.deformation.parts import (
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
-from pcbench.deformation.stable import separate_changes
+from pcbench.deformation.stable import SeparatedChanges, separate_changes
 from pcbench.deformation.sums import TileSums
 
 __all__ = [
@@ -60,5 +60,6 @@ __all__ = [
     "deform",
     "assess",
     "residual_deformation",
+    "SeparatedChanges",
     "separate_changes",
 ]

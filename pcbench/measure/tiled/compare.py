@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from pcbench.changes import Changes
 from pcbench.errors import Notice, PcbenchError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.regions import Region
@@ -45,7 +46,7 @@ from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled import windows
 from pcbench.measure.tiled.alignment import NearFit, known_pose, register_on_disk
-from pcbench.measure.tiled.assessment import AlignedCloud, assess_deformation, measure_floors
+from pcbench.measure.tiled.assessment import AlignedCloud, assess_deformation, find_changes, measure_floors
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
@@ -195,10 +196,10 @@ class _Run(Steps):
             pair = self._pair(reference, stage, tiles, sample.registration)
             directions = forth, back = self._measure_tiles(pair, stage, name, region)
         known, file = reference.aligned(self, stage), self.folder / f"{stage}.tiles"
-        lowest = np.min([summary.lowest_inside for summary in summaries], axis=0)
-        aligned = AlignedCloud(
-            cloud, tiles, origin, pose, region, lowest, self.runner, stage, f"{self.key}{stage}", file
-        )
+        aligned = AlignedCloud(cloud, tiles, origin, pose, region, self.runner, stage, f"{self.key}{stage}", file)
+        with record_time(timings, "changes"):
+            self.report(f"{name}: searching for changes")
+            changes = find_changes(known, aligned)
         with record_time(timings, "metrics"):
             self.report(f"{name}: sampling floors")
             every_floor = measure_floors(known, aligned, forth.sums, reference.spacing, self.settings.seed)
@@ -219,7 +220,15 @@ class _Run(Steps):
                 self._write_map(self.maps, name, "completeness", back, reference, pair.pixels)
         with record_time(timings, "deformation"):
             self.report(f"{name}: assessing deformation")
-            deformation = assess_deformation(known, aligned, sample.registration, self.settings.seed)
+            largest = forth.sums.totals.farthest
+            deformation = assess_deformation(
+                known,
+                aligned,
+                sample.registration,
+                np.inf if largest is None else largest.distance,
+                self.settings.seed,
+                changes,
+            )
         with record_time(timings, "presets"):
             quoted = self._presets(reference, pair, stage, name, directions)
         near = NearFit.of_sums(forth.sums.near, inside)
@@ -246,6 +255,7 @@ class _Run(Steps):
             peak_rss_bytes=peak_memory(),
             steps=tuple(cloud.quantisation.steps.tolist()),
             warnings=tuple(warnings),
+            changes=Changes(changes.sampled.found, *changes.sampled.labels).shifted(origin),
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
