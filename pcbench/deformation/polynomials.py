@@ -8,8 +8,10 @@ three. Coefficients are stored as (60,), the three components of a monomial toge
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
@@ -37,15 +39,17 @@ _RECURRENCE = [
 # (20, 20) -> 84: the product of two monomials
 _PRODUCT_INDEX = np.array([[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
+_DIGIT = 2.0**20  # of numbers whose products are whole: a sum of 4,096 of them stays below 2^53
+_EXACT_PAIRS = 4_096
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
 
-def monomials(places: FloatArray) -> FloatArray:
-    """Evaluate the monomials at positions (N, 3); return (20, N)."""
-    values = np.empty((len(EXPONENTS), len(places)))
+def monomials(places: FloatArray, number: int = len(EXPONENTS)) -> FloatArray:
+    """Evaluate the first monomials, by default those up to degree three, at positions (N, 3); return (`number`, N)."""
+    values = np.empty((number, len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
-    for row, (earlier, axis) in enumerate(_RECURRENCE[: len(EXPONENTS) - 1], 1):
+    for row, (earlier, axis) in enumerate(_RECURRENCE[: number - 1], 1):
         np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
@@ -73,6 +77,47 @@ def normal_equations(
     places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
     _core.normal_equations(places, normals, weights, residuals, starts, np.array(_RECURRENCE), moments, scores)
     return moments, scores
+
+
+def whole_normal_equations(
+    places: FloatArray, normals: FloatArray, residuals: FloatArray
+) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    """Accumulate normal equations of pairs of equal weight, in whole numbers: in any order, they add up to the same.
+
+    Args:
+        places: (N, 3) positions from -1 to 1.
+        normals: (N, 3) unit normals.
+        residuals: (N,) residuals along the normals, in the unit of the positions.
+
+    Returns:
+        Moments (84, 6) and digits (3, 20, 3) of scores, see `whole_moments` and `whole_scores`.
+    """
+    moments, scores = np.zeros((len(_PRODUCTS), 6), object), np.zeros((3, len(EXPONENTS), 3), object)
+    rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    for start in range(0, len(places), _EXACT_PAIRS):
+        some = slice(start, start + _EXACT_PAIRS)
+        values = np.rint(monomials(places[some], len(_PRODUCTS)) * _DIGIT)
+        n = normals[some]
+        moments += (values @ np.rint(n[:, rows] * n[:, columns] * _DIGIT)).astype(np.int64)
+        left = np.rint(residuals[some, None] * n * _DIGIT**2)
+        for power in range(3):  # digits, so that sums of products are exact in float64
+            higher = np.floor(left / _DIGIT) if power < 2 else np.zeros_like(left)
+            digit = values[: len(EXPONENTS)] @ (left - higher * _DIGIT)
+            scores[power] += digit.astype(np.int64)
+            left = higher
+    return moments, scores
+
+
+def whole_moments(sums: NDArray[Any]) -> FloatArray:
+    """Return the moments (84, 6) that their whole numbers stand for."""
+    return (sums.astype(object) / int(_DIGIT) ** 2).astype(np.float64)
+
+
+def whole_scores(digits: NDArray[Any]) -> FloatArray:
+    """Return the scores (20, 3) that their digits (3, 20, 3) stand for."""
+    low, middle, high = digits.astype(object)
+    base = int(_DIGIT)
+    return ((low + base * middle + base**2 * high) / base**3).astype(np.float64)
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:

@@ -11,22 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes import STABLE
 from pcbench.deformation import Deformation, SeparatedChanges, Side, residual_deformation, separate_changes
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.pairs import MIN_PAIRS, SPREAD_SIDE, extent
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index
 from pcbench.geometry.quantisation import PlacedQuantisation
-from pcbench.geometry.regions import Mask, Region
+from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_thin_to
 from pcbench.measure import floors
+from pcbench.measure.budget import Frame, budget
 from pcbench.measure.directions import PLANE_METRIC, error_share, mean_values
 from pcbench.measure.floors import FloorSurface
-from pcbench.measure.tiled.directions import DistanceSums
+from pcbench.measure.results import DirectedBudget
+from pcbench.measure.tiled.directions import DistanceSums, MeasuredDirection
 from pcbench.measure.tiled.even import Picker, PlacedRuns, even_points
+from pcbench.measure.tiled.labels import PointLabels, StableRegion
 from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
 from pcbench.measure.tiled.stored import StoredCloud
 from pcbench.measure.tiled.tiles import GIVEN_NORMALS, TiledCloud
@@ -35,46 +36,6 @@ from pcbench.tasks import TaskRunner
 
 Floors = Mapping[str, float | None]
 """Sampling floor of each mean metric by name; None if it does not exist."""
-
-
-@dataclass(frozen=True, eq=False)
-class StableRegion:
-    """Where a cloud did not change: the points to which the nearest point of a sample is stable.
-
-    Attributes:
-        region: another region, to which it is limited; None: it is not.
-        sample: sampled points.
-        is_stable: (N,) whether they are stable.
-        displacement: displacement that is removed from points before; None: none.
-        text: text of the region in settings and errors.
-    """
-
-    region: Region | None
-    sample: Index
-    is_stable: Mask
-    displacement: Displacement | None
-    text: str = "stable"
-
-    @classmethod
-    def of(cls, region: Region | None, changes: SeparatedChanges, which: int) -> StableRegion:
-        """Return the stable part of a cloud (0: the reference) that changed."""
-        assert changes.sampled.samples is not None
-        displacement = changes.displacement if which else None
-        return cls(region, changes.sampled.samples[which].index, changes.sampled.labels[which] == STABLE, displacement)
-
-    def contains(self, points: FloatArray) -> Mask:
-        """Return the mask (N,) of the points inside."""
-        places = points if self.displacement is None else points - self.displacement(points)
-        found: Mask = self.is_stable[self.sample.query(places).indices]
-        return found if self.region is None else found & self.region.contains(points)
-
-    def shifted(self, origin: FloatArray) -> StableRegion:
-        """Return the region in coordinates minus `origin`: it is used in local coordinates alone."""
-        raise NotImplementedError
-
-    def describe(self) -> str:
-        """Return a readable name."""
-        return "the part that did not change"
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +192,33 @@ def find_changes(reference: AlignedCloud, candidate: AlignedCloud) -> SeparatedC
     return separate_changes(TiledSide.of(reference), TiledSide.of(candidate))
 
 
+def split_into_budget(
+    directions: tuple[MeasuredDirection, MeasuredDirection],
+    frame: Frame,
+    every_floor: tuple[Floors, Floors],
+    deformation: Deformation,
+    *,
+    keeps_pose: bool,
+) -> DirectedBudget | None:
+    """Return the budget of D2 in both directions; None if D2 is unknown.
+
+    Args:
+        directions: c→r and r→c.
+        frame: frame of the sums.
+        every_floor: their sampling floors.
+        deformation: the deformation, whose white noise counts as noise.
+        keeps_pose: whether the candidate's pose is the given one.
+    """
+    white = None if deformation.noise is None else deformation.noise.sigma_white
+    found = []
+    for direction, known in zip(directions, every_floor, strict=True):
+        sums = direction.sums.budget_sums
+        if sums is None or not direction.sums.totals.has_planes:
+            return None
+        found.append(budget(sums, frame, floor=known[PLANE_METRIC], white=white))
+    return DirectedBudget(found[0], found[1], keeps_pose)
+
+
 def assess_deformation(
     reference: AlignedCloud,
     candidate: AlignedCloud,
@@ -250,7 +238,9 @@ def assess_deformation(
         changes: the changes.
     """
     stable = [
-        cloud if changes.sampled.are_stable(which) else cloud.limited_to(StableRegion.of(cloud.region, changes, which))
+        cloud
+        if changes.sampled.are_stable(which)
+        else cloud.limited_to(StableRegion(cloud.region, PointLabels.of(changes, which)))
         for which, cloud in enumerate((reference, candidate))
     ]
     sides = TiledSide.of(stable[0]), TiledSide.of(stable[1], farthest)
