@@ -110,14 +110,16 @@ def whole_normal_equations(
 
 def whole_moments(sums: NDArray[Any]) -> FloatArray:
     """Return the moments (84, 6) that their whole numbers stand for."""
-    return (sums.astype(object) / int(_DIGIT) ** 2).astype(np.float64)
+    moments: FloatArray = (sums.astype(object) / int(_DIGIT) ** 2).astype(np.float64)
+    return moments
 
 
 def whole_scores(digits: NDArray[Any]) -> FloatArray:
     """Return the scores (20, 3) that their digits (3, 20, 3) stand for."""
     low, middle, high = digits.astype(object)
     base = int(_DIGIT)
-    return ((low + base * middle + base**2 * high) / base**3).astype(np.float64)
+    scores: FloatArray = ((low + base * middle + base**2 * high) / base**3).astype(np.float64)
+    return scores
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:

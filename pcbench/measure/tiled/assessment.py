@@ -21,11 +21,11 @@ from pcbench.geometry.sampling import Sampling
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_thin_to
 from pcbench.measure import floors
-from pcbench.measure.budget import Frame, budget
+from pcbench.measure.budget import budget
 from pcbench.measure.directions import PLANE_METRIC, error_share, mean_values
 from pcbench.measure.floors import FloorSurface
 from pcbench.measure.results import DirectedBudget
-from pcbench.measure.tiled.directions import DistanceSums, MeasuredDirection
+from pcbench.measure.tiled.directions import DistanceSums, MeasuredDirection, TiledPair
 from pcbench.measure.tiled.even import Picker, PlacedRuns, even_points
 from pcbench.measure.tiled.labels import PointLabels, StableRegion
 from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
@@ -193,30 +193,29 @@ def find_changes(reference: AlignedCloud, candidate: AlignedCloud) -> SeparatedC
 
 
 def split_into_budget(
+    pair: TiledPair,
     directions: tuple[MeasuredDirection, MeasuredDirection],
-    frame: Frame,
     every_floor: tuple[Floors, Floors],
     deformation: Deformation,
-    *,
-    keeps_pose: bool,
+    registration: Registration,
 ) -> DirectedBudget | None:
     """Return the budget of D2 in both directions; None if D2 is unknown.
 
     Args:
+        pair: both clouds.
         directions: c→r and r→c.
-        frame: frame of the sums.
         every_floor: their sampling floors.
         deformation: the deformation, whose white noise counts as noise.
-        keeps_pose: whether the candidate's pose is the given one.
+        registration: registration of the candidate.
     """
     white = None if deformation.noise is None else deformation.noise.sigma_white
     found = []
     for direction, known in zip(directions, every_floor, strict=True):
         sums = direction.sums.budget_sums
-        if sums is None or not direction.sums.totals.has_planes:
+        if sums is None or pair.frame is None or not direction.sums.totals.has_planes:
             return None
-        found.append(budget(sums, frame, floor=known[PLANE_METRIC], white=white))
-    return DirectedBudget(found[0], found[1], keeps_pose)
+        found.append(budget(sums, pair.frame, floor=known[PLANE_METRIC], white=white))
+    return DirectedBudget(found[0], found[1], registration.keeps_pose)
 
 
 def assess_deformation(
@@ -237,11 +236,9 @@ def assess_deformation(
         seed: random seed.
         changes: the changes.
     """
-    stable = [
-        cloud
-        if changes.sampled.are_stable(which)
-        else cloud.limited_to(StableRegion(cloud.region, PointLabels.of(changes, which)))
-        for which, cloud in enumerate((reference, candidate))
-    ]
+    stable = []
+    for which, cloud in enumerate((reference, candidate)):
+        region = StableRegion(cloud.region, PointLabels.of(changes, which))
+        stable.append(cloud if changes.sampled.are_stable(which) else cloud.limited_to(region))
     sides = TiledSide.of(stable[0]), TiledSide.of(stable[1], farthest)
     return residual_deformation(*sides, registration, reference.origin, seed=seed)

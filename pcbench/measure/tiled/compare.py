@@ -240,10 +240,7 @@ class _Run(Steps):
                 changes,
             )
         with record_time(timings, "budget"):
-            keeps_pose = sample.registration.keeps_pose
-            split = split_into_budget(
-                directions, Frame.of(reference.tiles.corners), every_floor, deformation, keeps_pose=keeps_pose
-            )
+            split = split_into_budget(pair, directions, every_floor, deformation, sample.registration)
             if split is not None:
                 deformation = consistent_with(split.accuracy, deformation)
         with record_time(timings, "presets"):

@@ -72,6 +72,11 @@ def check_assessment(tiled, memory):
             assert found is not None
             assert found == pytest.approx(expected, rel=1e-12, abs=0)
     assert ours.changes.found == theirs.changes.found
+    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        found, expected = ours.budget[way], theirs.budget[way]
+        for name, part in expected.parts.items():
+            assert found.parts[name].point_share == part.point_share
+            assert found.parts[name].mean_square == pytest.approx(part.mean_square, abs=1e-9 * expected.mean_square)
     assert ours.deformation == theirs.deformation
 
 
