@@ -39,7 +39,7 @@ _RECURRENCE = [
 # (20, 20) -> 84: the product of two monomials
 _PRODUCT_INDEX = np.array([[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
-_DIGIT = 2.0**20  # of numbers whose products are whole: a sum of 4,096 of them stays below 2^53
+_DIGIT = 2.0**20  # base of digits: a sum of 4,096 products of two of them stays below 2^53
 _EXACT_PAIRS = 4_096
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
@@ -90,36 +90,38 @@ def whole_normal_equations(
         residuals: (N,) residuals along the normals, in the unit of the positions.
 
     Returns:
-        Moments (84, 6) and digits (3, 20, 3) of scores, see `whole_moments` and `whole_scores`.
+        Moments (3, 84, 6) and scores (4, 20, 3) as from `normal_equations`, as digits, see `value_of_digits`.
     """
-    moments, scores = np.zeros((len(_PRODUCTS), 6), object), np.zeros((3, len(EXPONENTS), 3), object)
+    moments, scores = np.zeros((3, len(_PRODUCTS), 6), object), np.zeros((4, len(EXPONENTS), 3), object)
     rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
     for start in range(0, len(places), _EXACT_PAIRS):
         some = slice(start, start + _EXACT_PAIRS)
-        values = np.rint(monomials(places[some], len(_PRODUCTS)) * _DIGIT)
-        n = normals[some]
-        moments += (values @ np.rint(n[:, rows] * n[:, columns] * _DIGIT)).astype(np.int64)
-        left = np.rint(residuals[some, None] * n * _DIGIT**2)
-        for power in range(3):  # digits, so that sums of products are exact in float64
-            higher = np.floor(left / _DIGIT) if power < 2 else np.zeros_like(left)
-            digit = values[: len(EXPONENTS)] @ (left - higher * _DIGIT)
-            scores[power] += digit.astype(np.int64)
-            left = higher
+        n, values = normals[some], _digits(monomials(places[some], len(_PRODUCTS)), 2)
+        products, left = _digits(n[:, rows] * n[:, columns], 2), _digits(residuals[some, None] * n, 3)
+        for i, value in enumerate(values):
+            for j, digit in enumerate(products):
+                moments[i + j] += (value @ digit).astype(np.int64)
+            for j, digit in enumerate(left):
+                scores[i + j] += (value[: len(EXPONENTS)] @ digit).astype(np.int64)
     return moments, scores
 
 
-def whole_moments(sums: NDArray[Any]) -> FloatArray:
-    """Return the moments (84, 6) that their whole numbers stand for."""
-    moments: FloatArray = (sums.astype(object) / int(_DIGIT) ** 2).astype(np.float64)
-    return moments
+def _digits(values: FloatArray, count: int) -> list[FloatArray]:
+    """Return digits of values, in units of 2^-40, the lowest one first: the sum of products of 4,096 is exact."""
+    left, found = np.rint(values * _DIGIT**2), []
+    for _ in range(count - 1):
+        higher = np.floor(left / _DIGIT)
+        found.append(left - higher * _DIGIT)
+        left = higher
+    return [*found, left]
 
 
-def whole_scores(digits: NDArray[Any]) -> FloatArray:
-    """Return the scores (20, 3) that their digits (3, 20, 3) stand for."""
-    low, middle, high = digits.astype(object)
+def value_of_digits(digits: NDArray[Any]) -> FloatArray:
+    """Return the values (...) of products whose digits (D, ...) were added up, the lowest one first."""
     base = int(_DIGIT)
-    scores: FloatArray = ((low + base * middle + base**2 * high) / base**3).astype(np.float64)
-    return scores
+    total = sum(digit.astype(object) * base**power for power, digit in enumerate(digits))
+    values: FloatArray = np.asarray(total / base**4).astype(np.float64)
+    return values
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:

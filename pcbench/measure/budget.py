@@ -26,9 +26,8 @@ from pcbench.deformation.polynomials import (
     gram_matrix,
     model_columns,
     normal_matrix,
-    whole_moments,
+    value_of_digits,
     whole_normal_equations,
-    whole_scores,
 )
 from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.errors import Notice
@@ -147,13 +146,13 @@ class Frame(NamedTuple):
 class BudgetSums:
     """Sums over queries, from which the budget follows. Those of pieces of a cloud in one frame add up.
 
-    Moments and scores are whole numbers, see `whole_normal_equations`, so that the order of pieces has no effect.
+    Moments and scores are digits, see `whole_normal_equations`, so that the order of pieces has no effect.
 
     Attributes:
         counts: (2 + C,) number of queries without a counterpart, of stable ones, and of those of each change.
         squares: (2 + C,) sums of their squared distances.
-        moments: (84, 6) moments of the stable queries.
-        scores: (3, 20, 3) their scores.
+        moments: (3, 84, 6) moments of the stable queries.
+        scores: (4, 20, 3) their scores.
     """
 
     counts: IntArray
@@ -193,7 +192,7 @@ def sum_queries(
     """
     size = FIRST + changes
     squares = np.bincount(labels + FIRST, np.square(distances), size).astype(np.float64)
-    moments, scores = np.zeros((84, 6), object), np.zeros((3, 20, 3), object)
+    moments, scores = np.zeros((3, 84, 6), object), np.zeros((4, 20, 3), object)
     stable = np.flatnonzero(labels == STABLE)
     for start in range(0, len(stable), _CHUNK):
         queries = stable[start : start + _CHUNK]
@@ -270,8 +269,8 @@ def _explained_squares(sums: BudgetSums, frame: Frame, power: float) -> tuple[fl
     affordable = count / _POINTS_PER_PARAMETER
     if affordable < PARAMETERS["rigid"]:
         return 0.0, 0.0, 0.0
-    moments = whole_moments(sums.moments)
-    scores = frame.radius * whole_scores(sums.scores).ravel() / count
+    moments = value_of_digits(sums.moments)
+    scores = frame.radius * value_of_digits(sums.scores).ravel() / count
     matrix = normal_matrix(moments) / count
     polynomials = _visible_polynomials(gram_matrix(moments) / count, matrix, power / frame.radius**2)
     degree = sum(PARAMETERS[model] <= affordable for model in _MODELS)
