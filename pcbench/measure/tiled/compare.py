@@ -300,7 +300,7 @@ class _Run(Steps):
             overlap_distance=registration.overlap_distance,
             pixels=pixels,
             frame=Frame.of(reference.tiles.corners),
-            labels=(PointLabels.of(changes, 0), PointLabels.of(changes, 1)),
+            labels=(PointLabels.of(changes, 1), PointLabels.of(changes, 0)),
         )
 
     def _measure_tiles(
