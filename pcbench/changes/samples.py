@@ -14,6 +14,7 @@ from pcbench.geometry.voxels import voxel_downsample
 
 MAX_SAMPLE = 60_000
 _SIDE_VOXELS = 1.5
+_COUNTED_POINTS = 240_000  # even sample that fills nearly all of `MAX_SAMPLE` voxels
 _SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
 NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
 
@@ -35,7 +36,7 @@ class Sample:
     @classmethod
     def of(cls, surface: Surface, side: float) -> Sample:
         """Return the sample at a length scale."""
-        rows = voxel_downsample(surface.points, side / _SIDE_VOXELS)
+        rows = surface.first_in_cells(side / _SIDE_VOXELS)
         return cls(rows, Index(surface.points[rows]), side)
 
     def __len__(self) -> int:
@@ -77,8 +78,9 @@ def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
     """
     side = max(2 * noise, _SIDE_VOXELS * max(reference.spacing, candidate.spacing))
     for surface in (reference, candidate):
-        rows = voxel_downsample(surface.points, side / _SIDE_VOXELS)
-        while len(rows) > MAX_SAMPLE:
-            side *= max(1.05, float(np.sqrt(len(rows) / MAX_SAMPLE)))
-            rows = rows[voxel_downsample(surface.points[rows], side / _SIDE_VOXELS)]
+        points = surface.index.every(max(1, len(surface) // _COUNTED_POINTS))
+        points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
+        while len(points) > MAX_SAMPLE:
+            side *= max(1.05, float(np.sqrt(len(points) / MAX_SAMPLE)))
+            points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
     return side

@@ -11,6 +11,7 @@ shows against itself: planes are biased at edges and between sparse points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,9 @@ from pcbench.changes.description import Scene, describe
 from pcbench.changes.offsets import Offsets, find_offsets, shortest_width
 from pcbench.changes.parts import Evidence, connected_parts
 from pcbench.changes.presence import find_absence
-from pcbench.changes.result import STABLE, UNMATCHED, Changes
+from pcbench.changes.result import STABLE, UNMATCHED, Change
 from pcbench.changes.samples import Sample, common_side
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 
 _MIN_POINTS = 100
@@ -31,19 +31,48 @@ _MAX_SHEET_VARIATION = 0.03  # surface variation, or four times its lower quarti
 _MAX_TANGENTIAL = 3.0  # tangential distance of closest points on the same surface, in voxels of the sample
 
 
-def find_changes(reference: Surface, candidate: Surface, displacement: FloatArray | None = None) -> Changes:
+@dataclass(frozen=True, eq=False)
+class SampledChanges:
+    """Changes, with the labels of even samples of both clouds.
+
+    Attributes:
+        found: the changes, the most important one first.
+        samples: samples of the reference and of the candidate; None if the clouds are too small.
+        labels: labels of the sampled points, see `Changes`.
+    """
+
+    found: tuple[Change, ...]
+    samples: tuple[Sample, Sample] | None
+    labels: tuple[NDArray[np.int32], NDArray[np.int32]]
+
+    @property
+    def share(self) -> float:
+        """Share of the sampled points that belong to changes, 0 to 1: the larger one of both clouds."""
+        return max(float(np.mean(labels >= 0)) if len(labels) else 0.0 for labels in self.labels)
+
+    def are_stable(self, which: int) -> bool:
+        """Return whether all points of a cloud (0: the reference) are stable."""
+        return self.samples is None or bool((self.labels[which] == STABLE).all())
+
+    def of_points(self, which: int, points: FloatArray) -> NDArray[np.int32]:
+        """Return the labels (N,) of points (N, 3) of a cloud: those of the nearest sampled points."""
+        if self.samples is None or self.are_stable(which):
+            return np.full(len(points), STABLE, np.int32)
+        found: NDArray[np.int32] = self.labels[which][self.samples[which].index.query(points).indices]
+        return found
+
+
+def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
     """Find the changes between a reference and an aligned candidate.
 
     Args:
         reference: points and normals of the reference.
         candidate: points of the candidate, in the same coordinates.
-        displacement: (M, 3) smooth displacement of the candidate's points that is no change; None: zero.
     """
-    nothing = Changes.none(len(reference), len(candidate))
-    if min(len(reference), len(candidate)) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
+    sizes, no_labels = (len(reference), len(candidate)), np.zeros(0, np.int32)
+    nothing = SampledChanges((), None, (no_labels, no_labels))
+    if min(sizes) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
         return nothing
-    if displacement is not None:
-        candidate = Surface(Index(candidate.points - displacement), is_even=False)
     side = common_side(reference, candidate, _noise(reference, candidate))
     samples = Sample.of(reference, side), Sample.of(candidate, side)
     if min(map(len, samples)) < _MIN_POINTS:
@@ -57,28 +86,21 @@ def find_changes(reference: Surface, candidate: Surface, displacement: FloatArra
     changed = [(part, change) for part, change in described if change is not None]
     changed.sort(key=lambda each: -each[1].importance)
     unmatched = [part for part, change in described if change is None]
-    labels = []
-    for number, (surface, sample) in enumerate(zip((reference, candidate), samples, strict=True)):
-        of_sample = np.full(len(sample), STABLE, np.int32)
+
+    def labels(number: int) -> NDArray[np.int32]:
+        found = np.full(len(samples[number]), STABLE, np.int32)
         for part in unmatched:
-            of_sample[part[number]] = UNMATCHED
+            found[part[number]] = UNMATCHED
         for label, (part, _) in enumerate(changed):
-            of_sample[part[number]] = label
-        labels.append(_of_points(surface, sample, of_sample))
-    return Changes(tuple(change for _, change in changed), labels[0], labels[1])
+            found[part[number]] = label
+        return found
 
-
-def _of_points(surface: Surface, sample: Sample, labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the labels (N,) of all points of a cloud: those of the nearest sampled points."""
-    if (labels == STABLE).all():
-        return np.full(len(surface), STABLE, np.int32)
-    found: NDArray[np.int32] = labels[sample.index.query(surface.points).indices]
-    return found
+    return SampledChanges(tuple(change for _, change in changed), samples, (labels(0), labels(1)))
 
 
 def _noise(reference: Surface, candidate: Surface) -> float:
     """Return the standard deviation of the candidate's distances from the reference's planes on the stable part."""
-    points = candidate.points[:: max(1, len(candidate) // _MAX_NOISE_SAMPLE)]
+    points = candidate.index.every(max(1, len(candidate) // _MAX_NOISE_SAMPLE))
     rows = reference.index.query(points).indices
     return shortest_width(np.einsum("ni,ni->n", points - reference.points[rows], reference.normals(rows)))
 

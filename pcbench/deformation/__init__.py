@@ -43,7 +43,7 @@ from pcbench.deformation.parts import (
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
-from pcbench.deformation.stable import separate_changes
+from pcbench.deformation.stable import SeparatedChanges, separate_changes
 from pcbench.deformation.sums import TileSums
 
 __all__ = [
@@ -66,5 +66,6 @@ __all__ = [
     "deform",
     "assess",
     "residual_deformation",
+    "SeparatedChanges",
     "separate_changes",
 ]

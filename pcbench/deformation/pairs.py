@@ -65,6 +65,15 @@ class Side:
     inside: NDArray[np.bool_]
     cloud: Cloud
 
+    def displaced(self, displacement: Displacement) -> Surface:
+        """Return the points after a displacement was removed."""
+        points = self.surface.points
+        return Surface(Index(points - displacement(points)), is_even=False)
+
+    def lies_on(self, other: Side, within: float) -> bool:
+        """Return whether every point that may be a query lies within a distance of a point of another cloud."""
+        return bool(other.surface.index.query(self.surface.points[self.inside]).distances.max() <= within)
+
     def without(self, labels: NDArray[np.int32]) -> Side:
         """Return the cloud without the points (N,) of changes, and without those that have no counterpart."""
         return replace(self, inside=self.inside & (labels == STABLE))
@@ -208,8 +217,7 @@ class PairSearch:
         """Return whether every candidate point lies within a distance of a reference point, however it is weighted."""
         if self.closest.distances.max() > within:
             return False
-        points = self.candidate.surface.points[self.candidate.inside]
-        return bool(self.reference.surface.index.query(points).distances.max() <= within)
+        return self.candidate.lies_on(self.reference, within)
 
     def find(self, follow: bool) -> Pairs | None:
         """Return the pairs; None if there are too few.

@@ -8,8 +8,10 @@ three. Coefficients are stored as (60,), the three components of a monomial toge
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
@@ -37,15 +39,17 @@ _RECURRENCE = [
 # (20, 20) -> 84: the product of two monomials
 _PRODUCT_INDEX = np.array([[_MONOMIAL_INDEX[tuple((a + b).tolist())] for b in EXPONENTS] for a in EXPONENTS])
 _SYMMETRIC_INDEX = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # (3, 3) -> 6: xx, yy, zz, xy, xz, yz
+_DIGIT = 2.0**20  # base of digits: a sum of 4,096 products of two of them stays below 2^53
+_EXACT_PAIRS = 4_096
 _ONE_GROUP = np.zeros(1, dtype=np.int64)  # start of a single group
 
 
-def monomials(places: FloatArray) -> FloatArray:
-    """Evaluate the monomials at positions (N, 3); return (20, N)."""
-    values = np.empty((len(EXPONENTS), len(places)))
+def monomials(places: FloatArray, number: int = len(EXPONENTS)) -> FloatArray:
+    """Evaluate the first monomials, by default those up to degree three, at positions (N, 3); return (`number`, N)."""
+    values = np.empty((number, len(places)))
     values[0] = 1.0
     coordinates = np.ascontiguousarray(places.T)
-    for row, (earlier, axis) in enumerate(_RECURRENCE[: len(EXPONENTS) - 1], 1):
+    for row, (earlier, axis) in enumerate(_RECURRENCE[: number - 1], 1):
         np.multiply(values[earlier], coordinates[axis], out=values[row])
     return values
 
@@ -73,6 +77,51 @@ def normal_equations(
     places, normals, weights, residuals = map(np.ascontiguousarray, (places, normals, weights, residuals))
     _core.normal_equations(places, normals, weights, residuals, starts, np.array(_RECURRENCE), moments, scores)
     return moments, scores
+
+
+def whole_normal_equations(
+    places: FloatArray, normals: FloatArray, residuals: FloatArray
+) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+    """Accumulate normal equations of pairs of equal weight, in whole numbers: in any order, they add up to the same.
+
+    Args:
+        places: (N, 3) positions from -1 to 1.
+        normals: (N, 3) unit normals.
+        residuals: (N,) residuals along the normals, in the unit of the positions.
+
+    Returns:
+        Moments (3, 84, 6) and scores (4, 20, 3) as from `normal_equations`, as digits, see `value_of_digits`.
+    """
+    moments, scores = np.zeros((3, len(_PRODUCTS), 6), object), np.zeros((4, len(EXPONENTS), 3), object)
+    rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    for start in range(0, len(places), _EXACT_PAIRS):
+        some = slice(start, start + _EXACT_PAIRS)
+        n, values = normals[some], _digits(monomials(places[some], len(_PRODUCTS)), 2)
+        products, left = _digits(n[:, rows] * n[:, columns], 2), _digits(residuals[some, None] * n, 3)
+        for i, value in enumerate(values):
+            for j, digit in enumerate(products):
+                moments[i + j] += (value @ digit).astype(np.int64)
+            for j, digit in enumerate(left):
+                scores[i + j] += (value[: len(EXPONENTS)] @ digit).astype(np.int64)
+    return moments, scores
+
+
+def _digits(values: FloatArray, count: int) -> list[FloatArray]:
+    """Return digits of values, in units of 2^-40, the lowest one first: the sum of products of 4,096 is exact."""
+    left, found = np.rint(values * _DIGIT**2), []
+    for _ in range(count - 1):
+        higher = np.floor(left / _DIGIT)
+        found.append(left - higher * _DIGIT)
+        left = higher
+    return [*found, left]
+
+
+def value_of_digits(digits: NDArray[Any]) -> FloatArray:
+    """Return the values (...) of products whose digits (D, ...) were added up, the lowest one first."""
+    base = int(_DIGIT)
+    total = sum(digit.astype(object) * base**power for power, digit in enumerate(digits))
+    values: FloatArray = np.asarray(total / base**4).astype(np.float64)
+    return values
 
 
 def normal_matrix(moments: FloatArray) -> FloatArray:

@@ -2,26 +2,52 @@
 
 from __future__ import annotations
 
-from pcbench.changes import Changes, find_changes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes import Changes, SampledChanges, find_changes
+from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.pairs import PairSearch, Side
+from pcbench.geometry.arrays import FloatArray
 
 _MIN_SHARE = 0.02  # of the points, above which a deformation may look like changes
 _MIN_REDUCTION = 0.5  # share of the changed points that a deformation has to explain
 
 
-def separate_changes(reference: Side, candidate: Side) -> Changes:
+@dataclass(frozen=True, eq=False)
+class SeparatedChanges:
+    """Changes, found after a smooth displacement of the candidate was removed; None: as the clouds are."""
+
+    sampled: SampledChanges
+    displacement: Displacement | None
+
+    def of_candidate(self, points: FloatArray) -> NDArray[np.int32]:
+        """Return the labels (N,) of points (N, 3) of the candidate."""
+        if self.displacement is not None and not self.sampled.are_stable(1):
+            points = points - self.displacement(points)
+        return self.sampled.of_points(1, points)
+
+    def of_points(self, reference: FloatArray, candidate: FloatArray) -> Changes:
+        """Return the changes with the labels of all points (N, 3) and (M, 3) of both clouds."""
+        return Changes(self.sampled.found, self.sampled.of_points(0, reference), self.of_candidate(candidate))
+
+
+def separate_changes(reference: Side, candidate: Side) -> SeparatedChanges:
     """Find the changes between a reference and its aligned candidate, in the same coordinates.
 
     A deformed scene is off the reference in most places. So if many points changed, changes are also sought after a
     smooth displacement is removed, and if that leaves less than half of them, only those remain. A smooth model that
     explains less is not needed: parts changed.
     """
-    changes = find_changes(reference.surface, candidate.surface)
-    if changes.share <= _MIN_SHARE:
+    changes = SeparatedChanges(find_changes(reference.surface, candidate.surface), None)
+    if changes.sampled.share <= _MIN_SHARE:
         return changes
     search = PairSearch.of(reference, candidate)
     displacement = None if search is None else search.displacement()
     if displacement is None:
         return changes
-    others = find_changes(reference.surface, candidate.surface, displacement(candidate.surface.points))
-    return others if others.share <= _MIN_REDUCTION * changes.share else changes
+    others = find_changes(reference.surface, candidate.displaced(displacement))
+    is_deformed = others.share <= _MIN_REDUCTION * changes.sampled.share
+    return SeparatedChanges(others, displacement) if is_deformed else changes

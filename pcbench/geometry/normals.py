@@ -12,6 +12,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, LocalPlanes, Matches
 from pcbench.geometry.sampling import Sampling, sampling_of
+from pcbench.geometry.voxels import voxel_downsample
 from pcbench.native import _core
 
 _SWEEP_SHARE = 0.7  # selected points take 1.5 times as long as those of a sweep over all, which gives the same bits
@@ -150,6 +151,10 @@ class Surface:
     def spacing(self) -> float:
         """Median spacing from an even sample of the points; see `median_spacing`."""
         return self.sampling.spacing
+
+    def first_in_cells(self, side: float) -> IntArray:
+        """Return the rows of the first point in each occupied cell of an edge length; see `voxel_downsample`."""
+        return voxel_downsample(self.points, side)
 
     def nearest_other(self) -> Matches:
         """Return the nearest other point of each point; see `Index.nearest_other`."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,9 @@ from pcbench.deformation.polynomials import (
     PARAMETERS,
     gram_matrix,
     model_columns,
-    normal_equations,
     normal_matrix,
+    value_of_digits,
+    whole_normal_equations,
 )
 from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.errors import Notice
@@ -46,8 +47,9 @@ _ROUNDING = 1e-9  # relative; the sums of a billion squares are more precise
 
 _MODELS = ("affine", "quadratic", "cubic")  # of degree 1, 2 and 3
 _DEGREES = EXPONENTS.sum(axis=1)
-_FIRST = 2  # row of the first change in sums by label
-_UNMATCHED_ROW, _STABLE_ROW = UNMATCHED + _FIRST, STABLE + _FIRST
+FIRST = 2
+"""Row of the first change in sums by label."""
+_UNMATCHED_ROW, _STABLE_ROW = UNMATCHED + FIRST, STABLE + FIRST
 
 
 @dataclass(frozen=True)
@@ -144,17 +146,19 @@ class FitFrame(NamedTuple):
 class BudgetSums:
     """Sums over queries, from which the budget follows. Those of pieces of a cloud in one frame add up.
 
+    Moments and scores are digits, see `whole_normal_equations`, so that the order of pieces has no effect.
+
     Attributes:
         counts: (2 + C,) number of queries without a counterpart, of stable ones, and of those of each change.
         squares: (2 + C,) sums of their squared distances.
-        moments: (84, 6) moments of the stable queries, see `normal_equations`.
-        scores: (20, 3) their scores.
+        moments: (3, 84, 6) moments of the stable queries.
+        scores: (4, 20, 3) their scores.
     """
 
     counts: IntArray
     squares: FloatArray
-    moments: FloatArray
-    scores: FloatArray
+    moments: NDArray[Any]
+    scores: NDArray[Any]
 
     def __add__(self, other: BudgetSums) -> BudgetSums:
         return BudgetSums(
@@ -186,18 +190,18 @@ def sum_queries(
         changes: number of changes.
         frame: frame of the places.
     """
-    size = _FIRST + changes
-    squares = np.bincount(labels + _FIRST, np.square(distances), size).astype(np.float64)
-    moments, scores = np.zeros((84, 6)), np.zeros((20, 3))
+    size = FIRST + changes
+    squares = np.bincount(labels + FIRST, np.square(distances), size).astype(np.float64)
+    moments, scores = np.zeros((3, 84, 6), object), np.zeros((4, 20, 3), object)
     stable = np.flatnonzero(labels == STABLE)
     for start in range(0, len(stable), _CHUNK):
         queries = stable[start : start + _CHUNK]
         at = queries if rows is None else rows[queries]
         here = (places[at] - frame.center) / frame.radius
-        equations = normal_equations(here, normals[at], np.ones(len(at)), distances[queries])
-        moments += equations[0][0]
-        scores += equations[1][0]
-    return BudgetSums(np.bincount(labels + _FIRST, None, size), squares, moments, scores)
+        equations = whole_normal_equations(here, normals[at], distances[queries] / frame.radius)
+        moments += equations[0]
+        scores += equations[1]
+    return BudgetSums(np.bincount(labels + FIRST, None, size), squares, moments, scores)
 
 
 def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: float | None = None) -> D2Budget:
@@ -219,7 +223,7 @@ def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: flo
     motion, affine, smooth = fields
     level = max(floor or 0.0, (white or 0.0) ** 2)
     noise = min(left, share * level)
-    changed = groups[_FIRST:]
+    changed = groups[FIRST:]
     return D2Budget(
         float(sums.squares.sum()) / count,
         floor,
@@ -265,8 +269,10 @@ def _explained_squares(sums: BudgetSums, frame: FitFrame, power: float) -> tuple
     affordable = count / _POINTS_PER_PARAMETER
     if affordable < PARAMETERS["rigid"]:
         return 0.0, 0.0, 0.0
-    matrix, scores = normal_matrix(sums.moments) / count, sums.scores.ravel() / count
-    polynomials = _visible_polynomials(gram_matrix(sums.moments) / count, matrix, power / frame.radius**2)
+    moments = value_of_digits(sums.moments)
+    scores = frame.radius * value_of_digits(sums.scores).ravel() / count
+    matrix = normal_matrix(moments) / count
+    polynomials = _visible_polynomials(gram_matrix(moments) / count, matrix, power / frame.radius**2)
     degree = sum(PARAMETERS[model] <= affordable for model in _MODELS)
     steps = [
         model_columns("rigid"),

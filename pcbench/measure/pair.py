@@ -118,7 +118,7 @@ def measure_directions(
 
 def find_changes(reference: Reference, aligned: AlignedCandidate) -> Changes:
     """Find the changes between the complete clouds, in the reference's local coordinates."""
-    return separate_changes(*_sides(reference, aligned))
+    return separate_changes(*_sides(reference, aligned)).of_points(reference.points, aligned.index.points)
 
 
 def _sides(reference: Reference, aligned: AlignedCandidate) -> tuple[Side, Side]:

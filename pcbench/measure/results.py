@@ -274,8 +274,8 @@ class Candidate:
             are unknown, and so are D2, and the standard deviation and the NMAD of distances.
         offset: signed offset from the reference's surface; None without normals.
         faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
-        budget: what D2 consists of; None if there are no normals, or if D2 is estimated from a sample or in tiles.
-        changes: the changes; None if they were not searched for.
+        budget: what D2 consists of; None if there are no normals, or if D2 is estimated from a sample or unknown.
+        changes: the changes, in tiles with the labels of sampled points; None if they were not searched for.
     """
 
     name: str

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from pcbench.measure.tiled import (
-    assessment,
     directions,
     even,
     maps,
@@ -130,11 +129,12 @@ def test_fingerprints():
     [
         (stored.piece_bounds, set()),
         (runs.store_piece, {"RunSummary", "PieceNotes", "LasCounts", "CoordinateCounts", "ValueCount"}),
-        (even.count_inside, set()),
+        (even.count_inside, {"CountedPoints"}),
         (even.picked_points, {"PickedPoints"}),
-        (assessment.spread_tile, {"PickedPoints"}),
+        (nearby.spread_tile, {"PickedPoints"}),
         (nearby.near_points, {"NearPoints"}),
         (nearby.thin_tile, {"TileSummary"}),
+        (nearby.displace_tile, {"TileSummary"}),
         (windows.points_in_windows, {"StoredPoints"}),
         (tiles.make_tile, {"TileSummary"}),
         (presets.crop_tile, {"TileSummary"}),
@@ -151,4 +151,5 @@ def test_annotations_name_all_types_of_results(function, names):
 
 def test_shared_values_are_of_known_types():
     names = {name.rpartition(".")[2] for name in types_in(directions.TiledPair)}
-    assert names == {"TiledPair", "TiledCloud", "CorrelationGrid", "PixelGrid"}
+    own = {"TiledPair", "TiledCloud", "CorrelationGrid", "PixelGrid", "Frame", "PointLabels", "Displacement"}
+    assert names == own

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,25 +11,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation import Deformation, Side, residual_deformation
+from pcbench.deformation import Deformation, SeparatedChanges, Side, residual_deformation, separate_changes
+from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.pairs import MIN_PAIRS, SPREAD_SIDE, extent
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling
 from pcbench.geometry.transform import Similarity
-from pcbench.geometry.voxels import cells, robust_extent, voxel_thin_to
+from pcbench.geometry.voxels import robust_extent, voxel_thin_to
 from pcbench.measure import floors
+from pcbench.measure.budget import budget
 from pcbench.measure.directions import PLANE_METRIC, error_share, mean_values
 from pcbench.measure.floors import FloorSurface
-from pcbench.measure.tiled.directions import DistanceSums
-from pcbench.measure.tiled.even import PickedPoints, Picker, PlacedRuns, even_points
+from pcbench.measure.results import DirectedBudget
+from pcbench.measure.tiled.directions import DistanceSums, MeasuredDirection, TiledPair
+from pcbench.measure.tiled.even import Picker, PlacedRuns, even_points
+from pcbench.measure.tiled.labels import PointLabels, StableRegion
 from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
 from pcbench.measure.tiled.stored import StoredCloud
 from pcbench.measure.tiled.tiles import GIVEN_NORMALS, TiledCloud
 from pcbench.registration import Registration
-from pcbench.tasks import Task, TaskRunner
-from pcbench.tasks.results import read_shared
+from pcbench.tasks import TaskRunner
 
 Floors = Mapping[str, float | None]
 """Sampling floor of each mean metric by name; None if it does not exist."""
@@ -45,7 +48,6 @@ class AlignedCloud:
         origin: (3,) local origin of the reference.
         pose: motion that is applied after this was subtracted; None for the reference.
         region: measured region in local coordinates; None: everything.
-        lowest: (3,) lowest coordinates of the points inside the region.
         runner: runs tasks.
         stage: start of the names of the stages.
         key: identifies the cloud and its pose.
@@ -59,7 +61,6 @@ class AlignedCloud:
     origin: FloatArray
     pose: Similarity | None
     region: Region | None
-    lowest: FloatArray
     runner: TaskRunner
     stage: str
     key: str
@@ -77,10 +78,21 @@ class AlignedCloud:
     @cached_property
     def inside(self) -> Picker:
         """Picks points inside the region."""
-        return self._picker(self.region, "inside")
+        return self._picker(self.region, "stable" if isinstance(self.region, StableRegion) else "inside")
 
-    def _picker(self, region: Region | None, name: str) -> Picker:
-        placed = PlacedRuns(self.stored.runs, self.origin, self.pose, region)
+    def displaced(self, displacement: Displacement) -> TiledSurface:
+        """Return its points after a displacement was removed."""
+        picker = self._picker(None, "displaced-rows", displacement)
+        return TiledSurface(self.surface.index.displaced(displacement, picker))
+
+    def limited_to(self, region: Region) -> AlignedCloud:
+        """Return the cloud with another region, in which points have been loaded already."""
+        limited = replace(self, region=region)
+        limited.__dict__["surface"] = self.surface
+        return limited
+
+    def _picker(self, region: Region | None, name: str, displacement: Displacement | None = None) -> Picker:
+        placed = PlacedRuns(self.stored.runs, self.origin, self.pose, region, displacement)
         return Picker.of(placed, self.runner, f"{self.stage}-{name}", self.key)
 
     def rounding(self) -> PlacedQuantisation:
@@ -95,14 +107,16 @@ class TiledSide(Side):
 
     Attributes:
         aligned: the cloud.
+        farthest: largest distance of its points from the other cloud.
     """
 
     aligned: AlignedCloud
+    farthest: float
 
     @classmethod
-    def of(cls, aligned: AlignedCloud) -> TiledSide:
+    def of(cls, aligned: AlignedCloud, farthest: float = np.inf) -> TiledSide:
         """Return the side of a cloud."""
-        return cls(aligned.surface, np.zeros(0, bool), aligned.stored.thinned, aligned)
+        return cls(aligned.surface, np.zeros(0, bool), aligned.stored.thinned, aligned, farthest)
 
     @property
     def corners(self) -> FloatArray:
@@ -122,48 +136,18 @@ class TiledSide(Side):
         side = SPREAD_SIDE * extent(even_points(aligned.inside))
         if side == 0:
             return None
-        index = aligned.surface.index  # which has stored the tiles in their file
-        tasks = [
-            Task(
-                f"{number:06d}",
-                (aligned.file, aligned.key, number, aligned.region, side, aligned.lowest),
-                int(aligned.tiles.counts[number]),
-            )
-            for number in aligned.tiles.occupied
-        ]
-        title = "spreading points evenly"
-        results = aligned.runner.run(f"{aligned.stage}-spread", spread_tile, tasks, key=aligned.key, title=title)
-        found = [tile for _, tile in results if len(tile.rows)]
-        rows = np.concatenate([tile.rows for tile in found])
-        order = np.argsort(rows)
-        rows, points = rows[order], np.concatenate([tile.points for tile in found])[order]
-        first = cells(points, side, aligned.lowest).first
-        first = first[voxel_thin_to(points[first], count, side)]
-        classes = None
-        if index.classes is not None:
-            classes = np.concatenate([tile.classes for tile in found if tile.classes is not None])[order][first]
-        return index.numbers_of(rows[first], points[first], classes)
+        index, inside = aligned.surface.index, aligned.inside
+        corner = aligned.tiles.corners[0] if inside.lowest is None else inside.lowest
+        found = index.spread(side, aligned.region, corner)
+        return index.numbers_of(*found.select(voxel_thin_to(found.points, count, side)))
 
+    def lies_on(self, other: Side, within: float) -> bool:
+        """Return whether every point lies within a distance of a point of the other cloud."""
+        return self.farthest <= within
 
-def spread_tile(
-    file: Path, key: str, number: int, region: Region | None, side: float, corner: FloatArray
-) -> PickedPoints:
-    """Return the first point of a tile in each cell of an edge length, counted from a corner.
-
-    Args:
-        file: the shared `TiledCloud` of the cloud.
-        key: identifies its content.
-        number: number of the tile.
-        region: measured region in local coordinates; None: everything.
-        side: edge length of a cell.
-        corner: (3,) origin of the cells.
-    """
-    cloud = read_shared(file, key, TiledCloud)
-    classes = cloud.load(number, "classes") if cloud.file(number, "classes").exists() else None
-    found = PickedPoints(cloud.load(number, "points"), cloud.load(number, "rows"), classes)
-    if region is not None:
-        found = found.select(np.flatnonzero(region.contains(found.points)))
-    return found.select(cells(found.points, side, corner).first) if len(found.rows) else found
+    def displaced(self, displacement: Displacement) -> TiledSurface:
+        """Return the points after a displacement was removed."""
+        return self.aligned.displaced(displacement)
 
 
 def measure_floors(
@@ -190,7 +174,7 @@ def measure_floors(
     score = forth.totals.by_cell.mean(PLANE_METRIC) if forth.totals.has_planes else forth.near.mean("square")
     error = error_share(score, to_reference[PLANE_METRIC])
     some = reference.inside.pick(floors.even_sample(reference.inside.count))
-    rows = reference.surface.index.numbers_of(some.rows, some.points, some.classes)
+    rows = reference.surface.index.numbers_of(*some)
 
     def match(rows: IntArray) -> IntArray:
         points = candidate.surface.index.points[rows].reshape(-1, 3)
@@ -203,9 +187,58 @@ def measure_floors(
     return to_reference, mean_values(found)
 
 
+def find_changes(reference: AlignedCloud, candidate: AlignedCloud) -> SeparatedChanges:
+    """Find the changes between the complete clouds, as `pcbench.measure.pair.find_changes` does in memory."""
+    return separate_changes(TiledSide.of(reference), TiledSide.of(candidate))
+
+
+def split_into_budget(
+    pair: TiledPair,
+    directions: tuple[MeasuredDirection, MeasuredDirection],
+    every_floor: tuple[Floors, Floors],
+    deformation: Deformation,
+    registration: Registration,
+) -> DirectedBudget | None:
+    """Return the budget of D2 in both directions; None if D2 is unknown.
+
+    Args:
+        pair: both clouds.
+        directions: c→r and r→c.
+        every_floor: their sampling floors.
+        deformation: the deformation, whose white noise counts as noise.
+        registration: registration of the candidate.
+    """
+    white = None if deformation.noise is None else deformation.noise.sigma_white
+    found = []
+    for direction, known in zip(directions, every_floor, strict=True):
+        sums = direction.sums.budget_sums
+        if sums is None or pair.frame is None or not direction.sums.totals.has_planes:
+            return None
+        found.append(budget(sums, pair.frame, floor=known[PLANE_METRIC], white=white))
+    return DirectedBudget(found[0], found[1], registration.keeps_pose)
+
+
 def assess_deformation(
-    reference: AlignedCloud, candidate: AlignedCloud, registration: Registration, seed: int
+    reference: AlignedCloud,
+    candidate: AlignedCloud,
+    registration: Registration,
+    farthest: float,
+    seed: int,
+    changes: SeparatedChanges,
 ) -> Deformation:
-    """Assess deformation, as `pcbench.measure.pair.assess_deformation` does in memory."""
-    sides = TiledSide.of(reference), TiledSide.of(candidate)
+    """Assess the deformation of the part that did not change, as in memory.
+
+    Args:
+        reference: the reference.
+        candidate: the aligned candidate.
+        registration: its registration.
+        farthest: largest distance of its points from the reference.
+        seed: random seed.
+        changes: the changes.
+    """
+    stable = []
+    for which, cloud in enumerate((reference, candidate)):
+        region = StableRegion(cloud.region, PointLabels.of(changes, which))
+        stable.append(cloud if changes.sampled.are_stable(which) else cloud.limited_to(region))
+    sides = TiledSide.of(stable[0]), TiledSide.of(stable[1], farthest)
     return residual_deformation(*sides, registration, reference.origin, seed=seed)

@@ -22,6 +22,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from pcbench.changes import Changes
+from pcbench.deformation import SeparatedChanges
 from pcbench.errors import Notice, PcbenchError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.regions import Region
@@ -29,6 +31,7 @@ from pcbench.geometry.voxels import robust_extent
 from pcbench.io.contents import FileState, cloud_contents, cloud_files
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk
+from pcbench.measure.budget import FitFrame, consistent_with
 from pcbench.measure.comparison import crs_warnings, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
@@ -45,7 +48,13 @@ from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled import windows
 from pcbench.measure.tiled.alignment import NearFit, known_pose, register_on_disk
-from pcbench.measure.tiled.assessment import AlignedCloud, assess_deformation, measure_floors
+from pcbench.measure.tiled.assessment import (
+    AlignedCloud,
+    assess_deformation,
+    find_changes,
+    measure_floors,
+    split_into_budget,
+)
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
@@ -56,6 +65,7 @@ from pcbench.measure.tiled.directions import (
     measure_reference_tile,
 )
 from pcbench.measure.tiled.inputs import inputs_key, open_input
+from pcbench.measure.tiled.labels import PointLabels
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
 from pcbench.measure.tiled.overview import PixelGrid
@@ -192,13 +202,14 @@ class _Run(Steps):
             inside = sum(summary.inside for summary in summaries)
             self.check_inside(inside, cloud, f"{name}'s")
             tiles = TiledCloud.of(self.folder / stage / "tiles", summaries)
-            pair = self._pair(reference, stage, tiles, sample.registration)
-            directions = forth, back = self._measure_tiles(pair, stage, name, region)
         known, file = reference.aligned(self, stage), self.folder / f"{stage}.tiles"
-        lowest = np.min([summary.lowest_inside for summary in summaries], axis=0)
-        aligned = AlignedCloud(
-            cloud, tiles, origin, pose, region, lowest, self.runner, stage, f"{self.key}{stage}", file
-        )
+        aligned = AlignedCloud(cloud, tiles, origin, pose, region, self.runner, stage, f"{self.key}{stage}", file)
+        with record_time(timings, "changes"):
+            self.report(f"{name}: searching for changes")
+            changes = find_changes(known, aligned)
+        with record_time(timings, "distances"):
+            pair = self._pair(reference, stage, tiles, sample.registration, changes)
+            directions = forth, back = self._measure_tiles(pair, stage, name, region)
         with record_time(timings, "metrics"):
             self.report(f"{name}: sampling floors")
             every_floor = measure_floors(known, aligned, forth.sums, reference.spacing, self.settings.seed)
@@ -219,7 +230,19 @@ class _Run(Steps):
                 self._write_map(self.maps, name, "completeness", back, reference, pair.pixels)
         with record_time(timings, "deformation"):
             self.report(f"{name}: assessing deformation")
-            deformation = assess_deformation(known, aligned, sample.registration, self.settings.seed)
+            largest = forth.sums.totals.farthest
+            deformation = assess_deformation(
+                known,
+                aligned,
+                sample.registration,
+                np.inf if largest is None else largest.distance,
+                self.settings.seed,
+                changes,
+            )
+        with record_time(timings, "budget"):
+            split = split_into_budget(pair, directions, every_floor, deformation, sample.registration)
+            if split is not None:
+                deformation = consistent_with(split.accuracy, deformation)
         with record_time(timings, "presets"):
             quoted = self._presets(reference, pair, stage, name, directions)
         near = NearFit.of_sums(forth.sums.near, inside)
@@ -247,12 +270,19 @@ class _Run(Steps):
             steps=tuple(cloud.quantisation.steps.tolist()),
             warnings=tuple(warnings),
             offset=sample.offset,
+            budget=split,
+            changes=Changes(changes.sampled.found, *changes.sampled.labels).shifted(origin),
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
 
     def _pair(
-        self, reference: TiledReference, stage: str, candidate: TiledCloud, registration: Registration
+        self,
+        reference: TiledReference,
+        stage: str,
+        candidate: TiledCloud,
+        registration: Registration,
+        changes: SeparatedChanges,
     ) -> TiledPair:
         stored, origin, pixels = reference.stored, reference.origin, None
         if self.maps is not None:
@@ -270,6 +300,8 @@ class _Run(Steps):
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
             pixels=pixels,
+            frame=FitFrame.of(reference.tiles.corners),
+            labels=(PointLabels.of(changes, 1), PointLabels.of(changes, 0)),
         )
 
     def _measure_tiles(
@@ -310,6 +342,7 @@ class _Run(Steps):
                 forth=pair.forth / "cropped",
                 back=pair.back / "cropped",
                 pixels=None,
+                frame=None,
             )
             directions = self._measure_tiles(cropped, f"{stage}-cropped", f"{name}, presets", None)
         forth, back = (direction.sums.totals for direction in directions)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +13,11 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
+from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import column_file, save_column
+from pcbench.measure.tiled.labels import PointLabels
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.sums import GroupSums
@@ -40,6 +44,8 @@ class TiledPair:
         max_distance: length beyond which no closest point is searched.
         overlap_distance: distance within which a point lies on the other cloud.
         pixels: grid of the overview; None: none is made.
+        frame: frame of the budget's sums; None: there is no budget.
+        labels: labels of the points of the candidate and of the reference.
     """
 
     reference: TiledCloud
@@ -53,6 +59,8 @@ class TiledPair:
     max_distance: float
     overlap_distance: float
     pixels: PixelGrid | None
+    frame: FitFrame | None
+    labels: tuple[PointLabels, PointLabels]
 
 
 class DistanceSums(NamedTuple):
@@ -62,11 +70,24 @@ class DistanceSums(NamedTuple):
         totals: counts and sums for the metrics.
         near: sums over the points within the overlap distance of squared distances to planes, as `square`.
         pixels: sums per pixel of the overview, if one is made.
+        squares: sums of squared distances to planes by label, as `square`.
+        budget: sums of the budget, without these squares; None if there is no budget, or distances are unknown.
     """
 
     totals: DirectionTotals
     near: GroupSums
     pixels: PixelSums | None
+    squares: GroupSums
+    budget: BudgetSums | None
+
+    @property
+    def budget_sums(self) -> BudgetSums | None:
+        """All sums of the budget; None if there is none."""
+        if self.budget is None:
+            return None
+        squares = np.zeros(len(self.budget.counts))
+        squares[self.squares.keys] = self.squares.sums("square")
+        return replace(self.budget, squares=squares)
 
     @classmethod
     def merge(cls, parts: Iterable[DistanceSums]) -> DistanceSums:
@@ -106,6 +127,8 @@ def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:
         DirectionTotals.merge([part.totals for part in parts]),
         GroupSums.merge([part.near for part in parts]),
         PixelSums.merge(pixels) if pixels else None,
+        GroupSums.merge([part.squares for part in parts]),
+        reduce(add, budgets) if (budgets := [part.budget for part in parts if part.budget is not None]) else None,
     )
 
 
@@ -122,10 +145,13 @@ def measure_candidate_tile(file: Path, key: str, number: int, region: Region | N
     points, rows, inside = _queries(pair.candidate, number, region)
     matches = nearest_in_tiles(points, pair.reference, 1, pair.max_distance)
     closest = matches.column(pair.reference, "points")[:, 0]
-    planes = plane_distances(points, closest, matches.column(pair.reference, pair.reference.normals)[:, 0])
+    normals = matches.column(pair.reference, pair.reference.normals)[:, 0]
+    planes = plane_distances(points, closest, normals)
     # Intervals count a distance where the reference is.
     cells = pair.grid.cells_of(np.where(np.isnan(closest), points, closest))
-    return _store(pair, pair.forth, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
+    found = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    budget = _budget_sums(pair, planes, closest, normals, pair.labels[0], points)
+    return _store(pair, pair.forth, number, inside, found, budget)
 
 
 def measure_reference_tile(file: Path, key: str, number: int, region: Region | None) -> DistanceSums:
@@ -138,9 +164,36 @@ def measure_reference_tile(file: Path, key: str, number: int, region: Region | N
     matches = nearest_in_tiles(points, pair.candidate, 1, pair.max_distance)
     closest = matches.column(pair.candidate, "points")[:, 0]
     normals = pair.reference.load(number, pair.reference.normals)
-    planes = plane_distances(points, closest, normals if inside is None else normals[inside])
+    normals = normals if inside is None else normals[inside]
+    planes = plane_distances(points, closest, normals)
     cells = pair.grid.cells_of(points)
-    return _store(pair, pair.back, number, inside, _Distances(points, rows, cells, matches.distances[:, 0], planes))
+    found = _Distances(points, rows, cells, matches.distances[:, 0], planes)
+    budget = _budget_sums(pair, planes, points, normals, pair.labels[1], points)
+    return _store(pair, pair.back, number, inside, found, budget)
+
+
+class _TileBudget(NamedTuple):
+    """Sums of the budget of a tile, if there is one, and the label of each query, counted from 0."""
+
+    sums: BudgetSums | None
+    labels: IntArray
+
+
+def _budget_sums(
+    pair: TiledPair,
+    planes: FloatArray,
+    places: FloatArray,
+    normals: FloatArray,
+    labels: PointLabels,
+    points: FloatArray,
+) -> _TileBudget:
+    """Return the sums of the budget over queries (n, 3), with distances (n,) from planes at places (n, 3)."""
+    if pair.frame is None or np.isnan(planes).any():
+        return _TileBudget(None, np.zeros(len(points), np.int64))
+    found = labels.of_points(points)
+    sums = sum_queries(planes, places, normals, None, found, labels.changes, pair.frame)
+    moments, scores = (values.astype(np.int64) for values in (sums.moments, sums.scores))  # a tile's fit into 63 bits
+    return _TileBudget(replace(sums, moments=moments, scores=scores), found.astype(np.int64) + FIRST)
 
 
 class _Distances(NamedTuple):
@@ -162,7 +215,9 @@ def _queries(cloud: TiledCloud, number: int, region: Region | None) -> tuple[Flo
     return points[inside], rows[inside], inside
 
 
-def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances) -> DistanceSums:
+def _store(
+    pair: TiledPair, folder: Path, number: int, inside: IntArray | None, found: _Distances, budget: _TileBudget
+) -> DistanceSums:
     """Store the distances of a tile and add them up."""
     save_column(folder, number, DISTANCE, found.to_points)
     save_column(folder, number, PLANE_DISTANCE, found.to_planes)
@@ -180,4 +235,5 @@ def _store(pair: TiledPair, folder: Path, number: int, inside: IntArray | None, 
     is_near = (found.to_points <= pair.overlap_distance) & ~is_censored
     near = GroupSums.of(None, {"square": np.square(found.to_planes[is_near])})
     pixels = None if pair.pixels is None else PixelSums.of(pair.pixels, found.points, found.to_points)
-    return DistanceSums(totals, near, pixels)
+    squares = GroupSums.of(budget.labels, {"square": np.square(found.to_planes)})
+    return DistanceSums(totals, near, pixels, squares, budget.sums)

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.deformation.displacement import Displacement
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity
 from pcbench.measure.tiled.lattice import CODE_BITS
@@ -30,12 +31,14 @@ class PlacedRuns:
         origin: (3,) offset that is subtracted first.
         pose: motion that is applied then; None: none.
         region: the region in these coordinates; None: everything.
+        displacement: displacement that is removed last; None: none.
     """
 
     runs: CloudRuns
     origin: FloatArray
     pose: Similarity | None = None
     region: Region | None = None
+    displacement: Displacement | None = None
 
     @property
     def parts(self) -> list[PlacedRuns]:
@@ -48,6 +51,8 @@ class PlacedRuns:
         points = found.points - self.origin
         if self.pose is not None:
             points = self.pose.apply(points)
+        if self.displacement is not None:
+            points = points - self.displacement(points)
         loaded = PickedPoints(points, found.rows, found.classes)
         return loaded if self.region is None else loaded.select(np.flatnonzero(self.region.contains(points)))
 
@@ -72,6 +77,7 @@ class Picker:
     Attributes:
         placed: the cloud.
         counts: number of points of each run inside the region.
+        lowest: (3,) their lowest coordinates; None without a region.
         runner: runs the tasks.
         stage: start of the names of the stages.
         key: key of the results.
@@ -79,6 +85,7 @@ class Picker:
 
     placed: PlacedRuns
     counts: tuple[int, ...]
+    lowest: FloatArray | None
     runner: TaskRunner
     stage: str
     key: str
@@ -86,12 +93,12 @@ class Picker:
     @classmethod
     def of(cls, placed: PlacedRuns, runner: TaskRunner, stage: str, key: str) -> Picker:
         """Return the picker of a cloud, after counting the points inside its region if it has one."""
-        counts = [run.count for run in placed.runs.runs]
-        if placed.region is not None:
-            tasks = [_task(part) for part in placed.parts]
-            title = "counting points inside the region"
-            counts = [found for _, found in runner.run(f"{stage}-count", count_inside, tasks, key=key, title=title)]
-        return cls(placed, tuple(counts), runner, stage, key)
+        if placed.region is None:
+            return cls(placed, tuple(run.count for run in placed.runs.runs), None, runner, stage, key)
+        tasks, title = [_task(part) for part in placed.parts], "counting points inside the region"
+        found = [each for _, each in runner.run(f"{stage}-count", count_inside, tasks, key=key, title=title)]
+        lowest = np.min([each.lowest for each in found], axis=0)
+        return cls(placed, tuple(each.number for each in found), lowest, runner, stage, key)
 
     @property
     def count(self) -> int:
@@ -126,9 +133,17 @@ def even_points(picker: Picker) -> FloatArray:
     return picker.every(max(1, picker.count // EVEN_POINTS)).points
 
 
-def count_inside(placed: PlacedRuns) -> int:
-    """Return the number of points inside the region."""
-    return len(placed.load().rows)
+class CountedPoints(NamedTuple):
+    """Number of points, and their lowest coordinates (3,); infinite if there are none."""
+
+    number: int
+    lowest: FloatArray
+
+
+def count_inside(placed: PlacedRuns) -> CountedPoints:
+    """Count the points inside the region."""
+    points = placed.load().points
+    return CountedPoints(len(points), bounds(points)[0] if len(points) else np.full(3, np.inf))
 
 
 def picked_points(placed: PlacedRuns, numbers: IntArray) -> PickedPoints:

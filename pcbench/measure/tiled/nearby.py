@@ -7,6 +7,7 @@ include the result; otherwise, it is another place. So every answer is that of t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -15,12 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcbench.deformation.displacement import Displacement
 from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.neighbors import Index, LocalPlanes, Matches, is_kept
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import Sampling, sampling_of
+from pcbench.geometry.voxels import cells
 from pcbench.measure.tiled.columns import save_column
-from pcbench.measure.tiled.even import Picker
+from pcbench.measure.tiled.even import PickedPoints, Picker
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.search import nearest_in_tiles
 from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary
@@ -98,6 +102,37 @@ def thin_tile(file: Path, key: str, number: int, share: float, seed: int, folder
     return TileSummary.of(number, points, points)
 
 
+def spread_tile(
+    file: Path, key: str, number: int, region: Region | None, side: float, corner: FloatArray
+) -> PickedPoints:
+    """Return the first point of a tile in each cell of an edge length, counted from a corner.
+
+    Args:
+        file: the shared `TiledCloud` of the cloud.
+        key: identifies its content.
+        number: number of the tile.
+        region: measured region in local coordinates; None: everything.
+        side: edge length of a cell.
+        corner: (3,) origin of the cells.
+    """
+    cloud = read_shared(file, key, TiledCloud)
+    classes = cloud.load(number, CLASSES) if cloud.file(number, CLASSES).exists() else None
+    found = PickedPoints(cloud.load(number, "points"), cloud.load(number, "rows"), classes)
+    if region is not None:
+        found = found.select(np.flatnonzero(region.contains(found.points)))
+    return found.select(cells(found.points, side, corner).first) if len(found.rows) else found
+
+
+def displace_tile(file: Path, key: str, number: int, displacement: Displacement, folder: Path) -> TileSummary:
+    """Store the points of a tile as a tile of another folder, after a displacement was removed."""
+    cloud = read_shared(file, key, TiledCloud)
+    points = cloud.load(number, "points")
+    points = points - displacement(points)
+    save_column(folder, number, "points", points)
+    save_column(folder, number, "rows", cloud.load(number, "rows"))
+    return TileSummary.of(number, points, points)
+
+
 class TiledIndex(Index):
     """An index of a cloud in tiles, of which only the points around earlier queries are in memory.
 
@@ -135,7 +170,7 @@ class TiledIndex(Index):
         self._order = np.zeros(0, np.int64)  # numbers in the order of rows
         self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
         self._center_index: Index | None = None
-        self._searches = 0
+        self._searches = self._spreads = 0
 
     def __len__(self) -> int:
         """Return the number of points of the complete cloud."""
@@ -148,25 +183,56 @@ class TiledIndex(Index):
 
     def thinned(self, share: float, seed: int) -> TiledIndex:
         """Return an index of a random share of the complete cloud; see `Index.thinned`."""
-        name = f"{self._stage}-thinned"
-        folder = self._file.with_suffix("") / fingerprint([share, seed])[:12]
+        name, key = f"{self._stage}-thinned", f"{self._key}{share}"
+        cloud = self._other_tiles(name, key, thin_tile, share, seed)
+        return TiledIndex(cloud, cloud.folder / "cloud.tiles", None, self._runner, name, key)
+
+    def displaced(self, displacement: Displacement, picker: Picker) -> TiledIndex:
+        """Return an index of the cloud after a displacement was removed; the picker picks its points."""
+        name, key = f"{self._stage}-displaced", f"{self._key}{fingerprint(displacement)}"
+        cloud = self._other_tiles(name, key, displace_tile, displacement)
+        return TiledIndex(cloud, cloud.folder / "cloud.tiles", picker, self._runner, name, key)
+
+    def _other_tiles(self, name: str, key: str, function: Callable[..., TileSummary], *arguments: Any) -> TiledCloud:
+        """Store points of all tiles as those of another cloud, which has no normals."""
+        folder = self._file.with_suffix("") / name
         folder.mkdir(parents=True, exist_ok=True)
-        tasks = [
-            Task(f"{number:06d}", (self._file, self._key, number, share, seed, folder), int(self._cloud.counts[number]))
+        tasks = self._tile_tasks(*arguments, folder)
+        results = self._runner.run(name, function, tasks, key=key, title="preparing the assessment")
+        found = {tile.number: tile for _, tile in results}
+        every = (found.get(number) or TileSummary.empty(number) for number in range(len(self._cloud)))
+        return replace(TiledCloud.of(folder, every), normals="")
+
+    def _tile_tasks(self, *arguments: Any) -> list[Task]:
+        return [
+            Task(f"{number:06d}", (self._file, self._key, number, *arguments), int(self._cloud.counts[number]))
             for number in self._cloud.occupied
         ]
-        summaries = self._runner.run(name, thin_tile, tasks, key=self._key, title="thinning the reference")
-        found = {tile.number: tile for _, tile in summaries}
-        every = (found.get(number) or TileSummary.empty(number) for number in range(len(self._cloud)))
-        cloud = replace(TiledCloud.of(folder, every), normals="")
-        return TiledIndex(cloud, folder / "cloud.tiles", None, self._runner, name, f"{self._key}{share}")
+
+    def spread(self, side: float, region: Region | None, corner: FloatArray) -> PickedPoints:
+        """Return the first point inside a region in each occupied cell of an edge length, counted from a corner."""
+        self._spreads += 1
+        stage, title = f"{self._stage}-spread-{self._spreads}", "spreading points evenly"
+        tasks, key = self._tile_tasks(region, side, corner), f"{self._key}{side}"
+        parts = [found for _, found in self._runner.run(stage, spread_tile, tasks, key=key, title=title)]
+        rows = np.concatenate([part.rows for part in parts])
+        classes = None
+        if self.classes is not None:
+            classes = np.concatenate([part.classes for part in parts if part.classes is not None])
+        points, order = np.concatenate([part.points for part in parts]), np.argsort(rows)
+        found = PickedPoints(points, rows, classes).select(order)
+        return found.select(cells(found.points, side, corner).first)
+
+    def first_in_cells(self, side: float) -> IntArray:
+        """Return the numbers of the first point in each occupied cell of an edge length, in the order of rows."""
+        return self.numbers_of(*self.spread(side, None, self._cloud.corners[0]))
 
     def fresh(self) -> TiledIndex:
         """Return an index of the same cloud with no point in memory, for places far from each other."""
         stage = f"{self._stage}-sampling"
         return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
 
-    def numbers_of(self, rows: IntArray, points: FloatArray, classes: NDArray[np.uint8] | None) -> IntArray:
+    def numbers_of(self, points: FloatArray, rows: IntArray, classes: NDArray[np.uint8] | None) -> IntArray:
         """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
         self._add(NearPoints(points, rows, None, classes, np.zeros(0)))
         return self._order[np.searchsorted(self.rows[self._order], rows)]
@@ -298,6 +364,10 @@ class TiledSurface(Surface):
         """Return surface variation (M,) at the points with these numbers (M,)."""
         self._fit(rows)
         return self._variations[rows].astype(np.float64)
+
+    def first_in_cells(self, side: float) -> IntArray:
+        """Return the numbers of the first point in each occupied cell of an edge length."""
+        return self.index.first_in_cells(side)
 
     def _fit(self, rows: IntArray) -> None:
         """Fit planes at the points with these numbers (M,) unless they are known."""

@@ -67,7 +67,6 @@ class TiledReference:
             self.origin,
             None,
             self.region,
-            self.corner,
             steps.runner,
             f"{stage}-reference",
             steps.key,

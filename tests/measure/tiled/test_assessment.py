@@ -24,6 +24,13 @@ def ground(rng, count, bend=0.0, bump=0.0):
     return points
 
 
+def with_block(rng, points):
+    """Return points with a cube of 3 units, in whose shadow there are none."""
+    beside = (np.abs(points[:, :2] - 13) > 1.5).any(axis=1)
+    top = rng.random((500, 3)) * [3, 3, 0] + [11.5, 11.5, 4]
+    return np.concatenate([points[beside], noisy(rng, top)])
+
+
 def lines(rng, count):
     """Return scan lines, in which points are five times denser than across."""
     points = ground(rng, count)
@@ -46,6 +53,7 @@ def town(rng, count):
 SCENES = {
     "bend": lambda rng: (ground(rng, 2500), ground(rng, 4000, bend=0.1)),
     "bump": lambda rng: (ground(rng, 4000), ground(rng, 4000, bump=0.4)),
+    "changed": lambda rng: (ground(rng, 4000), with_block(rng, ground(rng, 3000, bend=0.1))),
     "sparse": lambda rng: (ground(rng, 5000), ground(rng, 600)),
     "lines": lambda rng: (lines(rng, 3000), ground(rng, 3000)),
     "town": lambda rng: (town(rng, 3000), town(rng, 2500)),
@@ -63,6 +71,12 @@ def check_assessment(tiled, memory):
             found, expected = (c.metrics.directed[metric.name][way].floor for c in (ours, theirs))
             assert found is not None
             assert found == pytest.approx(expected, rel=1e-12, abs=0)
+    assert ours.changes.found == theirs.changes.found
+    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        found, expected = ours.budget[way], theirs.budget[way]
+        for name, part in expected.parts.items():
+            assert found.parts[name].point_share == part.point_share
+            assert found.parts[name].mean_square == pytest.approx(part.mean_square, abs=1e-9 * expected.mean_square)
     assert ours.deformation == theirs.deformation
 
 

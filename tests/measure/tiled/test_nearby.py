@@ -44,7 +44,7 @@ def test_planes_and_sampling_are_those_of_the_complete_cloud(tmp_path, kind):
     points = CLOUDS[kind]
     exact, found = Surface(Index(points), is_even=False), TiledSurface(tiled_index(tmp_path, points))
     rows = np.random.default_rng(2).integers(0, len(points), 50)
-    numbers = found.index.numbers_of(np.unique(rows), points[np.unique(rows)], None)
+    numbers = found.index.numbers_of(points[np.unique(rows)], np.unique(rows), None)
     rows = np.unique(rows)
     assert found.sampling == exact.sampling and found.k == exact.k
     np.testing.assert_array_equal(found.normals(numbers), exact.normals(rows))
