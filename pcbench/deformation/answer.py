@@ -10,6 +10,7 @@ from pcbench.deformation.model import TILE
 from pcbench.deformation.parts import Field, Growth, NoiseSize, Tiles, round_to_six_digits
 from pcbench.deformation.polynomials import PARAMETERS
 from pcbench.deformation.result import Deformation
+from pcbench.deformation.shapes import shape_of
 from pcbench.deformation.size import (
     amplitude,
     detectable_sizes,
@@ -85,4 +86,6 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
         changed=changed,
         counts=sums.counts,
     )
-    return replace(answer, field=field)
+    verdict = finding.conditional or finding.verdict
+    shape = round_to_six_digits(shape_of(field)) if verdict in ("affine", "non-affine") else None
+    return replace(answer, field=field, shape=shape)

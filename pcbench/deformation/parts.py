@@ -165,6 +165,29 @@ class DetectableSize:
 
 
 @dataclass(frozen=True)
+class Figure:
+    """Mean displacement of the candidate at one place of a shape, positive upwards or outwards, in the clouds' unit."""
+
+    where: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of a deformation in a word.
+
+    Attributes:
+        name: dome, bowl, saddle, S-bend, twist, growth with distance, growth with height, or stretch or shear.
+        share: share of the mean squared displacement beyond a rigid motion that the shape explains.
+        figures: displacement at both of its ends.
+    """
+
+    name: str
+    share: float
+    figures: tuple[Figure, ...]
+
+
+@dataclass(frozen=True)
 class Wave:
     """A wave of the displacement that is shorter than a cubic field shows, such as an error from strip to strip.
 

@@ -24,6 +24,7 @@ from pcbench.deformation.parts import (
     ModelScore,
     NoiseSize,
     Observable,
+    Shape,
     Tiles,
     Wave,
     WaveLimit,
@@ -80,6 +81,7 @@ class Deformation:
         stated_rms: RMS of the smallest deformation that is stated as non-affine: from here on the interval of its size
             lies above `negligible_rms`.
         detectable: smallest detectable sizes by kind of deformation.
+        shape: the shape of a stated deformation, with its figures; None if it has no simple one.
         wave: the wave that stands out of what the models leave; None if there is none.
         waves_from: range of wave lengths that were searched, and the size above which a wave is found.
         conditional_verdict: the verdict if the pose is right, where the registration is doubtful and `verdict` is
@@ -110,6 +112,7 @@ class Deformation:
     negligible_rms: float | None = None
     stated_rms: float | None = None
     detectable: tuple[DetectableSize, ...] = ()
+    shape: Shape | None = None
     wave: Wave | None = None
     waves_from: WaveLimit | None = None
     conditional_verdict: str | None = None
@@ -199,7 +202,7 @@ class Deformation:
             return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit, is_noise)}"
         if self.coincides and self.verdict == "none" and is_noise:
             return f"{name} equals the reference up to the rounding of coordinates: it is not deformed"
-        unseen = self._limit_in_words(unit)
+        unseen, shape = self._limit_in_words(unit), self._shape_in_words(unit)
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
@@ -214,10 +217,12 @@ class Deformation:
                 )
             return (
                 f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
-                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)})"
+                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)}){shape}"
             )
         if self.verdict == "affine":
-            return f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}"
+            return (
+                f"{name} is sheared or stretched relative to the reference{shape}, without further deformation{unseen}"
+            )
         if self.verdict == "similarity":
             return f"{name} differs from the reference in scale, without further deformation{unseen}"
         if not is_noise:
@@ -232,6 +237,14 @@ class Deformation:
         if self.surface_share is not None and self.surface_share < _WHOLE_SURFACE:
             limits.append(f"for {self.surface_share:.0%} of the surface")
         return f"{', '.join(limits)}, " if limits else ""
+
+    def _shape_in_words(self, unit: str) -> str:
+        """Return the shape with its figures, as in `: a dome, +0.07 m in the centre, -0.11 m at the edge`."""
+        if self.shape is None:
+            return ""
+        article = {"S-bend": "an "}.get(self.shape.name, "" if " " in self.shape.name else "a ")
+        figures = ", ".join(f"{figure.value:+.2g}{unit} {figure.where}" for figure in self.shape.figures)
+        return f": {article}{self.shape.name}, {figures}"
 
     def _wave_in_words(self, unit: str) -> str:
         """Return the size, length and direction of the wave."""
@@ -318,6 +331,7 @@ class Deformation:
             negligible_rms=None,
             stated_rms=None,
             detectable=(),
+            shape=None,
             wave=None,
             waves_from=None,
         )
