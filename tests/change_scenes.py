@@ -170,9 +170,9 @@ def parked_cars(count: int, rng: np.random.Generator, seed: int) -> Points:
 
 GENERATED: dict[str, Callable[[int], Sample]] = {
     "city": partial(generated, lambda count, rng, seed: city(seed % 5).sample(count, rng)[0], 0.05, 0.0),
-    "city, correlated": partial(generated, lambda count, rng, seed: city(seed % 5).sample(count, rng)[0], 0.05, 8.0),
+    "correlated city": partial(generated, lambda count, rng, seed: city(seed % 5).sample(count, rng)[0], 0.05, 8.0),
     "terrain": partial(generated, terrain_points, 0.05, 0.0),
-    "terrain, correlated": partial(generated, terrain_points, 0.05, 8.0),
+    "correlated terrain": partial(generated, terrain_points, 0.05, 8.0),
     "forest": partial(generated, forest_points, 0.02, 0.0),
     "parked cars": partial(generated, parked_cars, 0.02, 0.0),
 }
