@@ -1,5 +1,6 @@
 """Parts of a scene that differ between two registered clouds: moved, added, removed, or seen by one cloud only."""
 
 from pcbench.changes.result import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, Change, Changes
+from pcbench.changes.search import find_changes
 
-__all__ = ["ADDED", "MOVED", "REMOVED", "STABLE", "UNMATCHED", "Change", "Changes"]
+__all__ = ["ADDED", "MOVED", "REMOVED", "STABLE", "UNMATCHED", "Change", "Changes", "find_changes"]

@@ -53,6 +53,17 @@ class Change:
     points_candidate: int
     p_value: float
 
+    @property
+    def distance(self) -> float:
+        """Length of the motion, or mean distance between the clouds."""
+        sizes = [abs(self.mean or 0.0), *([] if self.motion is None else [float(np.linalg.norm(self.motion))])]
+        return max(sizes)
+
+    @property
+    def importance(self) -> float:
+        """Area times distance, by which changes are ordered."""
+        return self.area * self.distance
+
     def shifted(self, origin: FloatArray) -> Change:
         """Return the same change in coordinates that include `origin` (3,)."""
         x, y, z = (float(here + there) for here, there in zip(self.place, origin, strict=True))
@@ -68,13 +79,22 @@ class Changes:
         found: changes, the most important one first: by area times mean distance.
         of_reference: (N,) number of the change of each reference point, its place in `found`, or `STABLE`, `UNMATCHED`.
         of_candidate: (M,) the same for each point of the candidate.
-        smallest_offset: offset above which a change that covers 2 % of the scene's extent is found; None if unknown.
     """
 
     found: tuple[Change, ...]
     of_reference: NDArray[np.int32]
     of_candidate: NDArray[np.int32]
-    smallest_offset: float | None = None
+
+    @property
+    def share(self) -> float:
+        """Share of the points of both clouds that belong to changes, 0 to 1: the larger one."""
+        return max(
+            float(np.mean(labels >= 0)) if len(labels) else 0.0 for labels in (self.of_reference, self.of_candidate)
+        )
+
+    def shifted(self, origin: FloatArray) -> Changes:
+        """Return the same changes in coordinates that include `origin` (3,)."""
+        return replace(self, found=tuple(change.shifted(origin) for change in self.found))
 
     @classmethod
     def none(cls, reference: int, candidate: int) -> Changes:

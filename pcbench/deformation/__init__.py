@@ -26,11 +26,9 @@ Everything is computed from `TileSums`, which are additive over pairs. Lengths a
 from pcbench.deformation.answer import assess
 from pcbench.deformation.clouds import deform
 from pcbench.deformation.pairs import Side
-from pcbench.deformation.residual import residual_deformation
-from pcbench.deformation.result import (
+from pcbench.deformation.parts import (
     Amplitude,
     Bin,
-    Deformation,
     Field,
     Growth,
     LocalChanges,
@@ -40,6 +38,8 @@ from pcbench.deformation.result import (
     Tiles,
     Trend,
 )
+from pcbench.deformation.residual import residual_deformation
+from pcbench.deformation.result import Deformation
 from pcbench.deformation.sums import TileSums
 
 __all__ = [

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 from pcbench.deformation.field import CellDisplacements, local_changes
 from pcbench.deformation.model import TILE
+from pcbench.deformation.parts import Field, Growth, NoiseSize, Tiles, round_to_six_digits
 from pcbench.deformation.polynomials import PARAMETERS
-from pcbench.deformation.result import Deformation, Field, Growth, NoiseSize, Tiles, round_to_six_digits
+from pcbench.deformation.result import Deformation
 from pcbench.deformation.size import (
     amplitude,
     detectable_sizes,

@@ -10,28 +10,43 @@ from pcbench.geometry.voxels import Cells, cells
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
 # The far width is so large that a part that moved does not set the scale.
 _NEAR_WIDTH_BLOCKS, _FAR_WIDTH_BLOCKS = 1.0, 3.0
+# Residuals below this share of their 90th percentile count as exact: of normal ones, 1.3 % do.
+_EXACT_SHARE = 0.01
+_MIN_NOISY_WEIGHT, _MIN_NOISY_BLOCKS = 0.15, 0.25  # shares of a block's weight, and of the blocks, that have noise
+_WELL_SEEN, _MIN_WEIGHT_SHARE = 0.75, 0.1  # quantile of the blocks' mean weight; share of it that a block needs
+_MIN_SIZE = 0.5  # of the blocks' median: a quiet part does not set the scale of the others
 
 
-def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, exact: float = 0.0) -> FloatArray:
     """Estimate the standard deviation of the noise at each position (N,), smooth over a third of the scene.
 
-    The estimate uses weighted medians, and is so smooth that a part that moved by itself stands out against it.
+    The estimate uses weighted medians, and is so smooth that a part that moved by itself stands out against it. Exact
+    parts, such as flat water, filled holes or copied points, say nothing about the noise of the others: where at least
+    a quarter of the scene has noise, exact residuals do not count, and each block of the scene counts the same.
 
     Args:
         places: (N, 3) positions.
         residuals: (N,) residuals, which may contain outliers.
         weights: (N,) weights.
+        exact: largest residual that may count as exact.
     """
+    lengths = np.abs(residuals)
     blocks, side = _blocks(places)
-    sizes = _medians(np.abs(residuals), weights, blocks.of_point)
-    total: FloatArray = np.bincount(blocks.of_point, weights, len(sizes)).astype(np.float64)
-    known = (sizes > 0) & (total > 0)
-    overall = 1.4826 * float(_medians(np.abs(residuals), weights, np.zeros(len(residuals), dtype=np.int64))[0])
-    if not known.any() or overall == 0:
-        return np.full(len(places), overall)
-    logarithms = np.log(np.where(known, sizes, 1.0))
-    relative = np.exp(_kernel_means(places, blocks, logarithms, np.where(known, total, 0.0), _FAR_WIDTH_BLOCKS * side))
-    found: FloatArray = overall * relative / np.exp(np.average(np.log(relative), weights=weights))
+    count = len(blocks.first)
+    everything = np.bincount(blocks.of_point, weights, count)
+    is_noisy = lengths > min(exact, _EXACT_SHARE * float(np.percentile(lengths, 90)))
+    total = np.bincount(blocks.of_point, weights * is_noisy, count).astype(np.float64)
+    known = (total > _MIN_NOISY_WEIGHT * everything) & (total > 0)
+    if np.count_nonzero(known) < _MIN_NOISY_BLOCKS * np.count_nonzero(everything):
+        return np.full(len(places), 1.4826 * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
+    sizes = 1.4826 * _medians(lengths, weights * is_noisy, blocks.of_point)
+    known &= sizes > 0
+    if not known.any():
+        return np.zeros(len(places))
+    typical = float(np.median(sizes[known]))
+    logarithms = np.log(np.maximum(np.where(known, sizes, typical), _MIN_SIZE * typical))
+    means = _kernel_means(places, blocks, logarithms, np.where(known, total, 0.0), _FAR_WIDTH_BLOCKS * side)
+    found: FloatArray = np.exp(means)
     return found
 
 
@@ -41,6 +56,16 @@ def smooth(places: FloatArray, values: FloatArray, weights: FloatArray) -> Float
     total: FloatArray = np.bincount(blocks.of_point, weights, len(blocks.first)).astype(np.float64)
     means = np.bincount(blocks.of_point, weights * values, len(blocks.first)) / np.maximum(total, 1e-300)
     return _kernel_means(places, blocks, means, total, _NEAR_WIDTH_BLOCKS * side)
+
+
+def share_with_weight(places: FloatArray, weights: FloatArray, areas: FloatArray) -> float:
+    """Return the share of the area in blocks whose mean weight is at least a tenth of that of well seen blocks."""
+    blocks, _ = _blocks(places)
+    area = np.bincount(blocks.of_point, areas)
+    mean = np.bincount(blocks.of_point, areas * weights) / area
+    order = np.argsort(mean)
+    well_seen = mean[order][np.searchsorted(np.cumsum(area[order]), _WELL_SEEN * area.sum())]
+    return float(area[(mean >= _MIN_WEIGHT_SHARE * well_seen) & (mean > 0)].sum() / area.sum())
 
 
 def _medians(values: FloatArray, weights: FloatArray, group: IntArray) -> FloatArray:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pcbench.deformation.chi_squares import chi_square_tails
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores
+from pcbench.deformation.parts import Bin, LocalChanges, Trend
 from pcbench.deformation.polynomials import monomials
-from pcbench.deformation.result import Bin, LocalChanges, Trend
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 

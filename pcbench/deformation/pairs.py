@@ -8,14 +8,16 @@ without one: in a volume such as a forest, closest points seem to confirm any as
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.blocks import noise_sizes, smooth
+from pcbench.changes import STABLE
+from pcbench.deformation.blocks import noise_sizes, share_with_weight, smooth
 from pcbench.deformation.displacement import Displacement
+from pcbench.deformation.result import RESOLUTION_SHARE
 from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
@@ -41,6 +43,7 @@ _MIN_TILES = 60  # tiles aimed for
 _MAX_CELLS = 480  # more cells cost time without adding information
 _POSITION_NEIGHBORS = 8  # points averaged for a position
 _ROUGHNESS_RATIO = 4.0  # times the lower quartile of the variation: such a pair has a quarter of the weight
+_EXACT_VARIATION = 1e-6  # surface variation up to which a plane is exact: no scan is that smooth at its spacing
 _MAX_VARIATION = 0.005  # surface variation at which a pair has at most a quarter of the weight: not a plane
 # What reconstructors write for each point: images that show it, length of its track, opacity of a Gaussian.
 _PHOTOGRAMMETRIC_ATTRIBUTES = frozenset(("views", "track_length", "opacity"))
@@ -60,6 +63,10 @@ class Side:
     surface: Surface
     inside: NDArray[np.bool_]
     cloud: Cloud
+
+    def without(self, labels: NDArray[np.int32]) -> Side:
+        """Return the cloud without the points (N,) of changes, and without those that have no counterpart."""
+        return replace(self, inside=self.inside & (labels == STABLE))
 
     @property
     def is_metric(self) -> bool:
@@ -101,6 +108,7 @@ class Pairs:
         quality: (N,) factor of the weights that does not depend on the residuals.
         areas: (N,) surface area that each pair represents, in any unit.
         inliers: share of the pairs within the support of Tukey's biweight.
+        share: share of the surface, in blocks of a tenth of the scene, whose pairs have weight in the fit.
         rough: share of the pairs that are not on a smooth surface.
         spacing: median spacing of the points that define the planes.
         plane_spacing: root mean square of their spacing at the pairs, which is larger where the density varies.
@@ -117,6 +125,7 @@ class Pairs:
     quality: FloatArray
     areas: FloatArray
     inliers: float
+    share: float
     rough: float
     spacing: float
     plane_spacing: float
@@ -161,6 +170,14 @@ class PairSearch:
         closest = surface.surface.index.query(queries.surface.points[rows])
         return cls(queries, surface, -1.0 if swapped else 1.0, rows, closest)
 
+    def coincides(self, within: float) -> bool:
+        """Return whether every candidate point lies within a distance of a reference point, however it is weighted."""
+        if self.closest.distances.max() > within:
+            return False
+        candidate, reference = (self.queries, self.surface)[:: int(self.sign)]
+        points = candidate.surface.points[candidate.inside]
+        return bool(reference.surface.index.query(points).distances.max() <= within)
+
     def find(self, follow: bool) -> Pairs | None:
         """Return the pairs; None if there are too few.
 
@@ -168,6 +185,16 @@ class PairSearch:
             follow: whether closest points are searched after the model's displacement is removed, or at the points as
                 they are.
         """
+        fitted = self._fit(follow)
+        return None if fitted is None else _freeze(*fitted, self.surface.surface)
+
+    def displacement(self) -> Displacement | None:
+        """Return the displacement of the candidate by the largest model; None if there are too few pairs."""
+        fitted = self._fit(follow=True)
+        return None if fitted is None else fitted[1]
+
+    def _fit(self, follow: bool) -> tuple[_PlanePairs, Displacement] | None:
+        """Fit the largest model to closest points; return the last pairs, and the model."""
         points, surface = self.queries.surface.points[self.rows], self.surface.surface
         lower, upper = np.percentile(points, [1, 99], axis=0)
         field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
@@ -184,7 +211,7 @@ class PairSearch:
             if change <= max(_MIN_FIELD_CHANGE * surface.spacing, pairs.noise):
                 break
             closest = surface.index.query(points - self.sign * bend, hint=closest.indices)
-        return None if pairs is None else _freeze(pairs, field, surface)
+        return None if pairs is None else (pairs, field)
 
 
 class _PlanePairs(NamedTuple):
@@ -294,10 +321,12 @@ def _weighted_planes(
     normals = surface.surface.normals(closest)
     residuals = search.sign * np.einsum("ni,ni->n", points - surface.surface.points[closest], normals)
     left = residuals - np.einsum("ni,ni->n", bend[near], normals)
-    noise = 1.4826 * float(np.median(np.abs(left)))
     variation = surface.surface.variation(closest)
     quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
-    sizes = noise_sizes(points, left, quality) if final else np.full(len(left), noise)
+    if final:
+        sizes = noise_sizes(points, left, quality, exact=RESOLUTION_SHARE * surface.surface.spacing)
+    else:
+        sizes = np.full(len(left), 1.4826 * float(np.median(np.abs(left))))
     width = np.maximum(_TUKEY_CONSTANT * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,
@@ -309,7 +338,7 @@ def _weighted_planes(
         variation,
         width,
         weights=quality * np.square(1 - _squared_ratios(left, width)),
-        noise=noise,
+        noise=float(np.median(sizes)),
     )
 
 
@@ -328,8 +357,8 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
     limited = left * np.square(1 - squared) / mean_slope
-    power = smooth(pairs.queries, np.square(limited), quality)
-    weights = quality * mean_slope
+    power = _powers(pairs, np.square(limited))
+    weights, areas = quality * mean_slope, _areas(pairs.queries)
     return Pairs(
         places,
         pairs.normals,
@@ -339,13 +368,26 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         left=limited,
         apart=left,
         quality=quality,
-        areas=_areas(pairs.queries),
+        areas=areas,
         inliers=float(np.average(squared < 1, weights=quality)),
+        share=share_with_weight(pairs.queries, quality * (squared < 1), areas),
         rough=float(np.mean(pairs.variation > _MAX_VARIATION)),
         spacing=surface.spacing,
         plane_spacing=math.sqrt(np.average(np.square(spacings), weights=weights)) if weights.any() else surface.spacing,
         distance=float(np.median(pairs.distances)),
     )
+
+
+def _powers(pairs: _PlanePairs, squares: FloatArray) -> FloatArray:
+    """Return the local means (N,) of squared residuals (N,), apart for exact planes and for measured surface.
+
+    Both lie side by side where walls of a model stand on scanned ground, and one mean is right for neither.
+    """
+    power, is_exact = np.empty(len(squares)), pairs.variation <= _EXACT_VARIATION
+    for part in (is_exact, ~is_exact):
+        if part.any():
+            power[part] = smooth(pairs.queries, squares, pairs.quality * part)[part]
+    return power
 
 
 def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -420,8 +462,13 @@ def tile_sums(pairs: Pairs) -> TileSums:
 
 
 def _smoothness(variation: FloatArray) -> FloatArray:
-    """Return weights (M,) of surface points: edges, foliage and points rougher than the smooth quarter count less."""
-    limit = min(_MAX_VARIATION, _ROUGHNESS_RATIO * max(float(np.percentile(variation, 25)), 1e-6))
+    """Return weights (M,) of surface points: edges, foliage and points rougher than the smooth quarter count less.
+
+    Exact planes do not set the limit: beside flat water or a synthetic floor, measured ground is as smooth as it gets.
+    """
+    measured = variation[variation > _EXACT_VARIATION]
+    quarter = float(np.percentile(measured, 25)) if len(measured) else _EXACT_VARIATION
+    limit = min(_MAX_VARIATION, _ROUGHNESS_RATIO * quarter)
     weights: FloatArray = 1 / np.square(1 + np.square(variation / limit))
     return weights
 

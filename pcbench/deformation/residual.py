@@ -97,7 +97,10 @@ def residual_deformation(
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     if finding.verdict == "undecided" and finding.conditional is None and finding.warnings[0].code in _POSE_CODES:
         answer = answer.withheld()
-    answer = answer.without_rounding(rounding_bound(reference.surface.points, origin))
+    share = pairs.share * float(described.sums.counts.sum() / whole.sums.counts.sum())
+    answer = replace(answer, surface_share=float(f"{share:.6g}"))
+    if search.coincides(rounding_bound(reference.surface.points, origin)):
+        answer = answer.without_rounding()
     return answer.shifted(origin).with_warnings(notes)
 
 

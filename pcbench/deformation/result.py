@@ -1,6 +1,7 @@
-"""Result types; the names and the order of the fields are those of the JSON in a report.
+"""The verdict on the deformation of a candidate, in values and in words.
 
-A value that does not exist is None. Lengths are in the clouds' unit, shares from 0 to 1.
+The names and the order of the fields are those of the JSON in a report. A value that does not exist is None. Lengths
+are in the clouds' unit, shares from 0 to 1.
 """
 
 from __future__ import annotations
@@ -9,14 +10,25 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcbench.deformation.parts import (
+    Amplitude,
+    DetectableSize,
+    Field,
+    Growth,
+    LocalChanges,
+    ModelScore,
+    NoiseSize,
+    Observable,
+    Tiles,
+    from_json_value,
+    scale_amplitude,
+)
 from pcbench.errors import Notice
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray
 
 BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share, such as those of cameras, cannot show
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
@@ -31,202 +43,11 @@ _KINDS_IN_WORDS = {
     "lean": "a lean that increases with height",
 }
 _MIN_VERTICAL_SHARE = 0.1  # of the tiles that constrain vertical displacements: below it, the surfaces hardly show them
+_WHOLE_SURFACE = 0.7  # share of the surface from which the sentence does not name it
 _LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
 # A changed tile is reported beyond this many standard deviations of a pair's noise, or as one of this many adjacent
 # tiles. Of 120 random halves of street, vehicle and terrestrial scans, none has more than four adjacent ones.
 _MOVED_SIGMAS, _MIN_MOVED_GROUP = 5.0, 5
-Interval = tuple[float, float]  # lower and upper end, 95 %
-
-
-@dataclass(frozen=True)
-class ModelScore:
-    """Score of one of the five nested models; `Deformation.rungs` and the JSON key `rungs` hold these.
-
-    Attributes:
-        model: rigid, similarity, affine, quadratic or cubic.
-        parameters: number of parameters.
-        cv_score: cross-validated mean squared residual, of tiles left out of the fit, in squared units.
-        cv_se: standard error of `cv_score`, in squared units.
-        bic_eff: Bayesian information criterion with the effective number of pairs.
-        rms_explained: RMS displacement along the normals beyond the rigid model, in the clouds' unit.
-    """
-
-    model: str
-    parameters: int
-    cv_score: float
-    cv_se: float
-    bic_eff: float
-    rms_explained: float
-
-
-@dataclass(frozen=True)
-class Amplitude:
-    """Size of the displacement along the normals beyond an affine one, in the clouds' unit, corrected for noise.
-
-    Attributes:
-        rms: RMS over the pairs with their weights in the fit: smooth areas have more weight than rough ones.
-        p95, max: 95th percentile and maximum of the RMS per cell.
-        ci: 95 % confidence interval of `rms`.
-        rms_surface: RMS over the surface by area, including walls and rough areas.
-        ci_surface: 95 % confidence interval of `rms_surface`.
-    """
-
-    rms: float
-    p95: float
-    max: float
-    ci: Interval
-    rms_surface: float | None = None
-    ci_surface: Interval | None = None
-
-
-@dataclass(frozen=True)
-class NoiseSize:
-    """The residuals' noise, in the clouds' unit.
-
-    Attributes:
-        sigma_white: standard deviation of the noise that is independent between pairs.
-        sigma_correlated: standard deviation of the noise that is correlated between neighbouring pairs.
-        correlation_length: l of the Gaussian kernel exp(-d^2 / 2 l^2) with the same integral as the mixture.
-        n_eff: effective number of pairs: independent ones that would determine a deformation as well.
-    """
-
-    sigma_white: float
-    sigma_correlated: float
-    correlation_length: float
-    n_eff: float
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation of all noise, independent and correlated."""
-        return math.hypot(self.sigma_white, self.sigma_correlated)
-
-
-@dataclass(frozen=True)
-class Tiles:
-    """Tiles of the scene.
-
-    Attributes:
-        count: number of tiles that contain pairs.
-        side: edge of a tile, in the clouds' unit.
-    """
-
-    count: int
-    side: float
-
-
-@dataclass(frozen=True)
-class Bin:
-    """One bin of a profile, in the clouds' unit.
-
-    Attributes:
-        at: mean coordinate of the bin.
-        mean: mean vertical displacement.
-        ci: 95 % confidence interval of `mean`.
-        null: half width of the band that contains 95 % of the means under noise alone.
-    """
-
-    at: float
-    mean: float
-    ci: Interval
-    null: float
-
-
-@dataclass(frozen=True)
-class Trend:
-    """Trend of the vertical displacement along a coordinate.
-
-    Attributes:
-        slope: displacement per length.
-        ci: 95 % confidence interval of the slope.
-        profile: means in up to eight bins of equal weight, in ascending order.
-    """
-
-    slope: float
-    ci: Interval
-    profile: tuple[Bin, ...]
-
-
-@dataclass(frozen=True)
-class Growth:
-    """Trends of the vertical displacement with the horizontal distance from the centre and with the height.
-
-    A trend is None if too little of the surface constrains it.
-    """
-
-    with_distance: Trend | None
-    with_height: Trend | None
-
-
-@dataclass(frozen=True)
-class Observable:
-    """Share of the tiles whose surfaces constrain a displacement along each axis."""
-
-    x: float
-    y: float
-    z: float
-
-
-@dataclass(frozen=True)
-class DetectableSize:
-    """Size above which a kind of deformation is found and stated, in the clouds' unit.
-
-    Attributes:
-        kind: dome, saddle, S-bend (a cubic vertical displacement along x), twist (about the vertical), or lean (a
-            horizontal displacement that grows with the square of the height).
-        rms: RMS along the normals beyond an affine motion that is detected with a power of 90 % and is not negligible;
-            None if the surfaces hardly constrain this kind.
-        displacement: RMS length of the same displacement, in all directions.
-    """
-
-    kind: str
-    rms: float | None = None
-    displacement: float | None = None
-
-
-@dataclass(frozen=True)
-class LocalChanges:
-    """Parts of the scene that changed locally.
-
-    Attributes:
-        tiles_tested: number of cells with enough smooth surface for a test.
-        tiles_changed: number of tested cells that changed.
-        fdr: false discovery rate of the tests.
-        largest: length of the largest change, in the clouds' unit; None if there is none.
-        at: position of the largest change.
-        largest_group: number of changed cells in the largest group of adjacent ones.
-    """
-
-    tiles_tested: int
-    tiles_changed: int
-    fdr: float
-    largest: float | None = None
-    at: tuple[float, float, float] | None = None
-    largest_group: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """The deformation per cell, one row each (M,), as in the table `NAME_deformation.csv`.
-
-    Attributes:
-        places: (M, 3) mean positions of the pairs.
-        displacements: (M, 3) displacement of the candidate by the selected model, beyond the rigid motion, in the
-            directions that the surface in the cell constrains.
-        vertical: mean vertical displacement beyond the rigid motion, from all pairs in the cell; NaN if the surface
-            does not constrain it.
-        sigma: standard error of `vertical`.
-        local: length of the cell's displacement from the largest model; NaN if the cell was not tested.
-        changed: whether the cell changed locally, at a false discovery rate of 5 %.
-        counts: number of pairs.
-    """
-
-    places: FloatArray
-    displacements: FloatArray
-    vertical: FloatArray
-    sigma: FloatArray
-    local: FloatArray
-    changed: NDArray[np.bool_]
-    counts: IntArray
 
 
 @dataclass(frozen=True)
@@ -242,9 +63,12 @@ class Deformation:
         rungs: scores of all five models, from the smallest; see `ModelScore`.
         amplitude: size of the non-affine part.
         remaining_rms: RMS residual of the selected model, in the clouds' unit.
+        coincides: whether every point of the candidate equals one of the reference up to rounding.
         noise: noise of the residuals.
         tiles: tiles of the scene.
         pairs: number of pairs of points.
+        surface_share: share of the surface, in blocks of a tenth of the scene, whose pairs constrain the deformation;
+            the verdict says nothing about the rest, which is too rough or differs otherwise.
         growth: trends of the vertical displacement.
         observable: observable directions.
         local: local changes.
@@ -266,9 +90,11 @@ class Deformation:
     rungs: tuple[ModelScore, ...] = ()
     amplitude: Amplitude | None = None
     remaining_rms: float | None = None
+    coincides: bool = False
     noise: NoiseSize | None = None
     tiles: Tiles | None = None
     pairs: int | None = None
+    surface_share: float | None = None
     growth: Growth | None = None
     observable: Observable | None = None
     local: LocalChanges | None = None
@@ -299,7 +125,7 @@ class Deformation:
         texts = values["warnings"]
         codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
         notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        found: Deformation = _from_json_value(cls, {**values, "warnings": notices})
+        found: Deformation = from_json_value(cls, {**values, "warnings": notices})
         return found
 
     def sentence(self, name: str = "the candidate", unit: str = "") -> str:
@@ -311,9 +137,9 @@ class Deformation:
             name: name of the candidate.
             unit: unit of the clouds.
         """
-        notice = next((notice for notice in self.warnings if notice.code == POSE_NOT_FIXED), None)
-        lead = "" if notice is None or self.verdict == "undecided" else f"{notice}, "
-        return lead + self._verdict_in_words(name, f" {unit}" if unit else "") + self._origin_in_words()
+        return (
+            self._reach_in_words() + self._verdict_in_words(name, f" {unit}" if unit else "") + self._origin_in_words()
+        )
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
@@ -351,7 +177,7 @@ class Deformation:
             if self.conditional_verdict is None:
                 return f"{text}{parts}"
             return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit)}"
-        if self.remaining_rms == 0 and self.verdict == "none":
+        if self.coincides and self.verdict == "none":
             return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
         unseen = self._limit_in_words(unit)
         if self.verdict == "non-affine" and self.amplitude is not None:
@@ -370,6 +196,15 @@ class Deformation:
             return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
         whole = " as a whole" if parts else ""
         return f"{name} is not deformed{whole}{unseen}{parts}"
+
+    def _reach_in_words(self) -> str:
+        """Return what the verdict is limited to, as the start of its sentence: a pose, or a part of the surface."""
+        if self.verdict == "undecided":
+            return ""
+        limits = [notice.text for notice in self.warnings if notice.code == POSE_NOT_FIXED]
+        if self.surface_share is not None and self.surface_share < _WHOLE_SURFACE:
+            limits.append(f"for {self.surface_share:.0%} of the surface")
+        return f"{', '.join(limits)}, " if limits else ""
 
     def _origin_in_words(self) -> str:
         """Return what a comparison of two clouds from photographs cannot show."""
@@ -457,15 +292,15 @@ class Deformation:
             detectable=(),
         )
 
-    def without_rounding(self, rounding: float) -> Deformation:
-        """Set sizes to zero if the remaining residual is no more than the rounding of the coordinates."""
-        if self.remaining_rms is None or self.remaining_rms > rounding:
-            return self
+    def without_rounding(self) -> Deformation:
+        """Return the result for a candidate that equals the reference up to rounding: its sizes are zero."""
         return replace(
             self,
+            coincides=True,
             remaining_rms=0.0,
+            surface_share=1.0,
             rungs=tuple(replace(rung, cv_score=0.0, cv_se=0.0, rms_explained=0.0) for rung in self.rungs),
-            amplitude=self.amplitude and _scale_amplitude(self.amplitude, 0.0),
+            amplitude=self.amplitude and scale_amplitude(self.amplitude, 0.0),
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
             negligible_rms=None if self.negligible_rms is None else 0.0,
@@ -475,15 +310,6 @@ class Deformation:
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         """Return the same result with further warnings."""
         return replace(self, warnings=(*self.warnings, *notes))
-
-
-def _scale_amplitude(amplitude: Amplitude, factor: float) -> Amplitude:
-    """Return the amplitude times a factor."""
-
-    def times(value: Any) -> Any:
-        return tuple(map(times, value)) if isinstance(value, tuple) else None if value is None else factor * value
-
-    return Amplitude(*(times(getattr(amplitude, item.name)) for item in dataclasses.fields(amplitude)))
 
 
 def _in_words(kind: str) -> str:
@@ -496,31 +322,3 @@ def _p_value_text(value: float | None) -> str:
     if value is None:
         return "p unknown"
     return f"p = {value:.2g}" if value >= 1e-9 else "p < 1e-9"
-
-
-def round_to_six_digits(value: Any) -> Any:
-    """Round to six significant digits: more carry no information and depend on the number of threads."""
-    if isinstance(value, float):
-        return float(f"{value:.6g}")
-    if isinstance(value, tuple):
-        return tuple(map(round_to_six_digits, value))
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return replace(
-            value, **{item.name: round_to_six_digits(getattr(value, item.name)) for item in dataclasses.fields(value)}
-        )
-    return value
-
-
-def _from_json_value(kind: Any, value: Any) -> Any:
-    """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
-    if value is None:
-        return None
-    kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        hints = get_type_hints(kind)
-        names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        # Older reports lack some fields: they take their defaults, and missing required ones are errors.
-        return kind(**{name: _from_json_value(hints[name], value[name]) for name in names if name in value})
-    if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(_from_json_value(get_args(kind)[0], part) for part in value)
-    return value

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_quantile
 from pcbench.deformation.model import KINDS, MIN_INFORMATION, Geometry, ModelStep, Noise, Scores
-from pcbench.deformation.result import Amplitude, DetectableSize, Interval, Observable
+from pcbench.deformation.parts import Amplitude, DetectableSize, Interval, Observable
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.geometry.arrays import FloatArray, IntArray
 

@@ -45,8 +45,8 @@ def test_result_json_round_trip(bent_result):
 def test_json_has_the_documented_keys_in_order(bent_result):
     values = json.loads(to_json(bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])))
     assert list(values) == [
-        "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "noise",
-        "tiles", "pairs", "growth", "observable", "local", "minimum_detectable_rms",
+        "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "coincides", "noise",
+        "tiles", "pairs", "surface_share", "growth", "observable", "local", "minimum_detectable_rms",
         "negligible_rms", "detectable", "conditional_verdict", "warnings", "warning_codes",
     ]  # fmt: skip
     assert list(values["amplitude"]) == ["rms", "p95", "max", "ci", "rms_surface", "ci_surface"]

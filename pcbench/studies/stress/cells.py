@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.deformation.result import round_to_six_digits
+from pcbench.deformation.parts import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity

@@ -7,7 +7,7 @@ import pytest
 
 from pcbench.changes import ADDED, MOVED
 from pcbench.deformation import Deformation
-from pcbench.deformation.result import ModelScore
+from pcbench.deformation.parts import ModelScore
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress import cells, metrics, verdicts

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.deformation.result import round_to_six_digits
+from pcbench.deformation.parts import round_to_six_digits
 from pcbench.errors import InputError, RegistrationError, record_error
 from pcbench.plugins import Reconstruction
 from pcbench.plugins.run import Description, ReconstructionJob, absolute, run

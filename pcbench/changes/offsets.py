@@ -1,0 +1,128 @@
+"""Offsets along the normals: cells whose points lie off the other cloud's surface by more than the noise explains."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes.samples import Sample
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.voxels import cells, robust_extent
+
+_FIRST_SIDE = 4.0  # side of the smallest cells, in voxels of the sample; the others are twice as large, and so on
+_MAX_EXTENT_SHARE = 1 / 4  # largest side of a cell, in extents
+_MIN_POINTS, _MIN_SHEET_SHARE = 6, 0.5  # points on a smooth surface that a tested cell needs
+_MIN_CELLS = 3
+_MIN_Z = 5.0  # smallest significant offset, in standard errors of the cell's median
+_MIN_SIGMAS = 1.0  # and in standard deviations of a point's noise in the region
+_MIN_OWN_RATIO = 3.0  # and over the offsets that nine tenths of the cell show in the reference itself
+_MIN_LEVEL_SHARE = 0.5  # of the cell's offset, which a point that belongs to it has
+_NULL_SHARE = 0.4  # of the cells, which is stable whatever changed: its width gives the scatter of all stable cells
+_NULL_Z = 0.5244  # half width of the inner 40 % of a normal distribution, in standard deviations
+_REGION_CELLS = 25
+_MAD = 1.4826
+_MEDIAN_ERROR = 1.2533  # standard error of a median over that of a mean, for normal values
+
+
+class Offsets(NamedTuple):
+    """Signed distances of the points of a sample from the other cloud's surface, N points.
+
+    Attributes:
+        signed: (N,) candidate minus reference, along the reference's normal.
+        normals: (N, 3) those normals.
+        is_sheet: (N,) whether the reference is a smooth surface there and the other cloud faces the point.
+        own: (N,) absolute offset that the reference shows from itself there.
+    """
+
+    signed: FloatArray
+    normals: FloatArray
+    is_sheet: NDArray[np.bool_]
+    own: FloatArray
+
+
+class OffsetTest(NamedTuple):
+    """Result of the test at each point of a sample.
+
+    Attributes:
+        is_off: (N,) whether the point lies in a cell that is off the surface, on the same side.
+        p: (N,) smallest p-value of its cells.
+    """
+
+    is_off: NDArray[np.bool_]
+    p: FloatArray
+
+
+def shortest_width(values: FloatArray) -> float:
+    """Return the standard deviation of the stable part of values (N,): from the shortest interval of 40 % of them."""
+    ordered = np.sort(values)
+    count = max(2, int(np.ceil(_NULL_SHARE * len(ordered))))
+    if len(ordered) <= count:
+        return float(np.std(ordered)) if len(ordered) else 0.0
+    return float((ordered[count - 1 :] - ordered[: len(ordered) - count + 1]).min()) / (2 * _NULL_Z)
+
+
+def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
+    """Test cells of several sizes for an offset from zero.
+
+    The standard error of a cell's median is that of independent noise in its region, or the scatter of the stable
+    cells, whichever is larger: errors may be correlated within a cell.
+    """
+    from scipy.special import erfc
+
+    points = sample.points
+    is_off, p = np.zeros(len(points), bool), np.ones(len(points))
+    noise, level = _regional_noise(sample, offsets), sample.smooth(offsets.signed)
+    side, largest = _FIRST_SIDE * sample.side, _MAX_EXTENT_SHARE * robust_extent(points)
+    while side <= max(largest, _FIRST_SIDE * sample.side):
+        grid = cells(points, side)
+        of, count = grid.of_point, len(grid.first)
+        sheet = np.bincount(of[offsets.is_sheet], minlength=count)
+        tested = (sheet >= _MIN_POINTS) & (sheet >= _MIN_SHEET_SHARE * grid.counts)
+        if np.count_nonzero(tested) < _MIN_CELLS:
+            break
+        at = np.flatnonzero(offsets.is_sheet & tested[of])
+        median = _group_quantiles(offsets.signed[at], of[at], count, 0.5)
+        sigma = grid.means(noise)
+        relative = np.maximum(sigma / max(float(np.median(sigma[tested])), 1e-300), 1e-300)
+        scatter = relative * shortest_width((median / relative)[tested])
+        error = np.maximum(_MEDIAN_ERROR * sigma / np.sqrt(np.maximum(sheet, 1)), scatter) + 1e-300
+        own = _group_quantiles(offsets.own, of, count, 0.9)
+        size = np.abs(median)
+        off = tested & (size >= _MIN_Z * error) & (size >= np.maximum(_MIN_SIGMAS * sigma, _MIN_OWN_RATIO * own))
+        hit = off[of] & (level * np.sign(median[of]) >= _MIN_LEVEL_SHARE * size[of])
+        is_off |= hit
+        p[hit] = np.minimum(p[hit], erfc((size / error)[of[hit]] / np.sqrt(2)))
+        side *= 2
+    return OffsetTest(is_off, p)
+
+
+def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
+    """Return (N,) standard deviations of a point's noise: the median of the cells in its region."""
+    grid = cells(sample.points, _FIRST_SIDE * sample.side)
+    count, sheet = len(grid.first), offsets.is_sheet
+    median = _group_quantiles(offsets.signed[sheet], grid.of_point[sheet], count, 0.5)
+    apart = np.abs(offsets.signed - median[grid.of_point])
+    spread = _group_quantiles(apart[sheet], grid.of_point[sheet], count, 0.5)
+    known = np.flatnonzero(np.bincount(grid.of_point[sheet], minlength=count) >= _MIN_POINTS)
+    if not len(known):
+        return np.full(len(sample), shortest_width(offsets.signed))
+    places = np.stack([grid.means(sample.points[:, axis]) for axis in range(3)], axis=1)
+    around = Index(places[known]).query(places, min(_REGION_CELLS, len(known))).indices.reshape(count, -1)
+    found: FloatArray = _MAD * np.median(spread[known][around], axis=1)[grid.of_point]
+    return found
+
+
+def _group_quantiles(values: FloatArray, group: IntArray, count: int, share: float) -> FloatArray:
+    """Return a quantile (G,) of values (N,) in each group; 0 in empty ones."""
+    order = np.lexsort((values, group))
+    counts = np.bincount(group, minlength=count)
+    starts = np.cumsum(counts) - counts
+    found, some = np.zeros(count), counts > 0
+    rank = share * (counts[some] - 1)
+    low, high = (starts[some] + np.asarray(f(rank), np.int64) for f in (np.floor, np.ceil))
+    ordered = values[order]
+    found[some] = 0.5 * (ordered[low] + ordered[high])
+    return found

@@ -1,0 +1,112 @@
+"""Connected parts of points that differ between two clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes.offsets import OffsetTest
+from pcbench.changes.samples import Sample
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index
+
+_LINK = 4.0  # largest gap between points of one part, in voxels of the samples
+# Sampled points of a part in one cloud that have no counterparts, or of each cloud that lie off the other's surface. In
+# random halves of real scans, the largest cluster of points without counterparts has four.
+_MIN_POINTS = 8
+_MAX_RATIO = 2.0  # of the offsets that both clouds show
+
+
+class Evidence(NamedTuple):
+    """Tests at the points of a sample, N points.
+
+    Attributes:
+        offsets: tests for an offset from the other cloud's surface.
+        signed: (N,) signed distances from that surface.
+        absence: (N,) p-values of the number of counterparts.
+        is_absent: (N,) whether there are too few counterparts.
+    """
+
+    offsets: OffsetTest
+    signed: FloatArray
+    absence: FloatArray
+    is_absent: NDArray[np.bool_]
+
+    @property
+    def is_flagged(self) -> NDArray[np.bool_]:
+        """(N,) whether a point differs from the other cloud."""
+        return self.is_absent | self.offsets.is_off
+
+    @property
+    def p(self) -> FloatArray:
+        """(N,) smaller p-value of both tests."""
+        return np.minimum(self.offsets.p, self.absence)
+
+
+class Part(NamedTuple):
+    """Rows of both samples that form a connected part."""
+
+    reference: IntArray
+    candidate: IntArray
+
+
+def connected_parts(samples: Sequence[Sample], evidence: Sequence[Evidence]) -> Iterator[Part]:
+    """Yield the significant parts of the flagged points of both samples, reference first.
+
+    Points of one cloud belong together if they are near each other; points of both, if one is the other's nearest.
+    A part is significant if enough of its points have no counterparts, or if both clouds show about the same offset.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    rows = [np.flatnonzero(each.is_flagged) for each in evidence]
+    starts, total = (0, len(rows[0])), sum(map(len, rows))
+    if total == 0:
+        return
+    links = [_links_within(sample, r) + start for sample, r, start in zip(samples, rows, starts, strict=True)]
+    for own, other in ((0, 1), (1, 0)):
+        link = _links_across(samples[own], samples[other], rows[own], rows[other])
+        links.append(link + np.array([[starts[own]], [starts[other]]]))
+    edges = np.concatenate(links, axis=1)
+    graph = coo_array((np.ones(edges.shape[1], np.int8), (edges[0], edges[1])), shape=(total, total))
+    labels = connected_components(graph, directed=False)[1]
+    order = np.argsort(labels, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+        split = int(np.searchsorted(members, starts[1]))
+        part = Part(rows[0][members[:split]], rows[1][members[split:] - starts[1]])
+        if _is_significant(part, evidence):
+            yield part
+
+
+def _links_within(sample: Sample, rows: IntArray) -> IntArray:
+    """Return (2, E) pairs of flagged points of one sample that are near each other."""
+    if not len(rows):
+        return np.empty((2, 0), np.int64)
+    points = sample.points[rows]
+    near = Index(points).query_radius(points, _LINK * sample.side)
+    return np.stack([np.repeat(np.arange(len(rows)), near.counts), near.indices])
+
+
+def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArray) -> IntArray:
+    """Return (2, E) pairs of flagged points of which the second is the other sample's nearest point to the first."""
+    if not (len(rows) and len(other_rows)):
+        return np.empty((2, 0), np.int64)
+    number = np.full(len(other), -1)
+    number[other_rows] = np.arange(len(other_rows))
+    facing = number[other.index.query(own.points[rows]).indices]
+    some = np.flatnonzero(facing >= 0)
+    return np.stack([some, facing[some]])
+
+
+def _is_significant(part: Part, evidence: Sequence[Evidence]) -> bool:
+    absent = [np.count_nonzero(each.is_absent[rows]) for rows, each in zip(part, evidence, strict=True)]
+    if max(absent) >= _MIN_POINTS:
+        return True
+    off = [rows[each.offsets.is_off[rows]] for rows, each in zip(part, evidence, strict=True)]
+    if min(map(len, off)) < _MIN_POINTS:
+        return False
+    ours, theirs = (float(np.median(each.signed[rows])) for rows, each in zip(off, evidence, strict=True))
+    return ours * theirs > 0 and 1 / _MAX_RATIO <= ours / theirs <= _MAX_RATIO

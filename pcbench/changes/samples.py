@@ -1,0 +1,83 @@
+"""Even samples of two aligned clouds, and what each point sees of the other cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.voxels import voxel_downsample
+
+MAX_SAMPLE = 60_000
+_SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
+NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Even sample of one cloud, N points.
+
+    Attributes:
+        rows: (N,) rows in the cloud.
+        index: search index over the sample.
+        side: side of the voxels that hold one point each.
+    """
+
+    rows: IntArray
+    index: Index
+    side: float
+
+    @classmethod
+    def of(cls, surface: Surface, side: float) -> Sample:
+        """Return the sample with one point per voxel of a side."""
+        rows = voxel_downsample(surface.points, side)
+        return cls(rows, Index(surface.points[rows]), side)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def points(self) -> FloatArray:
+        """Sampled points (N, 3)."""
+        return self.index.points
+
+    @cached_property
+    def near(self) -> Matches:
+        """Nearest other points (N, K) in the sample, with K of at most `NEIGHBORS`."""
+        found = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
+        return Matches(found.distances[:, 1:], found.indices[:, 1:])
+
+    @property
+    def reach(self) -> FloatArray:
+        """Radius (N,) of the ball around each point that contains its `near` points."""
+        return self.near.distances[:, -1]
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        """Return the median (N,) of values (N,) over each point and its nearest ones."""
+        rows = np.column_stack([np.arange(len(self)), self.near.indices[:, :_SMOOTHED_POINTS]])
+        found: FloatArray = np.median(values[rows], axis=1)
+        return found
+
+    @property
+    def areas(self) -> FloatArray:
+        """Area (N,) of the surface that each point represents."""
+        found: FloatArray = np.pi * np.square(self.reach) / self.near.distances.shape[1]
+        return found
+
+
+def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
+    """Return the side of voxels for samples of both clouds: two standard deviations of the noise or more.
+
+    In larger voxels than the noise, the points around a point lie along the surface rather than across it.
+    """
+    side = max(2 * noise, 1.5 * max(reference.spacing, candidate.spacing))
+    for surface in (reference, candidate):
+        rows = voxel_downsample(surface.points, side)
+        while len(rows) > MAX_SAMPLE:
+            side *= max(1.05, float(np.sqrt(len(rows) / MAX_SAMPLE)))
+            rows = rows[voxel_downsample(surface.points[rows], side)]
+    return side

@@ -1,0 +1,112 @@
+"""Find the parts of a scene that changed between two aligned clouds.
+
+Two tests cover all sizes, and none of them cuts pairs off at a distance. Where a cloud is a smooth surface, cells of
+several sizes are tested for an offset along the normals, as M3C2 does (Lague et al. 2013). Anywhere, the number of
+points around a point is compared with the number that the other cloud's density explains: a part that moved far, or
+that one cloud lacks, has no counterparts. Both are made on even samples of at most 60,000 points, with closest points
+and planes of the complete clouds. An offset counts only if both clouds show it, and only beyond what the reference
+shows against itself: planes are biased at edges and between sparse points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes.description import Scene, describe
+from pcbench.changes.offsets import Offsets, find_offsets, shortest_width
+from pcbench.changes.parts import Evidence, connected_parts
+from pcbench.changes.presence import absence
+from pcbench.changes.result import STABLE, UNMATCHED, Changes
+from pcbench.changes.samples import Sample, common_side
+from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+
+_MIN_POINTS = 100
+_MAX_P_ABSENT = 1e-4
+_MAX_NOISE_SAMPLE = 10_000
+_MAX_SHEET_VARIATION = 0.03  # surface variation, or four times its lower quartile: a smooth surface
+_MAX_TANGENTIAL = 3.0  # tangential distance of closest points on the same surface, in voxels of the sample
+
+
+def find_changes(reference: Surface, candidate: Surface, displacement: FloatArray | None = None) -> Changes:
+    """Find the changes between a reference and an aligned candidate.
+
+    Args:
+        reference: points and normals of the reference.
+        candidate: points of the candidate, in the same coordinates.
+        displacement: (M, 3) smooth displacement of the candidate's points that is no change; None: zero.
+    """
+    nothing = Changes.none(len(reference), len(candidate))
+    if min(len(reference), len(candidate)) < _MIN_POINTS or reference.spacing == 0 or candidate.spacing == 0:
+        return nothing
+    if displacement is not None:
+        candidate = Surface(Index(candidate.points - displacement), is_even=False)
+    side = common_side(reference, candidate, _noise(reference, candidate))
+    samples = Sample.of(reference, side), Sample.of(candidate, side)
+    if min(map(len, samples)) < _MIN_POINTS:
+        return nothing
+    offsets = _offsets(reference, candidate, samples)
+    evidence = []
+    for sample, other, found in zip(samples, samples[::-1], offsets, strict=True):
+        p = absence(sample, other.index)
+        evidence.append(Evidence(find_offsets(sample, found), found.signed, p, p < _MAX_P_ABSENT))
+    scene = Scene(samples, evidence, [found.normals for found in offsets])
+    described = describe(list(connected_parts(samples, evidence)), scene)
+    changed = [(part, change) for part, change in described if change is not None]
+    changed.sort(key=lambda each: -each[1].importance)
+    unmatched = [part for part, change in described if change is None]
+    labels = []
+    for number, (surface, sample) in enumerate(zip((reference, candidate), samples, strict=True)):
+        of_sample = np.full(len(sample), STABLE, np.int32)
+        for part in unmatched:
+            of_sample[part[number]] = UNMATCHED
+        for label, (part, _) in enumerate(changed):
+            of_sample[part[number]] = label
+        labels.append(_of_points(surface, sample, of_sample))
+    return Changes(tuple(change for _, change in changed), labels[0], labels[1])
+
+
+def _of_points(surface: Surface, sample: Sample, labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the labels (N,) of all points of a cloud: those of the nearest sampled points."""
+    if (labels == STABLE).all():
+        return np.full(len(surface), STABLE, np.int32)
+    found: NDArray[np.int32] = labels[sample.index.query(surface.points).indices]
+    return found
+
+
+def _noise(reference: Surface, candidate: Surface) -> float:
+    """Return the standard deviation of the candidate's distances from the reference's planes on the stable part."""
+    points = candidate.points[:: max(1, len(candidate) // _MAX_NOISE_SAMPLE)]
+    rows = reference.index.query(points).indices
+    return shortest_width(np.einsum("ni,ni->n", points - reference.points[rows], reference.normals(rows)))
+
+
+def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) -> list[Offsets]:
+    """Return the signed distances of both samples from the other cloud, along the reference's normals."""
+    ours, theirs = samples
+    own = _own_offsets(reference, ours)
+    back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
+    apart = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
+    found = []
+    for sample, rows, matches, between, self_offsets in (
+        (ours, ours.rows, back, apart[0], own),
+        (theirs, forth.indices, forth, apart[1], own[ours.index.query(theirs.points).indices]),
+    ):
+        normals, variation = reference.normals(rows), reference.variation(rows)
+        signed = np.einsum("ni,ni->n", between, normals)
+        tangential = np.sqrt(np.maximum(np.square(matches.distances) - np.square(signed), 0))
+        smooth = variation <= max(_MAX_SHEET_VARIATION, 4 * float(np.percentile(variation, 25)))
+        is_sheet = smooth & (tangential <= _MAX_TANGENTIAL * sample.side)
+        found.append(Offsets(signed, normals, is_sheet, self_offsets))
+    return found
+
+
+def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
+    """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
+    nearest = reference.index.query(sample.points, 2).indices[:, 1]
+    signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], reference.normals(nearest))
+    return np.abs(sample.smooth(signed))
