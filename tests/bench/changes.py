@@ -53,7 +53,7 @@ _FALL = 0.05  # share by which the reported volume may fall along a ladder: the 
 
 
 class Row(NamedTuple):
-    """A judged change, with its scene and place."""
+    """A judged change, with its scene and place; `shown` is the number of points of both clouds that changed."""
 
     scene: str
     group: str
@@ -61,7 +61,17 @@ class Row(NamedTuple):
     share: float
     height: float
     seed: int
+    shown: int
     judgement: Judgement
+
+    @property
+    def place(self) -> tuple[str, str, float, int]:
+        return self.scene, self.change, self.share, self.seed
+
+    @property
+    def is_counted(self) -> bool:
+        """Return whether it is large: 10 noise or an object more or less, and 2 % of the extent."""
+        return self.share >= 0.02 and (self.height >= 10 or self.change in WITHOUT_HEIGHT)
 
 
 class Null(NamedTuple):
@@ -126,7 +136,8 @@ def run(options: argparse.Namespace, chosen: Sequence[Scene]) -> tuple[list[Row]
                 for share in sizes:
                     for case in ladder(sample, change, share, seed, standing, heights):
                         judged = judge(case.truth, answer(case.truth.reference, case.truth.candidate))
-                        rows.append(Row(scene.name, scene.group, change, share, case.height, seed, judged))
+                        shown = len(case.truth.points)
+                        rows.append(Row(scene.name, scene.group, change, share, case.height, seed, shown, judged))
         print(f"{scene.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     return rows, nulls
 
@@ -170,7 +181,7 @@ def print_quality(rows: list[Row]) -> None:
     """Print what is right about the changes, and those elsewhere, by change and by scenes."""
     print(f"\n{'10 noise, 2 % and more':26}{'reported':>12}{'%':>8}{'kind':>12}{'%':>8}{'size':>12}{'%':>8}", end="")
     print(f"{'points':>8}{'false elsewhere':>18}{'%':>8}")
-    counted = [row for row in rows if row.share >= 0.02 and (row.height >= 10 or row.change in WITHOUT_HEIGHT)]
+    counted = [row for row in rows if row.is_counted]
     by_change = [(name, [row for row in counted if row.change == name]) for name in CHANGES]
     groups = list(dict.fromkeys(row.group for row in counted))
     by_group = [(name, [row for row in counted if row.group == name]) for name in groups]
@@ -189,8 +200,8 @@ def print_quality(rows: list[Row]) -> None:
 
 def falls(rows: list[Row]) -> Iterator[str]:
     """Yield the ladders on which a larger change is reported less: not at all, or with less volume."""
-    for key in dict.fromkeys((row.scene, row.change, row.share, row.seed) for row in rows):
-        steps = [row for row in rows if (row.scene, row.change, row.share, row.seed) == key]
+    for key in dict.fromkeys(row.place for row in rows):
+        steps = [row for row in rows if row.place == key]
         for small, large in pairwise(steps):
             before, after = small.judgement, large.judgement
             place = (
@@ -203,11 +214,24 @@ def falls(rows: list[Row]) -> Iterator[str]:
 
 
 def print_falls(rows: list[Row]) -> None:
-    ladders = {(row.scene, row.change, row.share, row.seed) for row in rows if row.change not in WITHOUT_HEIGHT}
+    ladders = {row.place for row in rows if row.change not in WITHOUT_HEIGHT}
     found = list(falls(rows))
     print(f"\nsteps of {len(ladders)} ladders of heights at which a larger change is reported less: {len(found)}")
     for line in found:
         print(f"  {line}")
+
+
+def print_failures(rows: list[Row]) -> None:
+    """Print the large changes that are not reported, or not rightly, and changes elsewhere."""
+    for row in rows:
+        found = row.judgement
+        wrong = [] if found.reported or not row.is_counted else ["not reported"]
+        wrong += [] if found.kind_right or not found.reported else ["other kind"]
+        wrong += [] if found.size_right is not False or not found.reported else ["other size"]
+        wrong += [f"{found.false} elsewhere"] if found.false else []
+        if wrong:
+            place = f"{row.scene}, seed {row.seed}: {row.change} of {100 * row.share:g} %, {row.height:g} noise"
+            print(f"  {place}, {row.shown} points: {', '.join(wrong)}")
 
 
 def print_nulls(nulls: list[Null]) -> None:
@@ -233,6 +257,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="only changes whose name contains this text")
     parser.add_argument("--scans", type=Path, nargs="*", default=[], help="folders of further scans")
     parser.add_argument("--clouds", type=Path, nargs="*", default=[], help="folders of reconstructed cities")
+    parser.add_argument("--failures", action="store_true", help="list the failures")
     parser.add_argument("--before", action="store_true", help="answer by the tiles of the deformation test")
     options = parser.parse_args()
     limit_threads(1)
@@ -248,6 +273,9 @@ def main() -> None:
     if rows:
         print_quality(rows)
         print_falls(rows)
+        if options.failures:
+            print("\nfailures")
+            print_failures(rows)
     print_nulls(nulls)
 
 
