@@ -18,10 +18,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 import pytest
 import wording
+from budgets import checked_candidate
 
 from pcbench import cli
 from pcbench.cli import messages
 from pcbench.errors import MissingExtra
+from pcbench.measure import comparison
 from pcbench.opengl import NoFiguresError
 from pcbench.report.plotters.window import check_window
 from pcbench.scenes.synthetic.render import check_renderer
@@ -140,6 +142,14 @@ def off_screen():
 def _no_progress(monkeypatch):
     """Suppress progress lines of commands in this process, so that their output does not depend on time."""
     monkeypatch.setattr(messages, "_MESSAGE_INTERVAL_S", 3600.0)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _budgets_add_up():
+    """Check in each comparison of the suite that the parts of D2 add up to D2."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "Candidate", checked_candidate)
+        yield
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from surfaces import surface
 
 from pcbench import Cloud, Settings
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
 from pcbench.measure import pair
 from pcbench.measure.directions import MEAN_METRICS, Direction, from_candidate, from_reference
 from pcbench.measure.pair import align, match_pair
@@ -45,7 +46,12 @@ def measure_directions(reference: np.ndarray, candidate: np.ndarray, settings: S
     candidate_matches, reference_matches = prepared.index.query(index.points), index.query(prepared.points)
     accuracy = from_candidate(prepared, index.points, candidate_matches, seed=0)
     return accuracy, from_reference(
-        prepared, index, candidate_matches.indices, reference_matches, forth=accuracy, seed=settings.seed
+        prepared,
+        Surface(index, is_even=False),
+        candidate_matches.indices,
+        reference_matches,
+        forth=accuracy,
+        seed=settings.seed,
     )
 
 

@@ -274,6 +274,7 @@ def deform(
     """
     _limit_openblas()
     from pcbench.io.files import file_in_setting
+    from pcbench.report.budget import changes_sentence
     from pcbench.report.deform_files import deform_files
     from pcbench.report.figures import Figures
 
@@ -300,7 +301,9 @@ def deform(
     for notice in result.further_warnings:
         say(str(notice))
     if not quiet and not output.on_stdout:
-        click.echo(result.sentence(candidate.name, outcome.unit or ""))
+        click.echo(result.sentence(candidate.name, outcome.unit or "", is_noise=not result.changes))
+        if result.changes:
+            click.echo(changes_sentence(result.changes, outcome.unit))
         unit = f" {outcome.unit}" if outcome.unit else ""
         for row in result.rungs:
             mark = "*" if row.model == result.model else " "
@@ -312,8 +315,6 @@ def deform(
                 f" (correlation length {noise.correlation_length:.3g}{unit}); {result.pairs:,} pairs,"
                 f" effectively {noise.n_eff:,.0f} independent ones"
             )
-        if local := result.local:
-            click.echo(f"local changes: {local.tiles_changed} of {local.tiles_tested} tiles")
         if out is not None:
             click.echo(f"report: {out}")
     if outcome.without_figures:

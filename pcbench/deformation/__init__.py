@@ -40,6 +40,7 @@ from pcbench.deformation.parts import (
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
+from pcbench.deformation.stable import separate_changes
 from pcbench.deformation.sums import TileSums
 
 __all__ = [
@@ -59,4 +60,5 @@ __all__ = [
     "deform",
     "assess",
     "residual_deformation",
+    "separate_changes",
 ]

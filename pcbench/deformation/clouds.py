@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pcbench.deformation.pairs import Side
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
+from pcbench.deformation.stable import separate_changes
 from pcbench.errors import InputError
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.mesh import Mesh
@@ -32,6 +33,8 @@ def deform(
     seed: int = 0,
 ) -> tuple[Registration, Deformation]:
     """Register a candidate and test whether a deformation remains, how large it is and where.
+
+    Parts that changed are told apart from a deformation of the whole, and left out of the test.
 
     Without a unit or a coordinate system the scale is unknown, and a difference in scale is not a deformation.
 
@@ -64,4 +67,7 @@ def deform(
     sides = []
     for name, points, cloud in (("reference", target.surface, reference), ("candidate", aligned, candidate)):
         sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s", origin), cloud))
-    return found, residual_deformation(sides[0], sides[1], found, origin, seed=seed)
+    changes = separate_changes(*sides)
+    ours, theirs = sides[0].without(changes.of_reference), sides[1].without(changes.of_candidate)
+    deformation = residual_deformation(ours, theirs, found, origin, seed=seed)
+    return found, replace(deformation, changes=changes.shifted(origin).found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,12 @@ from pcbench.deformation.blocks import noise_sizes, share_with_weight, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.result import RESOLUTION_SHARE
 from pcbench.deformation.sums import TileSums
-from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.sampling import line_gaps, median_spacing
-from pcbench.geometry.voxels import cells, voxel_downsample_to
+from pcbench.geometry.voxels import cells, robust_bounds, voxel_downsample_to
 
 _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
@@ -34,6 +34,7 @@ _MAX_WIDENINGS = 5  # searches for pairs under the field found so far
 _MAX_GAP_SAMPLE = 1_000  # pairs at which the gap between scan lines is measured; at most twice as many are used
 _MIN_FIELD_CHANGE = 1.0  # RMS change of the field, in spacings, below which no further search is needed
 MIN_PAIRS = 300
+SPREAD_SIDE = 1e-3  # side of the smallest cells with one query point each, in the extent
 _MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
 _CONVERGENCE_TOLERANCE = 0.01  # in standard deviations of the noise
 _TUKEY_CONSTANT = 4.685  # standard deviations: 95 % efficiency for normal residuals
@@ -78,15 +79,34 @@ class Side:
         """Return whether attributes show that the cloud was reconstructed from photographs."""
         return not _PHOTOGRAMMETRIC_ATTRIBUTES.isdisjoint(self.cloud.attributes)
 
+    @property
+    def corners(self) -> FloatArray:
+        """Lowest and highest corner (2, 3) of the points."""
+        return np.array(bounds(self.surface.points))
+
+    def classes(self, rows: IntArray) -> NDArray[Any] | None:
+        """Return the LAS classes (M,) of points; None without classes."""
+        classes = self.cloud.attributes.get("classification")
+        return None if classes is None else classes[rows]
+
     def class_weights(self, rows: IntArray) -> FloatArray:
         """Return (M,) weights of points by LAS class; 1 without classes."""
-        classes = self.cloud.attributes.get("classification")
+        classes = self.classes(rows)
         if classes is None:
             return np.ones(len(rows))
         table = np.ones(256)
         table[list(_CLASS_WEIGHTS)] = list(_CLASS_WEIGHTS.values())
-        weights: FloatArray = table[np.clip(classes[rows].astype(np.int64), 0, 255)]
+        weights: FloatArray = table[np.clip(classes.astype(np.int64), 0, 255)]
         return weights
+
+    def spread_rows(self, count: int) -> IntArray | None:
+        """Return rows of about `count` evenly spread points that may be queries; None if there are too few."""
+        rows = np.flatnonzero(self.inside)
+        if len(rows) < MIN_PAIRS:
+            return None
+        points = self.surface.points[rows]
+        side = SPREAD_SIDE * extent(points)
+        return rows[voxel_downsample_to(points, count, side)] if side > 0 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +184,9 @@ class PairSearch:
         """Return the search for pairs of a reference and its aligned candidate; None if there are too few points."""
         swapped = len(candidate.surface) > len(reference.surface)
         queries, surface = (reference, candidate) if swapped else (candidate, reference)
-        rows = _spread_queries(queries, surface)
+        if len(surface.surface) < MIN_PAIRS or surface.surface.spacing == 0:
+            return None  # or all points coincide
+        rows = queries.spread_rows(3 * _MAX_PAIRS)
         if rows is None:
             return None
         closest = surface.surface.index.query(queries.surface.points[rows])
@@ -227,17 +249,6 @@ class _PlanePairs(NamedTuple):
     width: FloatArray  # (N,) residual from the model at which Tukey's biweight is zero
     weights: FloatArray  # (N,)
     noise: float  # robust standard deviation of the residuals from the model
-
-
-def _spread_queries(queries: Side, surface: Side) -> IntArray | None:
-    """Select evenly spread points that may be queries; None if there are too few."""
-    rows = np.flatnonzero(queries.inside)
-    if len(rows) < MIN_PAIRS or len(surface.surface) < MIN_PAIRS:
-        return None
-    points = queries.surface.points[rows]
-    if extent(points) == 0 or surface.surface.spacing == 0:
-        return None  # all points coincide
-    return rows[voxel_downsample_to(points, 3 * _MAX_PAIRS, start=1e-3 * extent(points))]
 
 
 def _near_queries(distances: FloatArray, bend: FloatArray, spacing: float) -> tuple[IntArray, float]:
@@ -483,6 +494,6 @@ def _areas(points: FloatArray) -> FloatArray:
 
 
 def extent(points: FloatArray) -> float:
-    """Return the longest side of the box that contains the inner 98 % of the points along each axis."""
-    lower, upper = np.percentile(points, [1, 99], axis=0)
+    """Return the longest side of the robust bounds of points (N, 3)."""
+    lower, upper = robust_bounds(points)
     return float((upper - lower).max())

@@ -99,7 +99,7 @@ def residual_deformation(
         answer = answer.withheld()
     share = pairs.share * float(described.sums.counts.sum() / whole.sums.counts.sum())
     answer = replace(answer, surface_share=float(f"{share:.6g}"))
-    if search.coincides(rounding_bound(reference.surface.points, origin)):
+    if search.coincides(rounding_bound(reference.corners, origin)):
         answer = answer.without_rounding()
     return answer.shifted(origin).with_warnings(notes)
 
@@ -168,7 +168,7 @@ def _without_map_projection(
     noise = 1.4826 * float(np.median(np.abs(pairs.left)))
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
-        if sagitta > 0.2 * noise and noise > rounding_bound(reference.surface.points, origin):
+        if sagitta > 0.2 * noise and noise > rounding_bound(reference.corners, origin):
             text = (
                 "coordinates look like those of a map, but no file names its projection: relative to a Euclidean cloud"
                 f" the Earth's curvature alone deforms it by {sagitta:.2g} (if the unit is the metre)"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.changes import Change
 from pcbench.deformation.parts import (
     Amplitude,
     DetectableSize,
@@ -45,9 +46,6 @@ _KINDS_IN_WORDS = {
 _MIN_VERTICAL_SHARE = 0.1  # of the tiles that constrain vertical displacements: below it, the surfaces hardly show them
 _WHOLE_SURFACE = 0.7  # share of the surface from which the sentence does not name it
 _LARGE_DISPLACEMENT_RATIO = 3.0  # of a kind's detectable displacement to that of a dome: the kind is then named
-# A changed tile is reported beyond this many standard deviations of a pair's noise, or as one of this many adjacent
-# tiles. Of 120 random halves of street, vehicle and terrestrial scans, none has more than four adjacent ones.
-_MOVED_SIGMAS, _MIN_MOVED_GROUP = 5.0, 5
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,8 @@ class Deformation:
         warnings: codes and texts; for an undecided verdict, the reasons.
         field: the displacement per cell, a separate table in a report; None if there was nothing to test, and after
             `from_json`.
+        changes: changes that were left out, if the deformation was tested by itself; in a comparison they are the
+            candidate's. Not set by `from_json`.
     """
 
     verdict: str
@@ -104,6 +104,7 @@ class Deformation:
     conditional_verdict: str | None = None
     warnings: tuple[Notice, ...] = ()
     field: Field | None = dataclasses.field(default=None, compare=False, metadata={"json": False})
+    changes: tuple[Change, ...] = dataclasses.field(default=(), compare=False, metadata={"json": False})
 
     def __repr__(self) -> str:
         size = "" if self.amplitude is None else f", bend {self.amplitude.rms:.3g} RMS"
@@ -128,7 +129,7 @@ class Deformation:
         found: Deformation = from_json_value(cls, {**values, "warnings": notices})
         return found
 
-    def sentence(self, name: str = "the candidate", unit: str = "") -> str:
+    def sentence(self, name: str = "the candidate", unit: str = "", *, is_noise: bool = True) -> str:
         """Return the verdict as a sentence.
 
         It starts with its limitations: the reasons of an undecided verdict, or a pose that the geometry does not fix.
@@ -136,10 +137,11 @@ class Deformation:
         Args:
             name: name of the candidate.
             unit: unit of the clouds.
+            is_noise: whether noise explains the distances between the clouds, as far as known. Otherwise the sentence
+                never says that the candidate equals the reference or is not deformed.
         """
-        return (
-            self._reach_in_words() + self._verdict_in_words(name, f" {unit}" if unit else "") + self._origin_in_words()
-        )
+        words = self._verdict_in_words(name, f" {unit}" if unit else "", is_noise)
+        return self._reach_in_words() + words + self._origin_in_words()
 
     @property
     def further_warnings(self) -> tuple[Notice, ...]:
@@ -169,16 +171,15 @@ class Deformation:
         reason = "the clouds are too noisy" if is_seen else "the surfaces hardly show vertical displacements"
         return f"no size limit can be given, because {reason}"
 
-    def _verdict_in_words(self, name: str, unit: str) -> str:
-        parts = self._parts_that_moved(unit)
+    def _verdict_in_words(self, name: str, unit: str, is_noise: bool) -> str:
         if self.verdict == "undecided":
             reasons = "; ".join(notice.text for notice in self.warnings if notice.code != BOTH_FROM_PHOTOGRAPHS)
             text = f"{name}: whether it is deformed is undecided: {reasons}"
             if self.conditional_verdict is None:
-                return f"{text}{parts}"
-            return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit)}"
-        if self.coincides and self.verdict == "none":
-            return f"{name} equals the reference up to the rounding of coordinates: it is not deformed{parts}"
+                return text
+            return f"{text}. If the pose is right, {self.assuming_pose()._verdict_in_words('it', unit, is_noise)}"
+        if self.coincides and self.verdict == "none" and is_noise:
+            return f"{name} equals the reference up to the rounding of coordinates: it is not deformed"
         unseen = self._limit_in_words(unit)
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
@@ -186,16 +187,15 @@ class Deformation:
             over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
             return (
                 f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
-                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)}){parts}"
+                f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)})"
             )
         if self.verdict == "affine":
-            return (
-                f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}{parts}"
-            )
+            return f"{name} is sheared or stretched relative to the reference, without further deformation{unseen}"
         if self.verdict == "similarity":
-            return f"{name} differs from the reference in scale, without further deformation{unseen}{parts}"
-        whole = " as a whole" if parts else ""
-        return f"{name} is not deformed{whole}{unseen}{parts}"
+            return f"{name} differs from the reference in scale, without further deformation{unseen}"
+        if not is_noise:
+            return f"{name} shows no deformation as a whole{unseen}"
+        return f"{name} is not deformed{unseen}"
 
     def _reach_in_words(self) -> str:
         """Return what the verdict is limited to, as the start of its sentence: a pose, or a part of the surface."""
@@ -241,23 +241,6 @@ class Deformation:
         if hidden := [_in_words(size.kind) for size in self.detectable if size.displacement is None]:
             text += f"; the surfaces do not show {' or '.join(hidden)}, however large"
         return text
-
-    @property
-    def has_moved_part(self) -> bool:
-        """Return whether parts of the scene changed by themselves: far beyond the noise, or many adjacent tiles."""
-        return bool(self._parts_that_moved(""))
-
-    def _parts_that_moved(self, unit: str) -> str:
-        local, noise = self.local, self.noise
-        if local is None or local.largest is None or local.at is None or noise is None:
-            return ""
-        if local.largest < _MOVED_SIGMAS * noise.sigma and local.largest_group < _MIN_MOVED_GROUP:
-            return ""
-        place = ", ".join(f"{x:.1f}" for x in local.at)
-        return (
-            f"; parts changed: {local.tiles_changed} of {local.tiles_tested} tiles, up to {local.largest:.3g}{unit} at"
-            f" ({place})"
-        )
 
     def shifted(self, origin: FloatArray) -> Deformation:
         """Return the same result in coordinates that include `origin` (3,)."""

@@ -10,8 +10,9 @@ import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import TILE, Geometry, Noise, Scores, estimate_noise
+from pcbench.deformation.parts import ModelScore
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
-from pcbench.deformation.result import NEGLIGIBLE_SHARE, ModelScore
+from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice

@@ -91,6 +91,14 @@ class Index:
         """Memory of the tree in bytes, without the points."""
         return self._tree.bytes
 
+    def every(self, step: int) -> NDArray[np.float64]:
+        """Return every `step`-th point (M, 3), from the first one on."""
+        return self.points[::step]
+
+    def thinned(self, share: float, seed: int) -> "Index":
+        """Return an index of a random share, above 0 and below 1, of the points; see `is_kept`."""
+        return Index(self.points[is_kept(np.arange(len(self)), share, seed)])
+
     def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
         """Find the k nearest points of each query.
 
@@ -259,6 +267,18 @@ class Index:
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
             raise InputError(f"{name}: expected indices from 0 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
         return np.ascontiguousarray(rows, np.int64)
+
+
+def is_kept(rows: NDArray[np.int64], share: float, seed: int) -> NDArray[np.bool_]:
+    """Return whether the points with these rows (N,) belong to a random share of a cloud.
+
+    That of one row does not depend on the others, so that a cloud can be thinned piece by piece.
+    """
+    mixed = rows.astype(np.uint64) + np.uint64((1 + 2 * seed) * 0x9E3779B97F4A7C15 % (1 << 64))
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # SplitMix64 (Steele et al. 2014)
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    kept: NDArray[np.bool_] = (mixed ^ (mixed >> np.uint64(31))) / 2.0**64 < share
+    return kept
 
 
 def match_both_directions(reference: Index, candidate: Index) -> tuple[Matches, Matches]:

@@ -43,10 +43,14 @@ class Quantisation:
     offsets: FloatArray
 
     @classmethod
-    def of(cls, points: FloatArray) -> Quantisation:
+    def of(cls, points: FloatArray, count: int | None = None) -> Quantisation:
         """Measure the steps of points (N, 3), in the coordinates in which they were stored.
 
         The positions of a regular grid are no rounding: the step of its axes is 0.
+
+        Args:
+            points: (N, 3) points of a cloud, of which an even sample is used.
+            count: number of points of the cloud if these are such a sample themselves; None: they are all.
         """
         sample = points[:: max(1, len(points) // _SAMPLE_POINTS)]
         axes = [_axis_lattice(np.ascontiguousarray(values)) for values in sample.T]
@@ -54,7 +58,7 @@ class Quantisation:
         offsets = np.array([axis.offset for axis in axes])
         for first, second in ((0, 1), (0, 2), (1, 2)):
             pair = [first, second]
-            if steps[pair].all() and _is_grid(sample[:, pair], steps[pair], offsets[pair], len(points)):
+            if steps[pair].all() and _is_grid(sample[:, pair], steps[pair], offsets[pair], count or len(points)):
                 steps[pair] = 0.0
         return cls(steps, offsets)
 

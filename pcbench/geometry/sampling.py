@@ -104,12 +104,20 @@ def median_spacing(index: Index, nearest_other: Matches | None = None) -> float:
     return sampling_of(index, nearest_other).spacing
 
 
-def sampling_of(index: Index, nearest_other: Matches | None = None) -> Sampling:
-    """Return the sampling of a cloud; the arguments are those of `median_spacing`."""
+def sampling_of(index: Index, nearest_other: Matches | None = None, profile: FloatArray | None = None) -> Sampling:
+    """Return the sampling of a cloud.
+
+    Args:
+        index: index of the cloud.
+        nearest_other: see `median_spacing`.
+        profile: distances (M, K) of every `profile_step`-th point to its K nearest other points, in any order of the
+            points; None: they are searched.
+    """
     if len(index) < 2:
         return Sampling(0.0)
-    places = index.points[:: profile_step(len(index))]
-    profile = index.query(places, k=min(1 + PROFILE_NEIGHBORS, len(index))).distances[:, 1:]
+    if profile is None:
+        places = index.every(profile_step(len(index)))
+        profile = index.query(places, k=min(1 + PROFILE_NEIGHBORS, len(index))).distances[:, 1:]
     return sampling_of_profile(_median_nearest(index, nearest_other), profile, len(index))
 
 
@@ -185,13 +193,13 @@ def _median_first(distances: FloatArray, is_other: NDArray[np.bool_]) -> float:
 def _median_nearest(index: Index, nearest_other: Matches | None) -> float:
     """Return the median distance to the nearest point at another position, without points of more than seven copies."""
     if nearest_other is None:
-        rows = np.arange(0, len(index), max(1, len(index) // _SPACING_SAMPLE))
-        distances = index.query(index.points[rows], k=2).distances[:, 1]
+        places = index.every(max(1, len(index) // _SPACING_SAMPLE))
+        distances = index.query(places, k=2).distances[:, 1]
     else:
-        rows, distances = np.arange(len(index)), nearest_other.distances
+        places, distances = index.points, nearest_other.distances
     is_duplicate = distances == 0
     if is_duplicate.any():
-        around = index.query(index.points[rows[is_duplicate]], k=min(COINCIDENT_NEIGHBORS, len(index))).distances
+        around = index.query(places[is_duplicate], k=min(COINCIDENT_NEIGHBORS, len(index))).distances
         first = np.where(around > 0, around, np.inf).min(axis=1)
         distances = np.concatenate([distances[~is_duplicate], first[np.isfinite(first)]])
     return median(distances) if len(distances) else 0.0
@@ -227,7 +235,8 @@ def line_gaps(index: Index, positions: FloatArray) -> FloatArray:
     gaps, lines = np.zeros(positions.shape), np.zeros(positions.shape)  # directions of the lines; 0: not a line
     pending, count = np.arange(len(positions)), _MIN_LINE_NEIGHBORS
     while len(pending) and count <= min(_MAX_LINE_NEIGHBORS, len(index)):
-        offsets = index.points[index.query(positions[pending], count).indices] - positions[pending, None]
+        near = index.query(positions[pending], count).indices
+        offsets = index.points[near] - positions[pending, None]
         variances, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets, optimize=False) / count)
         is_broad = variances[:, 1] > _MIN_VARIANCE_RATIO * variances[:, 2]
         if count == _MIN_LINE_NEIGHBORS:

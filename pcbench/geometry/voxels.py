@@ -46,6 +46,12 @@ def voxel_downsample_to(points: FloatArray, count: int, start: float) -> IntArra
     """Downsample to at most 1.2 * `count` points: cells grow from edge length `start` until few enough are occupied."""
     side = max(start, 1e-12 * robust_extent(points), np.finfo(float).tiny)
     which = voxel_downsample(points, side)
+    return which[voxel_thin_to(points[which], count, side)]
+
+
+def voxel_thin_to(points: FloatArray, count: int, side: float) -> IntArray:
+    """Continue `voxel_downsample_to` from the first points (N, 3) of cells of edge length `side`."""
+    which = np.arange(len(points))
     while len(which) > 1.2 * count:
         side *= max(1.1, np.sqrt(len(which) / count))  # on surfaces the count is inversely proportional to side^2
         which = which[voxel_downsample(points[which], side)]

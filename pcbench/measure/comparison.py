@@ -20,11 +20,20 @@ from pcbench.geometry.crs import check_lengths, crs_argument, crs_name, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice, vertex_cloud
 from pcbench.measure import intervals, presets
+from pcbench.measure.budget import consistent_with
 from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
-from pcbench.measure.pair import AlignedCandidate, align, assess_deformation, match_pair, measure_directions
+from pcbench.measure.pair import (
+    AlignedCandidate,
+    align,
+    assess_deformation,
+    find_changes,
+    match_pair,
+    measure_directions,
+    split_into_budget,
+)
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import Candidate, CandidateComparisons, Difference
 from pcbench.measure.scores import Measurement, measure
@@ -132,6 +141,8 @@ def _compare_one(
     with record_time(timings, "matching"):
         matched = match_pair(reference, aligned)
     step(f"{name}: measuring")
+    with record_time(timings, "changes"):
+        changes = find_changes(reference, aligned)
     with record_time(timings, "floors"):
         forth, back = measure_directions(reference, aligned, matched, settings.seed)
     with record_time(timings, "metrics"):
@@ -148,7 +159,11 @@ def _compare_one(
         quoted = {key: presets.measure_preset(key, pair, thresholds, to_poisson) for key in settings.presets}
     step(f"{name}: testing for deformation")
     with record_time(timings, "deformation"):
-        deformation = assess_deformation(reference, aligned, settings.seed)
+        deformation = assess_deformation(reference, aligned, settings.seed, changes)
+    with record_time(timings, "budget"):
+        budget = split_into_budget(reference, aligned, matched, (forth, back), changes, deformation)
+    if budget is not None:
+        deformation = consistent_with(budget.accuracy, deformation)
     return Candidate(
         name=name,
         points=len(cloud),
@@ -162,6 +177,8 @@ def _compare_one(
         peak_rss_bytes=peak_memory(),
         steps=tuple(cloud.quantisation.steps.tolist()),
         warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
+        budget=budget,
+        changes=changes.shifted(reference.origin),
     ), measurement
 
 

@@ -140,6 +140,16 @@ class M3C2(NamedTuple):
         """Return the same map in coordinates from which `origin` (3,) was subtracted."""
         return self._replace(cores=self.cores - origin)
 
+    def with_registration_error(self, error: float) -> M3C2:
+        """Return the same map with another registration error in its levels of detection."""
+        lod = self.lod + LOD_Z * (error - self.registration_error)
+        return self._replace(lod=lod, registration_error=error)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(K,) standard errors of the distances without the registration error; NaN without a level of detection."""
+        return self.lod / LOD_Z - self.registration_error
+
     @property
     def significant(self) -> FloatArray:
         """(K,) 1 if |distance| exceeds the level of detection, 0 if it does not, NaN if it cannot be tested."""

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.neighbors import Matches
+from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.measure import floors, metrics
 from pcbench.measure.metrics import Distances
@@ -128,13 +129,14 @@ def from_candidate(
         return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
 
     planes = _to_planes(reference, distances, measure, seed)
-    floor = _means(floors.to_reference(reference, queries, rounding))
+    few = queries[floors.even_sample(len(queries))]
+    floor = mean_values(floors.to_reference(reference.for_floors, few, rounding))
     return Direction(queries, Distances(distances, planes), floor, reference.cells.of_point[closest])
 
 
 def from_reference(
     reference: Reference,
-    candidate: Index,
+    candidate: Surface,
     matched: IntArray,
     back: Matches,
     *,
@@ -146,11 +148,11 @@ def from_reference(
 
     Args:
         reference: the prepared reference.
-        candidate: search index of the aligned candidate.
+        candidate: the aligned candidate.
         matched: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
         back: closest candidate points of the reference's measured points.
         forth: the other direction; its plane distances and their floor estimate the candidate's errors.
-        seed: random seed of the floor's sample, and of that of the distances to planes.
+        seed: random seed of the sample, if distances to planes are sampled.
         rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     measured, queries = reference.rows, reference.measured_points
@@ -167,8 +169,12 @@ def from_reference(
     cells = reference.cells.of_point if measured is None else reference.cells.of_point[measured]
     error = 0.0
     if (squares := forth.distances.plane_squares) is not None:
-        error = _error_share(float(np.mean(squares)), forth.floors["d2_mse"])
-    floor = _means(floors.to_candidate(reference, candidate, matched, error, seed, rounding))
+        error = error_share(float(np.mean(squares)), forth.floors[PLANE_METRIC])
+    few = floors.even_sample(len(queries))
+    rows = few if measured is None else measured[few]
+    floor = mean_values(
+        floors.to_candidate(reference.for_floors, rows, candidate, lambda rows: matched[rows], error, rounding)
+    )
     return Direction(queries, Distances(back.distances, planes), floor, cells)
 
 
@@ -193,7 +199,7 @@ def _to_planes(
     return measure(None) if sample is None else sample
 
 
-def _means(distances: Distances | None) -> dict[str, float | None]:
+def mean_values(distances: Distances | None) -> dict[str, float | None]:
     """Return the mean of each mean metric by name."""
     means: dict[str, float | None] = {}
     for metric in MEAN_METRICS:
@@ -202,6 +208,6 @@ def _means(distances: Distances | None) -> dict[str, float | None]:
     return means
 
 
-def _error_share(score: float, floor: float | None) -> float:
+def error_share(score: float, floor: float | None) -> float:
     """Return the share of a score that sampling does not explain."""
     return 0.0 if floor is None or score <= floor else 1 - floor / score

@@ -9,6 +9,8 @@ nearest point 1.01 times.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,11 +18,10 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.normals import plane_normals
+from pcbench.geometry.normals import Surface, plane_normals
 from pcbench.geometry.quantisation import PlacedQuantisation
-from pcbench.geometry.sampling import Sampling, line_gaps, sampling_of
+from pcbench.geometry.sampling import Sampling, line_gaps
 from pcbench.measure.metrics import Distances, plane_distances
-from pcbench.measure.reference import Reference
 
 _MAX_QUERIES = 2_500  # evenly sampled; the relative standard error of the mean squared distance is then 2 %
 _PROXY_RANK = 4  # rank of the nearest neighbour that replaces a query (1: the nearest point)
@@ -28,23 +29,63 @@ _MAX_NEIGHBORS = 8  # neighbours considered: duplicates do not count, and noise 
 _MIN_VARIANCE_SHARE = 0.1  # of the largest rounding along a normal, for points whose distance from planes shows it
 # Reference points kept per point of a sparse candidate: some neighbour is then at a similar distance.
 _THINNED_DENSITY_RATIO = 3
+_MIN_THINNED_POINTS = 64  # so that a random share of few points has neighbours
 
 
-def to_reference(reference: Reference, queries: FloatArray, rounding: PlacedQuantisation | None) -> Distances | None:
+@dataclass(frozen=True, eq=False)
+class FloorSurface:
+    """What floors need to know of a reference.
+
+    Attributes:
+        surface: its points and normals, in local coordinates.
+        spacing: its spacing, see `pcbench.geometry.sampling.median_spacing`.
+        rounding: how its coordinates are rounded.
+        has_given_normals: whether its normals were given with it.
+        seed: random seed.
+    """
+
+    surface: Surface
+    spacing: float
+    rounding: PlacedQuantisation
+    has_given_normals: bool
+    seed: int
+
+    @property
+    def index(self) -> Index:
+        """Search index over the points."""
+        return self.surface.index
+
+    @property
+    def points(self) -> FloatArray:
+        """The points to which the numbers of `index` refer (N, 3)."""
+        return self.surface.points
+
+    @property
+    def has_normals(self) -> bool:
+        """Return whether the points have normals or there are enough to estimate them."""
+        return len(self.surface) >= 3 or self.surface.is_complete
+
+
+def even_sample(count: int) -> IntArray:
+    """Return the rows of the points, of `count`, from which a floor is measured."""
+    return np.linspace(0, count - 1, min(count, _MAX_QUERIES)).astype(np.int64)
+
+
+def to_reference(reference: FloorSurface, queries: FloatArray, rounding: PlacedQuantisation | None) -> Distances | None:
     """Distances of independent points of the surface around the queries (M, 3); None if the reference has one point.
 
     Args:
-        reference: the prepared reference.
-        queries: (M, 3) points of the aligned candidate.
+        reference: the reference.
+        queries: (M, 3) points of the aligned candidate, see `even_sample`.
         rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
-    if len(reference.points) < 2:
+    if len(reference.index) < 2:
         return None
     sampling = reference.surface.sampling
-    rows = _proxies(reference.index, sampling, queries[_even_sample(len(queries))])
+    rows = _proxies(reference.index, sampling, queries)
     places, others = reference.points[rows], _neighbors(reference.index, sampling, rows)
     if rounding is not None:
-        normals = reference.surface.compute_normals(rows)[rows] if reference.has_normals else None
+        normals = reference.surface.normals(rows) if reference.has_normals else None
         around = reference.points[others].mean(axis=1)
         places = _stored_anew(places, around, normals, reference.rounding, rounding, reference.seed)
         others = _others_near(reference.index, sampling, places, rows)
@@ -65,47 +106,44 @@ def to_reference(reference: Reference, queries: FloatArray, rounding: PlacedQuan
 
 
 def to_candidate(
-    reference: Reference,
-    candidate: Index,
-    matches: IntArray,
+    reference: FloorSurface,
+    rows: IntArray,
+    candidate: Surface,
+    match: Callable[[IntArray], IntArray],
     error: float,
-    seed: int,
     rounding: PlacedQuantisation | None,
 ) -> Distances | None:
     """Distances of the reference's points to an error-free cloud with the local density of the candidate.
 
     Args:
-        reference: the prepared reference.
-        candidate: search index of the aligned candidate; the result is None if it has one point.
-        matches: (N,) the reference's point nearest to each point of the candidate; negative if unknown.
+        reference: the reference.
+        rows: (M,) rows of points of the reference, see `even_sample`.
+        candidate: the aligned candidate; the result is None if it has one point.
+        match: function that returns the reference's points nearest to rows of the candidate; negative if unknown.
         error: share, 0 to 1, of the candidate's distances to tangent planes that is error. It is removed, because noise
             would make the candidate look sparse. Distances that are caused by edges must stay.
-        seed: random seed for sampling the reference.
         rounding: how the candidate's coordinates are rounded; None: rounding is negligible in both clouds.
     """
     if len(candidate) < 2:
         return None
-    few = _even_sample(len(reference.measured_points))
-    rows = few if reference.rows is None else reference.rows[few]
-    sampling = sampling_of(candidate)
-    proxies = _proxies(candidate, sampling, reference.points[rows])
-    others = _neighbors(candidate, sampling, proxies)
-    places = _shrink_to_surface(reference, candidate, proxies[:, None], matches, error)[:, 0]
+    index, sampling, seed = candidate.index, candidate.sampling, reference.seed
+    proxies = _proxies(index, sampling, reference.points[rows])
+    others = _neighbors(index, sampling, proxies)
+    places = _shrink_to_surface(reference, index, proxies[:, None], match, error)[:, 0]
     if rounding is not None:
         normals = None
         if reference.has_normals:
-            at = np.maximum(matches[proxies], 0)
-            normals = reference.surface.compute_normals(at)[at]
-        around = _shrink_to_surface(reference, candidate, others, matches, error).mean(axis=1)
+            normals = reference.surface.normals(np.maximum(match(proxies), 0))
+        around = _shrink_to_surface(reference, index, others, match, error).mean(axis=1)
         places = _stored_anew(places, around, normals, rounding, reference.rounding, seed)
-        others = _others_near(candidate, sampling, places, proxies)
-    positions = _shrink_to_surface(reference, candidate, others, matches, error)
+        others = _others_near(index, sampling, places, proxies)
+    positions = _shrink_to_surface(reference, index, others, match, error)
     separations = np.linalg.norm(positions - places[:, None], axis=2)
     is_coarse = rounding is not None and reference.rounding.is_coarse(reference.spacing)
     nearest = _nearest(separations, sampling, keep_coincident=is_coarse)
     distances = _take_per_row(separations, nearest)
     if sampling.has_lines and not (rounding is not None and rounding.is_coarse(sampling.spacing)):
-        distances = _distances_between_lines(candidate, proxies, seed)[0]
+        distances = _distances_between_lines(index, proxies, seed)[0]
     if not reference.has_normals:
         return Distances(distances, None)
     return Distances(distances, _plane_offsets(reference, rows, distances, seed, rounding))
@@ -154,10 +192,6 @@ def _stored_anew(
     return other.rounded(own.moved_in_cells(places, normals, seed))
 
 
-def _even_sample(count: int) -> IntArray:
-    return np.linspace(0, count - 1, min(count, _MAX_QUERIES)).astype(np.int64)
-
-
 def _proxies(index: Index, sampling: Sampling, queries: FloatArray) -> IntArray:
     k = min(sampling.neighbors(_PROXY_RANK), len(index))
     nearest = index.query(queries, k=k).indices.reshape(len(queries), -1)
@@ -190,7 +224,7 @@ def _distances_between_lines(index: Index, rows: IntArray, seed: int) -> tuple[F
     return index.query(points + shares[:, None] * gaps).distances, shares, gaps
 
 
-def _offsets_between_lines(reference: Reference, rows: IntArray, gaps: FloatArray) -> FloatArray:
+def _offsets_between_lines(reference: FloorSurface, rows: IntArray, gaps: FloatArray) -> FloatArray:
     """Return distances (M,) of the next scan line to the planes at `rows` (M,), across gaps (M, 3).
 
     In between, a curved surface leaves the plane with the square of the distance.
@@ -208,35 +242,35 @@ def _take_per_row(values: NDArray[Any], which: IntArray) -> NDArray[Any]:
 
 
 def _shrink_to_surface(
-    reference: Reference, candidate: Index, rows: IntArray, matches: IntArray, error: float
+    reference: FloorSurface, candidate: Index, rows: IntArray, match: Callable[[IntArray], IntArray], error: float
 ) -> FloatArray:
     """Move candidate points (..., 3) along the normals by a share of their distance to the reference's planes."""
     positions = candidate.points[rows]
     if not (reference.has_normals and error > 0):
         return positions
-    closest = matches[rows]
+    closest = match(rows)
     known = closest >= 0
     at = closest[known]
-    n = reference.surface.compute_normals(at)[at]
+    n = reference.surface.normals(at)
     positions[known] -= error * np.einsum("ni,ni->n", positions[known] - reference.points[at], n)[:, None] * n
     return positions
 
 
 def _plane_offsets(
-    reference: Reference, rows: IntArray, distances: FloatArray, seed: int, rounding: PlacedQuantisation | None
+    reference: FloorSurface, rows: IntArray, distances: FloatArray, seed: int, rounding: PlacedQuantisation | None
 ) -> FloatArray:
     """Estimate how far the surface leaves the tangent planes at `rows` (M,), at the given distances (M,).
 
     The estimate uses the neighbour of each point whose distance fits best, in a thinned sample if the reference is much
     denser than the candidate. The remaining ratio of distances is corrected by a model fitted to all points.
     """
-    index, points = reference.index, reference.points
+    index = reference.index
     near = around = _normal_neighborhoods(reference, rows)
+    points = reference.points
     typical = float(np.median(distances))
     share = _THINNED_DENSITY_RATIO * (reference.spacing / typical) ** 2 if typical > 0 else 1.0
-    if 0 < share < 1:
-        some = np.random.default_rng(seed).choice(len(points), max(2, int(share * len(points))), replace=False)
-        index = Index(points[some])
+    if 0 < (share := max(share, _MIN_THINNED_POINTS / len(index))) < 1:
+        index = index.thinned(share, seed)
         near = index.query(points[rows], k=min(around.shape[1], len(index))).indices
     separations = np.linalg.norm(index.points[near] - points[rows, None], axis=2)
     least = 1e-12 * float(separations.max()) or 1.0
@@ -274,21 +308,21 @@ def _slope_and_curvature(squares: FloatArray, lengths: FloatArray) -> tuple[floa
     return (slope, curvature) if slope > 0 else (0.0, 1.0)
 
 
-def _normal_neighborhoods(reference: Reference, rows: IntArray) -> IntArray:
+def _normal_neighborhoods(reference: FloorSurface, rows: IntArray) -> IntArray:
     """Return (M, K) neighbours for normal estimation, including the points themselves, and spares for one position."""
     index, spare = reference.index, reference.surface.sampling.neighbors(1)
     return index.query(reference.points[rows], k=min(reference.surface.k + spare, len(index))).indices
 
 
 def _leave_one_out_normals(
-    reference: Reference, rows: IntArray, around: IntArray, others: IntArray | None
+    reference: FloorSurface, rows: IntArray, around: IntArray, others: IntArray | None
 ) -> FloatArray:
     """Estimate normals (M, 3) at `rows` (M,) without the points `others` (M,), which would tilt the planes.
 
     On a sphere, their mean squared distance to the planes would otherwise be 1.3 times too large.
     """
     k = min(reference.surface.k, around.shape[1] - 1)
-    if others is None or reference.cloud.normals is not None or k < 3:
+    if others is None or reference.has_given_normals or k < 3:
         return reference.surface.normals(rows)
     out = around == others[:, None]
     if (sampling := reference.surface.sampling).copy_radius > 0:

@@ -21,6 +21,9 @@ from pcbench.registration import Registration
 _MAX_CORES = 50_000  # default core points: the reference, voxel-downsampled
 _CYLINDER_RADIUS_SPACINGS = 6  # in median spacings of the sparser cloud: about 30 of its points per cylinder
 _CYLINDER_HALF_LENGTH_RADII = 1  # half length in radii: longer cylinders reach the opposite wall of a house
+_QUARTER_QUANTILE = 0.3186  # distance from zero within which a quarter of a normal distribution lies, in its sigma
+_NMAD_FACTOR = 1.4826  # sigma of a normal distribution, in its median absolute deviations
+_MAX_CLIPPINGS = 20  # iterations of the estimate of the stable area; a handful suffice
 _MIN_PLANE_POINTS = 3  # points needed for a normal
 
 
@@ -48,9 +51,6 @@ def compare_along_normals(
         cores, normals = _custom_cores(reference, settings.cores)
     if settings.normal_radius is not None:
         normals = _fit_normals(reference, cores, settings.normal_radius)
-    error = settings.registration_error
-    if error is None:
-        error = registration.rmse if registration.weakest_sigma is None else registration.weakest_sigma
     unknown = np.isnan(normals[:, 0])
     found = m3c2(
         reference.index,
@@ -59,12 +59,55 @@ def compare_along_normals(
         np.where(unknown[:, None], [0.0, 0.0, 1.0], normals),
         radius=radius,
         half_length=_CYLINDER_HALF_LENGTH_RADII * radius if settings.depth is None else settings.depth,
-        registration_error=error,
     )
     if unknown.any():
         distances, lod = (np.where(unknown, np.nan, values) for values in (found.distances, found.lod))
         found = found._replace(normals=normals, distances=distances, lod=lod)
-    return found.shifted(-reference.origin)
+    found, error = found.shifted(-reference.origin), settings.registration_error
+    return found.with_registration_error(_registration_error(found, registration) if error is None else error)
+
+
+def _registration_error(found: M3C2, registration: Registration) -> float:
+    """Return the standard error of the pose along the normals: 0 for a pose that the user gave.
+
+    Control points determine it by their residuals. A pose that was fitted to the clouds is at least as uncertain as the
+    distances of its stable area are larger than their own standard errors.
+
+    Args:
+        found: map without a registration error, in the reference's coordinates.
+        registration: the registration.
+    """
+    if registration.is_given:
+        return 0.0
+    errors = [] if registration.residuals else [_stable_error(found)]
+    if registration.covariance is not None:
+        known = np.isfinite(found.normals[:, 0])
+        sigmas = registration.covariance.sigma_along(found.cores[known], found.normals[known])
+        sigmas = sigmas[np.isfinite(sigmas)]
+        errors.append(float(np.sqrt(np.mean(np.square(sigmas)))) if len(sigmas) else 0.0)
+    return max(errors, default=0.0)
+
+
+def _stable_error(found: M3C2) -> float:
+    """Return the standard deviation about zero that the distances of the stable area have beyond their own errors.
+
+    Where nothing changed, a registered candidate lies on the reference. So the stable area is found around zero, as the
+    distances within three of their standard deviations. The first guess includes a quarter of the distances, so that
+    up to three quarters may have changed.
+    """
+    sigma = found.sigma
+    tested = np.isfinite(sigma) & np.isfinite(found.distances)
+    if not tested.any():
+        return 0.0
+    offsets, variances = np.abs(found.distances[tested]), np.square(sigma[tested])
+    deviation = max(float(np.quantile(offsets, 0.25)) / _QUARTER_QUANTILE, float(np.sqrt(np.median(variances))))
+    for _ in range(_MAX_CLIPPINGS):
+        stable = offsets <= 3 * deviation
+        clipped = _NMAD_FACTOR * float(np.median(offsets[stable]))
+        if clipped == deviation:
+            break
+        deviation = clipped
+    return float(np.sqrt(max(deviation**2 - np.median(variances[stable]), 0.0)))
 
 
 def m3c2_warnings(found: M3C2) -> Iterator[Notice]:

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation import Deformation, Side, residual_deformation
+from pcbench.changes import Changes
+from pcbench.deformation import Deformation, Side, residual_deformation, separate_changes
 from pcbench.errors import RegistrationError
+from pcbench.geometry.arrays import IntArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index, Matches
@@ -17,8 +19,10 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
-from pcbench.measure.directions import Direction, from_candidate, from_reference
+from pcbench.measure.budget import Budget, Frame, budget, sum_queries
+from pcbench.measure.directions import PLANE_METRIC, Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
+from pcbench.measure.results import DirectedBudget
 from pcbench.measure.settings import Settings
 from pcbench.registration import Registration, register
 
@@ -30,14 +34,19 @@ class AlignedCandidate:
     Attributes:
         cloud: the candidate as it was read.
         registration: its registration to the reference.
-        index: search index over the aligned points, minus the reference's origin.
+        surface: the aligned points, minus the reference's origin.
         inside: (N,) whether each point lies in the region.
     """
 
     cloud: Cloud
     registration: Registration
-    index: Index
+    surface: Surface
     inside: NDArray[np.bool_]
+
+    @property
+    def index(self) -> Index:
+        """Search index over the aligned points."""
+        return self.surface.index
 
     def rounding(self, reference: Reference) -> PlacedQuantisation | None:
         """Return how the points are rounded and then moved; None if rounding is negligible in both clouds."""
@@ -71,7 +80,7 @@ def align(reference: Reference, name: str, cloud: Cloud, settings: Settings) -> 
         raise RegistrationError(f"{name}: {error}") from error
     points = registration.T_local.apply(cloud.points - reference.origin)
     inside = points_inside(points, reference.region, settings.crop, f"{name}'s", reference.origin)
-    return AlignedCandidate(cloud, registration, Index(points), inside)
+    return AlignedCandidate(cloud, registration, Surface(Index(points), is_even=False), inside)
 
 
 def match_pair(reference: Reference, aligned: AlignedCandidate) -> Matched:
@@ -103,12 +112,58 @@ def measure_directions(
     closest = np.full(len(aligned.cloud), -1)
     closest[aligned.inside] = matched.forth.indices
     return forth, from_reference(
-        reference, aligned.index, closest, matched.back, forth=forth, seed=seed, rounding=rounding
+        reference, aligned.surface, closest, matched.back, forth=forth, seed=seed, rounding=rounding
     )
 
 
-def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int) -> Deformation:
-    """Assess deformation, with closest points found anew in the complete clouds."""
+def find_changes(reference: Reference, aligned: AlignedCandidate) -> Changes:
+    """Find the changes between the complete clouds, in the reference's local coordinates."""
+    return separate_changes(*_sides(reference, aligned))
+
+
+def _sides(reference: Reference, aligned: AlignedCandidate) -> tuple[Side, Side]:
     ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(aligned.index, is_even=False), aligned.inside, aligned.cloud)
+    return ours, Side(aligned.surface, aligned.inside, aligned.cloud)
+
+
+def assess_deformation(reference: Reference, aligned: AlignedCandidate, seed: int, changes: Changes) -> Deformation:
+    """Assess the deformation of the part that did not change, with closest points found anew."""
+    ours, theirs = _sides(reference, aligned)
+    ours, theirs = ours.without(changes.of_reference), theirs.without(changes.of_candidate)
     return residual_deformation(ours, theirs, aligned.registration, reference.origin, seed=seed)
+
+
+def split_into_budget(
+    reference: Reference,
+    aligned: AlignedCandidate,
+    matched: Matched,
+    directions: tuple[Direction, Direction],
+    changes: Changes,
+    deformation: Deformation,
+) -> DirectedBudget | None:
+    """Return the budget of D2 in both directions; None if D2 is unknown or estimated from a sample."""
+    frame = Frame.of(reference.points)
+    white = None if deformation.noise is None else deformation.noise.sigma_white
+
+    def of(direction: Direction, rows: IntArray | None, labels: NDArray[np.int32]) -> Budget | None:
+        if not isinstance(direction.distances.to_planes, np.ndarray):
+            return None
+        sums = sum_queries(
+            direction.distances.to_planes,
+            reference.points,
+            reference.surface.compute_normals(rows),
+            rows,
+            labels,
+            len(changes.found),
+            frame,
+        )
+        return budget(sums, frame, floor=direction.floors[PLANE_METRIC], white=white)
+
+    of_candidate, of_reference = changes.of_candidate, changes.of_reference
+    if reference.region is not None:
+        of_candidate, of_reference = of_candidate[aligned.inside], of_reference[reference.rows]
+    accuracy = of(directions[0], matched.forth.indices, of_candidate)
+    completeness = of(directions[1], reference.rows, of_reference)
+    if accuracy is None or completeness is None:
+        return None
+    return DirectedBudget(accuracy, completeness, aligned.registration.keeps_pose)

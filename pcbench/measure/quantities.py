@@ -31,6 +31,15 @@ _DISTANCE_DEFINITIONS = {
     "distance": "distance to the nearest point",
     "plane_distance": "signed distance to the tangent plane",
 }
+_BUDGET_LABELS = {
+    "unmatched": "budget of D2: no counterpart",
+    "changed": "  changed",
+    "motion": "  motion",
+    "affine": "  stretch, shear",
+    "smooth": "  smooth beyond affine",
+    "noise": "  noise",
+    "unexplained": "  unexplained",
+}
 _SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # distances that each mean is taken over
 
 
@@ -118,6 +127,24 @@ def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
                 path=("metrics", "spreads", kind, way, key),
                 label=f"  {_SPREAD_LABELS[key]}{signed}" if key in _SPREAD_LABELS else "",
             )
+
+
+def _budget(candidate: Candidate) -> Iterator[Quantity]:
+    """Yield the parts of D2: the share of each one, its mean square, and the share of the points that it describes."""
+    if candidate.budget is None:
+        return
+    for name, label in _BUDGET_LABELS.items():
+        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+            part, path = candidate.budget[way].parts[name], ("budget", way, name)
+            share = candidate.budget[way].share(name)
+            text = f"share of D2 in the part of its budget: {name}"
+            yield Quantity(
+                "budget_share", way, text, share, RATIO, name, path=(*path, "share"), section="budget", label=label
+            )
+            text = f"contribution to D2 of the part of its budget: {name}"
+            yield Quantity("budget_mse", way, text, part.mean_square, SQUARED_LENGTH, name, path=(*path, "mean_square"))
+            text = f"share of the points in the part of the budget: {name}"
+            yield Quantity("budget_points", way, text, part.point_share, RATIO, name, path=(*path, "point_share"))
 
 
 def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
@@ -346,6 +373,7 @@ def _root(value: float | None) -> float | None:
 _PARTS: tuple[Callable[[Candidate], Iterator[Quantity]], ...] = (
     _means,
     _largest_distances,
+    _budget,
     _maps,
     _chamfer,
     _fscores,

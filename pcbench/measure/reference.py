@@ -24,6 +24,7 @@ from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
 from pcbench.measure import intervals
+from pcbench.measure.floors import FloorSurface
 from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
 from pcbench.registration import Target, local_origin
@@ -143,6 +144,11 @@ class Reference:
     def rounding(self) -> PlacedQuantisation:
         """How the points are rounded, in local coordinates."""
         return PlacedQuantisation(self.cloud.quantisation, Similarity(np.eye(3), -self.origin))
+
+    @property
+    def for_floors(self) -> FloorSurface:
+        """The reference as sampling floors are measured from it."""
+        return FloorSurface(self.surface, self.spacing, self.rounding, self.cloud.normals is not None, self.seed)
 
     @property
     def has_normals(self) -> bool:

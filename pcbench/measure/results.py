@@ -13,9 +13,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from pcbench.changes import Changes
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
+from pcbench.measure.budget import Budget
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import Preset
@@ -126,6 +128,26 @@ class DirectedSpread:
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
 
+@dataclass(frozen=True)
+class DirectedBudget:
+    """The budgets of D2 in both directions.
+
+    Attributes:
+        accuracy: budget c→r.
+        completeness: budget r→c.
+        keeps_pose: whether the candidate's pose is the given one. The part `motion` is then how far the candidate
+            moved; otherwise it is what its registration left.
+    """
+
+    accuracy: Budget
+    completeness: Budget
+    keeps_pose: bool
+
+    def __getitem__(self, direction: str) -> Budget:
+        """Return the budget of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
+        return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
+
+
 class SampledMean(NamedTuple):
     """A mean square that was estimated from a random sample.
 
@@ -229,7 +251,7 @@ class ReferenceSummary:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """All results of one candidate: registration, metrics, deviation maps and deformation.
+    """All results of one candidate: registration, metrics, budget, deviation maps, changes and deformation.
 
     Attributes:
         name: name of the candidate.
@@ -250,6 +272,8 @@ class Candidate:
             count as the maximum, so that means, mean squares and extremes are lower bounds. Their distances to planes
             are unknown, and so are D2, and the standard deviation and the NMAD of distances.
         faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
+        budget: what D2 consists of; None if there are no normals, or if D2 is estimated from a sample or in tiles.
+        changes: the changes; None if they were not searched for.
     """
 
     name: str
@@ -266,6 +290,14 @@ class Candidate:
     warnings: tuple[Notice, ...] = ()
     censored: Mapping[str, float] = field(default_factory=dict)
     faces: int | None = None
+    budget: DirectedBudget | None = None
+    changes: Changes | None = None
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no part changed and noise explains the distances to the surface, as far as both are known."""
+        changed = self.changes is not None and bool(self.changes.found)
+        return not changed and (self.budget is None or self.budget.accuracy.is_noise)
 
 
 class LeftOut(NamedTuple):
@@ -283,8 +315,7 @@ class Tiling:
     Attributes:
         tile_points: largest number of points of a tile, except where more points coincide.
         tiles: number of tiles of the reference and of each candidate together.
-        sampled_points: number of points of the reference that registration, floors and deformation are based on; None:
-            all points.
+        sampled_points: number of points of the reference that registration is based on; None: all points.
         max_distance: length beyond which no closest point was searched; None: all distances are exact.
         left_out: damaged files that were left out.
     """

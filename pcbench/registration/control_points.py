@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.registration.motion import MotionFrame, PoseCovariance
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.regular_files import read_text
 
@@ -103,6 +104,25 @@ def fit_pairs(pairs: ControlPoints) -> tuple[Similarity, SurveyResiduals]:
     T = fit_similarity(pairs.candidate[~is_check], pairs.reference[~is_check], with_scale=pairs.with_scale)
     differences = T.apply(pairs.candidate) - pairs.reference
     return T, SurveyResiduals.of(pairs.names, differences, is_check.tolist(), z_is_up=pairs.z_is_up)
+
+
+def pose_covariance(pairs: ControlPoints, T: Similarity, origin: FloatArray) -> PoseCovariance:
+    """Return the covariance of the pose that `fit_pairs` found, from the residuals of its control points.
+
+    Args:
+        pairs: control and check points.
+        T: the fitted pose.
+        origin: (3,) local origin of the reference.
+    """
+    is_control = np.ones(len(pairs.candidate), bool) if pairs.is_check is None else ~pairs.is_check
+    moved = T.apply(pairs.candidate[is_control])
+    frame = MotionFrame.of(moved - origin, np.ones(len(moved)))
+    size = 7 if pairs.with_scale else 6
+    rows = frame.jacobian(np.repeat(moved - origin, 3, axis=0), np.tile(np.eye(3), (len(moved), 1)))[:, :size]
+    squares = float(np.square(moved - pairs.reference[is_control]).sum())
+    variance = squares / (len(rows) - size)  # three control points leave at least two degrees of freedom
+    matrix = variance * np.linalg.inv(rows.T @ rows).astype(np.float64)
+    return PoseCovariance(frame, matrix, np.zeros((size, 0)))
 
 
 def states_z_is_up(line: str) -> bool:

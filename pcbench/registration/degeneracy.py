@@ -29,6 +29,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, plane_normals
 from pcbench.geometry.voxels import cells
+from pcbench.registration.motion import MotionFrame, PoseCovariance
 from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.registration.weighted_pairs import WeightedPairs
 
@@ -56,6 +57,7 @@ class Observability(NamedTuple):
     eigenvalues: tuple[float, ...]  # of the information matrix per pair, ascending
     weakest_sigma: float | None  # predicted standard deviation along the weakest direction; None: unobservable
     unobservable: FloatArray  # (6 or 7, U) orthonormal directions that the geometry does not fix
+    covariance: PoseCovariance  # of the observable motions
     warnings: tuple[Notice, ...]
 
 
@@ -77,7 +79,7 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     tile = cells(pairs.moved, side or 1.0).of_point
     tiles = int(tile.max()) + 1
     sample, sample_tile = pairs.take(slice(None, None, step)), tile[::step]
-    frame = _MotionFrame.of(pairs)
+    frame = MotionFrame.of(pairs.moved, pairs.weights)
     a, b = (frame.jacobian(sample.moved, normals) for normals in _split_normals(target.index, sample.indices))
     weight = np.bincount(sample_tile, sample.weights, tiles)
     total = weight.sum()
@@ -95,26 +97,28 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(fine_weight) > 1)
     eigenvalues, unobservable = tuple(float(v) for v in values), vectors[:, ~observable]
     fixes_scale = observable.all() and _scale_information(information.sum(axis=0) / total) > _MIN_SCALE_INFORMATION
-    if not observable.all():
-        motions = " and ".join(_describe_motion(vector) for vector in unobservable.T)
-        notice = Notice(UNOBSERVABLE, f"the geometry does not fix {motions}: scores along it are meaningless")
-        return Observability(eigenvalues, None, unobservable, (notice,))
-    if with_scale and not fixes_scale:
-        text = "the geometry weakly constrains the scale: only few pairs inform about it, and they are biased"
-        return Observability(eigenvalues, None, np.eye(7)[:, 6:], (Notice(WEAKLY_OBSERVABLE, text),))
-
+    if with_scale and observable.all() and not fixes_scale:
+        unobservable = np.eye(7)[:, 6:]
     curvature = _sums_by_tile(sample_tile, a, b * _tukey_slope(sample)[:, None], tiles) * step
     normals = target.normals(pairs.indices)
     weighted_rows = frame.jacobian(pairs.moved, normals) * (pairs.weights * pairs.residuals)[:, None]
     gradient = np.stack([np.bincount(tile, column, tiles).astype(np.float64) for column in weighted_rows.T], axis=1)
-    _, covariance = _bootstrap(curvature[:, :size, :size], gradient[:, :size])
-    variances, directions = np.linalg.eigh(covariance)
-    weakest, direction = float(np.sqrt(variances[-1])), directions[:, -1]
+    matrix = _observable_covariance(curvature[:, :size, :size], gradient[:, :size], unobservable)
+    covariance = PoseCovariance(frame, matrix, unobservable)
+    if not observable.all():
+        motions = " and ".join(_describe_motion(vector) for vector in unobservable.T)
+        notice = Notice(UNOBSERVABLE, f"the geometry does not fix {motions}: scores along it are meaningless")
+        return Observability(eigenvalues, None, unobservable, covariance, (notice,))
+    if with_scale and not fixes_scale:
+        text = "the geometry weakly constrains the scale: only few pairs inform about it, and they are biased"
+        return Observability(eigenvalues, None, unobservable, covariance, (Notice(WEAKLY_OBSERVABLE, text),))
+
+    weakest, direction = covariance.weakest
     warnings = []
     if not with_scale and fixes_scale:
         # Gauss-Newton steps: if a scale is missing, residuals are large and the robust cost is nearly flat.
-        remaining_motion, covariance = _bootstrap(step * information, gradient)
-        min_motion = _MIN_SCALE_SIGNIFICANCE * np.sqrt(covariance[6, 6])
+        remaining_motion, of_motion = _bootstrap(step * information, gradient)
+        min_motion = _MIN_SCALE_SIGNIFICANCE * np.sqrt(of_motion[6, 6])
         if abs(remaining_motion[6]) > max(min_motion, 0.5 * residual, 1e-9 * frame.radius):
             factor = np.exp(remaining_motion[6] / frame.radius)
             text = f"the pairs indicate a scale of about {factor:.5g}: use --register similarity to solve for it"
@@ -122,33 +126,24 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     if weakest > max(_MIN_WEAK_SIGMA_SHARE * target.spacing, _MIN_WEAK_SIGMA_SHARE * residual):
         text = f"the geometry weakly constrains {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
-    return Observability(eigenvalues, weakest, unobservable, tuple(warnings))
-
-
-class _MotionFrame(NamedTuple):
-    """Weighted centre (3,) and RMS radius of the pairs, to which motions refer."""
-
-    center: FloatArray
-    radius: float
-
-    @classmethod
-    def of(cls, pairs: WeightedPairs) -> _MotionFrame:
-        total = pairs.weights.sum()
-        center = (pairs.moved * pairs.weights[:, None]).sum(axis=0) / total
-        squares = np.square(pairs.moved - center).sum(axis=1)
-        return cls(center, float(np.sqrt((squares * pairs.weights).sum() / total)) or 1.0)
-
-    def jacobian(self, points: FloatArray, normals: FloatArray) -> FloatArray:
-        """Return rows (M, 7): residual change by rotation, translation and log-scale, as lengths at the radius."""
-        offsets = points - self.center
-        scale_column = np.einsum("ni,ni->n", offsets, normals)[:, None]
-        return np.hstack([np.cross(offsets, normals) / self.radius, normals, scale_column / self.radius])
+    return Observability(eigenvalues, weakest, unobservable, covariance, tuple(warnings))
 
 
 def _scale_information(information: FloatArray) -> float:
     """Return the information (7, 7) about the scale that is not explained by the six observable motions before it."""
     rigid, mixed = information[:6, :6], information[:6, 6]
     return float(information[6, 6] - mixed @ np.linalg.solve(rigid, mixed))
+
+
+def _observable_covariance(curvature: FloatArray, gradient: FloatArray, unobservable: FloatArray) -> FloatArray:
+    """Return the bootstrap covariance (K, K) of the motions that the geometry fixes, zero along the others."""
+    size = len(unobservable)
+    free = np.linalg.svd(unobservable, full_matrices=True)[0][:, unobservable.shape[1] :]
+    if not free.shape[1]:
+        return np.zeros((size, size))
+    of_tiles = np.einsum("ki,tkl,lj->tij", free, curvature, free, optimize=False)
+    covariance: FloatArray = free @ _bootstrap(of_tiles, gradient @ free)[1] @ free.T
+    return covariance
 
 
 def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from pcbench.geometry.voxels import robust_extent
 from pcbench.io import CloudLike
 from pcbench.io.meshes import to_shape
 from pcbench.io.nodata import nodata_reason
-from pcbench.registration.control_points import ControlPoints, fit_pairs
+from pcbench.registration.control_points import ControlPoints, fit_pairs, pose_covariance
 from pcbench.registration.from_features import FeatureSettings, align_by_features
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp import align
@@ -115,9 +115,10 @@ def register(
             T, residuals = fit_pairs(method)
             residuals = replace(residuals, z_is_up=method.z_is_up or is_projected_crs(reference.crs))
             fit = assess_given(target, points, T.about(-origin), origin, method.text)
+            fit = fit.with_covariance(pose_covariance(method, T, origin))
         else:
             T = method.T_reference_candidate
-            fit = assess_given(target, points, T.about(-origin), origin, method.text)
+            fit = assess_given(target, points, T.about(-origin), origin, method.text).with_covariance(None)
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
@@ -154,6 +155,7 @@ def register(
         converged=fit.converged,
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
+        covariance=None if quality.covariance is None else quality.covariance.shifted(origin),
         residuals=residuals,
         warnings=(*sampling, *quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale), *steps),
         solved_scale=method.with_scale,

@@ -24,6 +24,7 @@ from pcbench.registration.contrast import (
 )
 from pcbench.registration.degeneracy import Observability, observability
 from pcbench.registration.icp_stages import MAX_RANDOM_SAMPLE
+from pcbench.registration.motion import PoseCovariance
 from pcbench.registration.restarts import MIN_RETURNED_SHARE, returned_share
 from pcbench.registration.result import (
     BLURRED,
@@ -74,6 +75,7 @@ class Quality(NamedTuple):
     eigenvalues: tuple[float, ...]
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
+    covariance: PoseCovariance | None  # None with too few points
     warnings: tuple[Notice, ...]
 
 
@@ -84,6 +86,10 @@ class Fit(NamedTuple):
     quality: Quality
     iterations: int = 0
     converged: bool | None = None
+
+    def with_covariance(self, covariance: PoseCovariance | None) -> Fit:
+        """Return the fit with another covariance: that of a pose which the clouds' points did not determine."""
+        return self._replace(quality=self.quality._replace(covariance=covariance))
 
 
 def assess(
@@ -137,6 +143,7 @@ def assess(
         eigenvalues=observation.eigenvalues,
         weakest_sigma=observation.weakest_sigma,
         unobservable=observation.unobservable,
+        covariance=observation.covariance,
         warnings=_warnings(matched, observation, pose_contrast, hovering),
     )
 
@@ -316,6 +323,7 @@ def _quality_from_distances(matched: SampleMatches, *, with_scale: bool) -> Qual
         eigenvalues=(),
         weakest_sigma=None,
         unobservable=np.zeros((7 if with_scale else 6, 0)),
+        covariance=None,
         warnings=(Notice(FEW_POINTS, "too few points to determine which motions the geometry constrains"),),
     )
 

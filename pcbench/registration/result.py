@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from pcbench.errors import Notice
 from pcbench.geometry.transform import Similarity
+from pcbench.registration.motion import PoseCovariance
 from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
 # Warning codes of a registration: programs use these, not the texts.
@@ -55,6 +56,8 @@ class Registration:
             unit, as a displacement at the RMS radius. Estimated by a bootstrap over tiles of an eighth of the scene;
             too small by up to two thirds if errors are correlated over more than half a tile. None if the geometry does
             not fix it.
+        covariance: covariance of the pose, in the reference's coordinates: of ICP from that bootstrap, of control
+            points from their residuals. None for a given pose, or if it is unknown.
         residuals: residuals of control and check points; empty unless the pose was fitted to such pairs.
         warnings: warnings to read before any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A given scale is not.
@@ -75,6 +78,7 @@ class Registration:
     converged: bool | None = None
     information_eigenvalues: tuple[float, ...] = ()
     weakest_sigma: float | None = None
+    covariance: PoseCovariance | None = None
     residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
@@ -82,9 +86,19 @@ class Registration:
     returned_share: float | None = None
 
     @property
+    def is_given(self) -> bool:
+        """Return whether the user gave the pose (`none`, `matrix`), so that no data determined it."""
+        return self.converged is None and not self.residuals
+
+    @property
     def check_points(self) -> tuple[PointResidual, ...]:
         """Residuals of the pairs that were left out of the fit."""
         return self.residuals.check
+
+    @property
+    def keeps_pose(self) -> bool:
+        """Whether the pose is the given one (`none` or `matrix`), so that a remaining motion is the candidate's own."""
+        return self.method.partition(":")[0] in ("none", "matrix")
 
     @property
     def doubtful(self) -> bool:

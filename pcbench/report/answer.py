@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from pcbench.measure.budget import MAX_NOISE_RATIO
 from pcbench.measure.intervals import Interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
+from pcbench.measure.wording import pluralize
 from pcbench.registration.result import (
     AMBIGUOUS,
     DOUBTFUL_POSE,
@@ -18,15 +20,16 @@ from pcbench.registration.result import (
     UNIT_MISMATCH,
 )
 from pcbench.registration.rounding import COARSE_STEP
+from pcbench.report.budget import budget_sentence, changes_sentence, largest_part, source_words
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
-from pcbench.report.words import join_words, length, rounding_limit, shorten_name
+from pcbench.report.words import join_words, length, percentage, rounding_limit, shorten_name
 
-_MAX_SENTENCES = 4
-_MAX_FLOOR_RATIO = 1.25  # a distance up to this multiple of its floor mostly reflects point spacing
+_MAX_SENTENCES = 4  # besides the one on changes
 _MIN_OUTLIER_RATIO = 2.0  # an RMS above this multiple of the NMAD indicates outliers
 _MAX_NAME_COLUMNS = 28
+_UNPROVEN = "none, unproven"
 _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "global": "global (from any pose), global-similarity (also at any scale)",
     "points": "points:FILE (control points)",
@@ -66,11 +69,11 @@ class _Distance(NamedTuple):
     @property
     def is_sampling(self) -> bool:
         """Return whether point spacing explains the distance."""
-        return self.floor is None or self.value <= _MAX_FLOOR_RATIO * self.floor
+        return self.floor is None or self.value <= MAX_NOISE_RATIO * self.floor
 
 
 def answer(comparison: SourcedComparison) -> list[str]:
-    """Return two to four sentences on a comparison, without distances if all registrations are doubtful."""
+    """Return two to five sentences on a comparison, without distances if all registrations are doubtful."""
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
     writer = _Writer(comparison)
@@ -78,7 +81,7 @@ def answer(comparison: SourcedComparison) -> list[str]:
         return writer.of_doubtful(doubtful)
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
-    return sentences[:_MAX_SENTENCES]
+    return sentences[: _MAX_SENTENCES + any(c.changes is not None and c.changes.found for c in trusted)]
 
 
 class _Writer:
@@ -155,7 +158,8 @@ class _Writer:
             same = f"{self.names[candidate.name]} coincides with the reference up to rounding."
             return [same, self._pose(candidate)]
         bend = bend_sentence(self.comparison, candidate, self.names[candidate.name])
-        return [self._how_far(candidate), self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
+        changes = self._changes([candidate])
+        return [self._how_far(candidate), *changes, self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
 
     def _how_far(self, candidate: Candidate) -> str:
         name, off = self.names[candidate.name], _off_surface(candidate, with_planes=_has_d2(candidate))
@@ -167,7 +171,7 @@ class _Writer:
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
-        if off.floor is not None and off.is_sampling:
+        if off.floor is not None and off.is_sampling and candidate.is_noise:
             step = self._step_words(candidate)
             with_step = f" and coordinates in {step}" if step else ""
             return f"{text}, about as far as error-free points with this density{with_step} ({self.length(off.floor)})."
@@ -175,7 +179,16 @@ class _Writer:
             text += f" (error-free points: {self.length(off.floor)})"
         if (robust := _nmad(candidate)) is not None and off.value > _MIN_OUTLIER_RATIO * robust:
             text += f"; NMAD, robust against outliers: {self.length(robust)}"
-        return f"{text}."
+        return f"{text}. {budget_sentence(candidate)}".rstrip()
+
+    def _changes(self, candidates: Sequence[Candidate]) -> list[str]:
+        """Return the most important changes of candidates, in one text; none if there are none."""
+        found = {c.name: c.changes.found for c in candidates if c.changes is not None and c.changes.found}
+        unit = self.comparison.reference.unit
+        if len(candidates) == 1:
+            return [changes_sentence(changes, unit) for changes in found.values()]
+        texts = [f"{self.names[name]}: {changes_sentence(changes, unit)}" for name, changes in found.items()]
+        return [" ".join(texts)] if texts else []
 
     def _how_complete(self, candidate: Candidate) -> str:
         away = _away(candidate)
@@ -224,7 +237,7 @@ class _Writer:
             parts.append(f"the standard error of the pose is {sigma} in its weakest direction")
         text = f"{pose}: {', and '.join(parts)}." if parts else f"{pose}."
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
-        if value is not None and floor is not None and least < value <= _MAX_FLOOR_RATIO * floor:
+        if value is not None and floor is not None and least < value <= MAX_NOISE_RATIO * floor:
             what = "density and rounding" if self._step_words(candidate) else "density"
             text += f" Point distances mainly reflect {what}; use surface distances to judge error."
         return text
@@ -245,10 +258,22 @@ class _Writer:
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
         notes = [*map(self._overlap_warning, ends), self._robust_order(candidates, off)]
         return [
-            f"{'; '.join(filter(None, [accuracy, *notes]))}.",
+            f"{'; '.join(filter(None, [accuracy, *notes]))}. {self._largest_parts(candidates)}".rstrip(),
+            *self._changes(candidates),
             f"{complete}; {why}.",
             f"{self._deformations(candidates)}.",
         ]
+
+    def _largest_parts(self, candidates: Sequence[Candidate]) -> str:
+        """Return the largest part of D2 besides noise in each candidate that noise does not explain."""
+        names: dict[str, list[str]] = {}
+        for candidate in candidates:
+            if candidate.budget is not None and not candidate.is_noise:
+                part, share = largest_part(candidate)
+                name = f"{self.names[candidate.name]} ({percentage(share)})"
+                names.setdefault(source_words(candidate, part), []).append(name)
+        sources = [f"from {source} in {join_words(of)}" for source, of in names.items()]
+        return f"Beyond noise, most of the mean square comes {', '.join(sources)}." if sources else ""
 
     def _ranking(self, found: Mapping[str, _Distance], more: str, most: str, quantity: str) -> str:
         """Return the order of candidates as far as their paired differences are significant.
@@ -319,23 +344,22 @@ class _Writer:
             "affine": ("is sheared or stretched", "are sheared or stretched"),
             "similarity": ("has another scale", "have another scale"),
             "none": ("is not deformed", "are not deformed"),
+            _UNPROVEN: ("shows no deformation as a whole", "show no deformation as a whole"),
             "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
         }
         sentences = []
         for verdict, (singular, plural) in verdicts.items():
-            chosen = [c for c in candidates if _verdict(c) == verdict]
+            chosen = [c for c in candidates if _claim(c) == verdict]
             if not chosen:
                 continue
             text = f"{join_words([self._with_size(c) for c in chosen])} {singular if len(chosen) == 1 else plural}"
-            if verdict == "none" and any(c.deformation.has_moved_part for c in chosen):
-                text += " as a whole"
             if verdict == "non-affine":
                 text += " beyond any affine motion"
             limits = [c.deformation.size_limit for c in chosen]
             limit = max((limit for limit in limits if limit is not None), default=None)
-            if verdict == "none" and limit is not None:
+            if verdict in ("none", _UNPROVEN) and limit is not None:
                 text += f"; a smooth deformation above {self.length(limit)} RMS would have been detected"
-            problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict == "none")
+            problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict in ("none", _UNPROVEN))
             for problem in filter(None, problems):
                 whose = [c for c in chosen if c.deformation.limit_problem == problem]
                 text += f"; {problem if whose == chosen else f'for {self.name_list(whose)} {problem}'}"
@@ -346,8 +370,8 @@ class _Writer:
         result, notes = candidate.deformation, []
         if result.amplitude is not None and _verdict(candidate) == "non-affine":
             notes.append(f"{self.length(result.amplitude.rms)} RMS")
-        if result.has_moved_part and (local := result.local) is not None:
-            notes.append(f"{local.tiles_changed} of {local.tiles_tested} tiles changed")
+        if changes := () if candidate.changes is None else candidate.changes.found:
+            notes.append(f"{pluralize(len(changes), 'part')} changed")
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
     def _differ(self, a: str, b: str, metric: str) -> bool:
@@ -362,6 +386,12 @@ def _verdict(candidate: Candidate) -> str:
     """Return the verdict on deformation: undecided if the geometry does not determine the pose."""
     verdict = candidate.deformation.verdict
     return "undecided" if is_open(candidate) and verdict in CLAIMS else verdict
+
+
+def _claim(candidate: Candidate) -> str:
+    """Return the verdict; one of no deformation is unproven where noise does not explain the distances."""
+    verdict = _verdict(candidate)
+    return _UNPROVEN if verdict == "none" and not candidate.is_noise else verdict
 
 
 def _has_d2(candidate: Candidate) -> bool:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import pcbench
+from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.deviation import M3C2
@@ -83,6 +84,12 @@ def registration_document(
     return plain
 
 
+def deformation_values(deformation: Deformation) -> dict[str, Any]:
+    """Return the values of `deformation.json`: those that a comparison has, and the changes."""
+    values: dict[str, Any] = _plain(deformation)
+    return {**values, "changes": deformation.changes}
+
+
 def to_json(values: Any) -> str:
     """Return a dictionary or a dataclass as JSON text; missing and non-finite values are null."""
     return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
@@ -139,25 +146,32 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "censored": candidate.censored,
         "map_samples": _map_samples(candidate),
         "registration": _registration(candidate.registration),
-        **_metrics_and_deviation(candidate),
+        **_measurements(candidate),
+        "changes": None if candidate.changes is None else candidate.changes.found,
         "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
         "peak_rss_bytes": candidate.peak_rss_bytes,
     }
 
 
-def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
-    """Return `metrics` and `deviation`: each quantity at its path, and values that are not single numbers."""
+def _measurements(candidate: Candidate) -> dict[str, Any]:
+    """Return `metrics`, `budget` and `deviation`: each quantity at its path, and values that are not single numbers."""
     m, deviation = candidate.metrics, candidate.deviation
     lists = {name: _empty_lists(preset) for name, preset in m.presets.items()}
     tree: dict[str, Any] = {
         "metrics": {"fscore": [], "spreads": {}, "presets": lists},
+        "budget": None,
         "deviation": {"maps": {}, "m3c2": None},
     }
     for quantity in quantities(candidate):
         if quantity.path:
             _insert(tree, quantity)
-    metrics, maps = tree["metrics"], tree["deviation"]
+    metrics, budget, maps = tree["metrics"], tree["budget"], tree["deviation"]
+    if candidate.budget is not None:
+        budget["keeps_pose"] = candidate.budget.keeps_pose
+        for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+            found = candidate.budget[direction]
+            budget[direction] |= {key: getattr(found, key) for key in ("mean_square", "floor", "of_changes")}
     metrics["hausdorff"]["worst_point"] = {
         direction: m.hausdorff[direction].worst_point for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
     }
@@ -181,7 +195,7 @@ def _metrics_and_deviation(candidate: Candidate) -> dict[str, Any]:
     # Distances to points have no sign, so the bias is that of the signed distances to the tangent planes.
     bias = None if plane is None else plane.bias
     nearest = {"kind": "nearest", "percentiles": distances.percentiles, "rms": distances.rms, "bias": bias}
-    return {"metrics": metrics, "deviation": {**nearest, **maps}}
+    return {"metrics": metrics, "budget": budget, "deviation": {**nearest, **maps}}
 
 
 def _insert(tree: dict[str, Any], quantity: Quantity) -> None:

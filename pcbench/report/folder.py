@@ -21,7 +21,7 @@ from pcbench.io.files import input_files, read_json
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, ranges, robust_maximum
-from pcbench.report.document import document, to_json
+from pcbench.report.document import deformation_values, document, to_json
 from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, page, write_page
 from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
@@ -244,7 +244,7 @@ def write_deformation(
         crs: coordinate system of the reference, if known.
         unit: unit of lengths, if known.
     """
-    (folder / "deformation.json").write_text(to_json(deformation), encoding="utf-8")
+    (folder / "deformation.json").write_text(to_json(deformation_values(deformation)), encoding="utf-8")
     write_field(f"{folder}/deformation", deformation, crs, unit)
     write_cloud(folder / "aligned.ply", aligned)
     (folder / "T.txt").write_text(format_matrix(transform), encoding="utf-8")

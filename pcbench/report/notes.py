@@ -20,7 +20,7 @@ from pcbench.measure.results import (
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import join_words, length, one_line, sample_count
+from pcbench.report.words import join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
@@ -79,8 +79,8 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
         text += f" Closest points were searched within {limit} (--max-distance)."
     if tiling.sampled_points is not None:
         text += (
-            " Registration, sampling floors and the test for deformation are based on a sample of"
-            f" {tiling.sampled_points:,} of the reference's {pluralize(comparison.reference.points, 'point')}."
+            f" Registration is based on a sample of {tiling.sampled_points:,} of the reference's"
+            f" {pluralize(comparison.reference.points, 'point')}."
         )
     known = comparison.candidates[0].metrics.presets
     if missing := [name for name in comparison.settings.presets if name not in known]:
@@ -106,7 +106,7 @@ def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str
     """
     if is_open(candidate) and candidate.deformation.verdict in CLAIMS:
         return f"{name}: no verdict on deformation, because the geometry does not determine its pose"
-    return candidate.deformation.sentence(name, comparison.reference.unit or "")
+    return candidate.deformation.sentence(name, comparison.reference.unit or "", is_noise=candidate.is_noise)
 
 
 def is_open(candidate: Candidate) -> bool:
@@ -142,7 +142,7 @@ def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
     if not shares or comparison.tiling is None:
         return ""
     limit = length(comparison.tiling.max_distance, comparison.reference.unit)
-    parts = join_words([f"{_percentage(share)} of the distances {arrow}" for arrow, share in shares])
+    parts = join_words([f"{percentage(share)} of the distances {arrow}" for arrow, share in shares])
     unknown = f"{join_words([f'D2 {arrow}' for arrow, _ in shares])} {'is' if len(shares) == 1 else 'are'} unknown"
     return (
         f"{parts} exceed --max-distance and count as {limit}: means, mean squares, Chamfer and Hausdorff distances, and"
@@ -176,10 +176,6 @@ def _map_samples(comparison: SourcedComparison) -> Iterator[str]:
     first = comparison.candidates[0].completeness
     if first.sampled_from is not None:
         yield f"{sample_count(first)} of the reference"
-
-
-def _percentage(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
 
 def _crop_advice(candidate: Candidate) -> str:

@@ -23,6 +23,7 @@ from pcbench.io.files import file_in_setting
 from pcbench.io.meshes import holds_mesh
 from pcbench.io.pieces import CloudOnDisk, is_in_pieces, open_cloud
 from pcbench.measure.settings import Settings
+from pcbench.measure.tiled.nearby import MAX_NEAR_POINTS
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.windows import MAX_SAMPLE
 from pcbench.report.inputs import InputFile
@@ -102,7 +103,9 @@ class CloudsOnDisk:
         """Estimated bytes of memory that all processes of a tiled comparison need at least."""
         largest = max(cloud.count for cloud in self.candidates.values())
         # A dense candidate has up to twice as many points in the windows of its sample.
-        samples = min(self.reference.count, MAX_SAMPLE) + min(largest, 2 * MAX_SAMPLE)
+        windows = min(self.reference.count, MAX_SAMPLE) + min(largest, 2 * MAX_SAMPLE)
+        # Later, the surroundings of queries are in memory.
+        samples = max(windows, min(max(largest, self.reference.count), MAX_NEAR_POINTS))
         pieces = [piece.count for cloud in (self.reference, *self.candidates.values()) for piece in cloud.pieces]
         return tiling.least_memory(samples, max(pieces), draws=draws)
 

@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.changes import Change
 from pcbench.deformation import Deformation
+from pcbench.deformation.parts import from_json_value
 from pcbench.errors import InputError, PcbenchError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
@@ -18,7 +20,8 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
+from pcbench.measure.budget import Budget
+from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, DirectedBudget
 from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
 from pcbench.report.viewing import CAMERAS_FILE, ViewingCameras
@@ -45,6 +48,8 @@ class ReportedCandidate:
         m3c2: core points with their M3C2 distances, if computed.
         field: cells with their displacements, if computed.
         deformation: the verdict; None in reports of early versions.
+        budget: what D2 consists of; None if it is unknown, and in reports of early versions.
+        changes: the changes that were found; none in reports of early versions.
         percentiles_completeness: percentiles of the distances from the reference to it, by name, such as "p50".
         completeness_path: file with the reference's measured points and these distances.
         path: file of the candidate, if it came from one and fits into memory.
@@ -58,6 +63,8 @@ class ReportedCandidate:
     m3c2: Cloud | None
     field: Cloud | None
     deformation: Deformation | None
+    budget: DirectedBudget | None
+    changes: tuple[Change, ...]
     percentiles_completeness: Mapping[str, float]
     completeness_path: Path
     path: Path | None
@@ -216,6 +223,8 @@ def _candidate(
         m3c2=table("m3c2"),
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
+        budget=_budget(values["budget"]) if values.get("budget") else None,
+        changes=tuple(from_json_value(Change, change) for change in values.get("changes") or ()),
         percentiles_completeness=values["metrics"]["percentiles"][REFERENCE_TO_CANDIDATE],
         completeness_path=folder / f"{values['name']}_completeness.ply",
         path=path,
@@ -226,6 +235,12 @@ def _candidate(
             for direction, sample in values.get("map_samples", {}).items()
         },
     )
+
+
+def _budget(values: Mapping[str, Any]) -> DirectedBudget:
+    """Read the `budget` of a candidate."""
+    forth, back = (from_json_value(Budget, values[way]) for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE))
+    return DirectedBudget(forth, back, values["keeps_pose"])
 
 
 def _rotated(cloud: Cloud, rotation: Similarity | None) -> Cloud:

@@ -31,6 +31,11 @@ def length(value: float | None, unit: str | None) -> str:
     return f"{text} {unit}" if unit else text
 
 
+def percentage(share: float) -> str:
+    """Return a share of 0 to 1 as a percentage: two digits below 10 %, else whole."""
+    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
+
+
 def sample_count(map_: DeviationMap) -> str:
     """Return the number of points of a map, such as "1,500 points", or "1,000,000 of 1,200,000,000 points"."""
     return point_count(len(map_.points), map_.sampled_from)

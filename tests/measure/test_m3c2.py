@@ -10,7 +10,9 @@ from command_line import is_one_line
 from data_folder import data_folder
 from wording import check_error, check_text
 
+import pcbench
 from pcbench import Cloud, M3C2Settings, Settings, compare, read_cloud, write_cloud
+from pcbench.registration import ControlPoints
 
 PARAMETERS = {"radius": 1.2, "depth": 1.5, "normal_radius": 1.5, "registration_error": 0.02}
 
@@ -84,6 +86,101 @@ def test_unset_parameters_have_defaults(pair):
     halved = halved["candidate_1"].deviation.m3c2
     np.testing.assert_array_equal(halved.cores, default.cores)
     assert (halved.radius, halved.half_length) == (default.radius, default.radius / 2)
+
+
+def flat_site(seed, lowered=0.0):
+    """Flat ground of 20 m x 20 m with noise of 5 mm, of which the half with negative x is lowered."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-10, 10, (20_000, 2)), rng.normal(0, 0.005, 20_000)])
+    points[points[:, 0] < 0, 2] -= lowered
+    return points
+
+
+@pytest.mark.parametrize("method", ["none", pcbench.Similarity(np.eye(3), np.zeros(3))])
+def test_a_given_pose_has_no_registration_error(method):
+    reference, candidate = flat_site(0), flat_site(1, lowered=0.05)
+    cores = np.column_stack([np.random.default_rng(2).uniform(-9, 9, (200, 2)), np.zeros(200)])
+    settings = Settings(register=method, m3c2=M3C2Settings(cores=cores))
+    found = compare(reference, candidate, settings)["candidate_1"].deviation.m3c2
+    assert found.registration_error == 0
+    levels = []
+    for core, normal in zip(found.cores, found.normals, strict=True):
+        variance = 0.0
+        for cloud in (reference, candidate):
+            along = (cloud - core) @ normal
+            across = np.linalg.norm(cloud - core - along[:, None] * normal, axis=1)
+            heights = along[(across <= found.radius) & (np.abs(along) <= found.half_length)]
+            variance += heights.var() / len(heights)
+        levels.append(1.96 * np.sqrt(variance))
+    np.testing.assert_allclose(found.lod, levels, rtol=1e-9)  # sums of hundreds of numbers
+    is_lowered = found.cores[:, 0] < -found.radius
+    assert found.significant[is_lowered].mean() > 0.999  # 0.05 is more than 30 standard errors
+    # 5 % of about 90 by the level: less than 14 with a probability of 0.999.
+    assert found.significant[found.cores[:, 0] > found.radius].mean() < 0.15
+
+
+def test_control_points_determine_the_registration_error():
+    """Four points at the corners of a square of side 2a, with heights off by +e and -e in turn.
+
+    No motion explains these residuals. Twelve numbers less six of the motion leave six degrees of freedom, so that the
+    variance of a height is 4 e^2 / 6. The variance of the fitted plane is that times 1/4 + (x^2 + y^2) / (4 a^2).
+    """
+    a, e = 8.0, 0.01
+    fixed = np.array([[-a, -a, 0], [a, -a, 0], [a, a, 0], [-a, a, 0.0]])
+    pairs = ControlPoints(fixed + [[0, 0, e], [0, 0, -e], [0, 0, e], [0, 0, -e]], fixed, with_scale=False)
+    found = compare(flat_site(0), flat_site(1, lowered=0.05), Settings(register=pairs, maps=("m3c2",)))
+    found = found["candidate_1"].deviation.m3c2
+    squares = np.square(found.cores[:, :2]).sum(axis=1)
+    expected = np.sqrt(4 * e**2 / 6 * np.mean(1 / 4 + squares / (4 * a**2)))
+    assert found.registration_error == pytest.approx(expected, rel=0.01)  # normals are not exactly vertical
+
+
+def hills(seed, lowered=0.0):
+    """Hills of 60 m x 60 m with noise of 2 cm, of which a corner of a ninth of the area is lowered."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-30, 30, (2, 20_000))
+    z = 1.5 * np.sin(x / 3) + np.cos(y / 2.5) + rng.normal(0, 0.02, len(x))
+    z[(x > 10) & (y > 10)] -= lowered
+    return np.column_stack([x, y, z])
+
+
+@pytest.mark.parametrize("lowered", [0.0, 0.5])
+def test_the_registration_error_of_icp_is_that_of_the_stable_area(lowered):
+    found = compare(hills(0), hills(1, lowered=lowered), Settings(m3c2="radius=1.5"))["candidate_1"]
+    pose, map_ = found.registration.T_reference_candidate, found.deviation.m3c2
+    error = np.einsum("ni,ni->n", pose.apply(map_.cores) - map_.cores, map_.normals)
+    # The estimate includes errors beside that of the pose: planes are not the surface, and heights vary in a cylinder.
+    assert np.sqrt(np.mean(np.square(error))) / 2 < map_.registration_error < 0.02
+    is_lowered = (map_.cores[:, :2] > 12).all(axis=1)
+    assert (np.nanmean(map_.significant[is_lowered]) > 0.9) == (lowered > 0)
+
+
+def test_levels_of_detection_are_those_of_py4dgeo():
+    """py4dgeo estimates variances with n - 1 points, and otherwise the same level of detection."""
+    py4dgeo = pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install py4dgeo")
+    reference, candidate = flat_site(0), flat_site(1, lowered=0.05)
+    cores = np.column_stack([np.random.default_rng(2).uniform(-9, 9, (50, 2)), np.zeros(50)])
+    peer = py4dgeo.M3C2(
+        epochs=(py4dgeo.Epoch(reference), py4dgeo.Epoch(candidate)),
+        corepoints=cores,
+        cyl_radius=0.5,
+        normal_radii=[2.0],
+        max_distance=0.5,
+        registration_error=0.0,
+    )
+    distances, levels = peer.run()
+    normals = peer.directions() * np.sign(peer.directions()[:, 2:])
+    settings = M3C2Settings(radius=0.5, depth=0.5, cores=Cloud(cores, normals=normals))
+    found = compare(reference, candidate, Settings(register="none", m3c2=settings))["candidate_1"].deviation.m3c2
+    np.testing.assert_allclose(np.abs(found.distances), np.abs(distances), atol=1e-9)
+    unbiased = sum(
+        std**2 / (count - 1)
+        for std, count in (
+            (found.std_reference, found.counts_reference),
+            (found.std_candidate, found.counts_candidate),
+        )
+    )
+    np.testing.assert_allclose(1.96 * np.sqrt(unbiased), levels["lodetection"], rtol=1e-6)
 
 
 def test_core_points_outside_the_region_are_left_out(pair):

@@ -11,7 +11,20 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from pcbench.measure.tiled import directions, even, maps, normals, presets, ranks, runs, stored, tiles, windows
+from pcbench.measure.tiled import (
+    assessment,
+    directions,
+    even,
+    maps,
+    nearby,
+    normals,
+    presets,
+    ranks,
+    runs,
+    stored,
+    tiles,
+    windows,
+)
 from pcbench.tasks.codec import Encoded, as_json, decode, encode, fingerprint, result_type, types_in
 
 
@@ -118,7 +131,10 @@ def test_fingerprints():
         (stored.piece_bounds, set()),
         (runs.store_piece, {"RunSummary", "PieceNotes", "LasCounts", "CoordinateCounts", "ValueCount"}),
         (even.count_inside, set()),
-        (even.every_nth_inside, set()),
+        (even.picked_points, {"PickedPoints"}),
+        (assessment.spread_tile, {"PickedPoints"}),
+        (nearby.near_points, {"NearPoints"}),
+        (nearby.thin_tile, {"TileSummary"}),
         (windows.points_in_windows, {"StoredPoints"}),
         (tiles.make_tile, {"TileSummary"}),
         (presets.crop_tile, {"TileSummary"}),

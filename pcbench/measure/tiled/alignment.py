@@ -1,23 +1,24 @@
-"""Registration, sampling floors and deformation of clouds on disk, from samples at full density."""
+"""Registration of clouds on disk, from samples at full density."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pcbench.deformation import Deformation
 from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
-from pcbench.measure.metrics import Distances
-from pcbench.measure.pair import align, assess_deformation, match_pair, measure_directions
+from pcbench.measure.pair import align
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import ReferenceSummary
 from pcbench.measure.settings import Settings
+from pcbench.measure.tiled import windows
+from pcbench.measure.tiled.prepared import TiledReference
+from pcbench.measure.tiled.steps import Steps
+from pcbench.measure.tiled.stored import StoredCloud
 from pcbench.measure.tiled.sums import GroupSums
 from pcbench.registration import (
     ControlPoints,
@@ -45,14 +46,16 @@ class NearFit:
     plane_rms: float | None
 
     @classmethod
-    def of(cls, distances: Distances, overlap_distance: float) -> NearFit:
-        """Measure the fit of the queries of a direction."""
-        near = distances.to_points <= overlap_distance
-        planes = distances.to_planes
+    def of(cls, reference: Reference, points: FloatArray, overlap_distance: float) -> NearFit:
+        """Measure the fit of points (M, 3)."""
+        distances, closest = reference.index.query(points)
+        near = np.flatnonzero(distances <= overlap_distance)
         rms = None
-        if isinstance(planes, np.ndarray) and near.any():
-            rms = float(np.sqrt(np.mean(np.square(planes[near]))))
-        return cls(float(np.mean(near)), rms)
+        if reference.has_normals and len(near):
+            normals = reference.surface.normals(closest[near])
+            planes = np.einsum("ni,ni->n", points[near] - reference.points[closest[near]], normals)
+            rms = float(np.sqrt(np.mean(np.square(planes))))
+        return cls(len(near) / len(points), rms)
 
     @classmethod
     def of_sums(cls, near: GroupSums, count: int) -> NearFit:
@@ -75,19 +78,15 @@ class NearFit:
 
 @dataclass(frozen=True, eq=False)
 class SampleResults:
-    """Registration, sampling floors and deformation, from samples of a reference and a candidate.
+    """Registration from samples of a reference and a candidate.
 
     Attributes:
         registration: the registration, with `T_local` between coordinates minus the local origin of the reference.
-        floors: sampling floors of both directions, c→r and r→c, of each mean metric by name.
-        deformation: the deformation that remains.
         near: fit of the sample, to compare with that of all points; None if the sample is all points.
         reference: the reference's sample in short: its normals and warnings.
     """
 
     registration: Registration
-    floors: tuple[Mapping[str, float | None], Mapping[str, float | None]]
-    deformation: Deformation
     near: NearFit | None
     reference: ReferenceSummary
 
@@ -127,10 +126,43 @@ def refine_settings(settings: Settings, pose: Similarity) -> Settings:
     return settings
 
 
-def assess_samples(
+def register_on_disk(
+    steps: Steps, reference: TiledReference, stage: str, name: str, cloud: StoredCloud
+) -> SampleResults:
+    """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
+    if reference.complete is not None:
+        steps.report(f"{name}: registering")
+        complete = windows.complete_cloud(cloud)
+        return register_samples(reference.complete, complete, name, steps.settings, reference.origin, is_complete=True)
+    steps.report(f"{name}: registering thinned clouds")
+    stored, thinned = reference.stored, cloud.thinned
+    pose = find_pose(stored.thinned, thinned, name, steps.settings)
+    places = pose.apply(cloud.even)
+    region = None if reference.region is None else reference.region.shifted(-reference.origin)
+    if region is not None and (inside := region.contains(places)).any():
+        places = places[inside]
+    chosen = windows.Windows.of(stored, places, cloud.count)
+    step = windows.thinning_step(cloud, chosen, pose)
+    sample = windows.candidate_in_windows(cloud, chosen, pose, step, steps.runner, f"{stage}-sample", steps.key)
+    steps.report(f"{name}: registering")
+    settings = replace(refine_settings(steps.settings, pose), crop="none")
+    if sample is None:  # the candidate has few points, or does not overlap the reference
+        prepared = Reference.prepare(stored.thinned, settings)
+        return register_samples(prepared, thinned, name, settings, reference.origin, is_complete=False)
+    sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
+    # The region may be smaller than a window, and few windows may have no points in their inner parts.
+    for limit in (None, region):
+        inner = windows.WindowRegion(chosen, limit, np.zeros(3))
+        if inner.contains(sampled.points).any() and inner.contains(aligned).any():
+            settings = replace(settings, crop=inner)
+    prepared = Reference.prepare(sampled, settings)
+    return register_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
+
+
+def register_samples(
     reference: Reference, candidate: Cloud, name: str, settings: Settings, origin: FloatArray, *, is_complete: bool
 ) -> SampleResults:
-    """Register the samples of two clouds, and measure what follows from them.
+    """Register the samples of two clouds.
 
     Args:
         reference: the prepared sample of the reference.
@@ -141,10 +173,9 @@ def assess_samples(
         is_complete: whether the samples are all points.
     """
     aligned = align(reference, name, candidate, settings)
-    forth, back = measure_directions(reference, aligned, match_pair(reference, aligned), settings.seed)
-    registration, near = aligned.registration, None
-    if not is_complete:
-        registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
-        near = NearFit.of(forth.distances, registration.overlap_distance)
-    deformation = assess_deformation(reference, aligned, settings.seed)
-    return SampleResults(registration, (forth.floors, back.floors), deformation, near, reference.summary())
+    registration = aligned.registration
+    if is_complete:
+        return SampleResults(registration, None, reference.summary())
+    registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
+    near = NearFit.of(reference, aligned.index.points[aligned.inside], registration.overlap_distance)
+    return SampleResults(registration, near, reference.summary())

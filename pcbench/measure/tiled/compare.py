@@ -2,9 +2,10 @@
 
 1. Every piece of every cloud is read once and stored as a run along a Morton curve; the reference is cut into tiles.
 2. The normals of the reference and its spacing are computed tile by tile.
-3. Registration, sampling floors and the test for deformation use samples at full density.
+3. Registration uses samples at full density.
 4. The aligned candidate is cut into tiles, and the distances in both directions are measured tile by tile.
-5. Exact counts and sums are merged into the same metrics as in memory.
+5. Sampling floors and the test for deformation search the surroundings of their queries in all tiles.
+6. Exact counts and sums are merged into the same metrics as in memory.
 
 No number depends on the tiles, the workers or the order in which they finish. Each step keeps its results in the
 workspace.
@@ -14,27 +15,24 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pcbench.errors import InputError, Notice, PcbenchError
+from pcbench.errors import Notice, PcbenchError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.region_text import as_region
-from pcbench.geometry.regions import Box, Region
-from pcbench.geometry.sampling import sampling_of_profile
-from pcbench.geometry.voxels import robust_bounds, robust_extent
+from pcbench.geometry.regions import Region
+from pcbench.geometry.voxels import robust_extent
 from pcbench.io.contents import FileState, cloud_contents, cloud_files
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk
-from pcbench.measure.comparison import crs_warnings, default_thresholds, differences, record_time
+from pcbench.measure.comparison import crs_warnings, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
 from pcbench.measure.presets import Preset
-from pcbench.measure.reference import VOXELS_ALONG, Reference
 from pcbench.measure.results import (
     CANDIDATE_TO_REFERENCE,
     REFERENCE_TO_CANDIDATE,
@@ -46,14 +44,8 @@ from pcbench.measure.results import (
 from pcbench.measure.scores import Measurement, measure
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled import windows
-from pcbench.measure.tiled.alignment import (
-    NearFit,
-    SampleResults,
-    assess_samples,
-    find_pose,
-    known_pose,
-    refine_settings,
-)
+from pcbench.measure.tiled.alignment import NearFit, known_pose, register_on_disk
+from pcbench.measure.tiled.assessment import AlignedCloud, assess_deformation, measure_floors
 from pcbench.measure.tiled.directions import (
     DISTANCE,
     PLANE_DISTANCE,
@@ -63,28 +55,23 @@ from pcbench.measure.tiled.directions import (
     measure_candidate_tile,
     measure_reference_tile,
 )
-from pcbench.measure.tiled.even import even_points
 from pcbench.measure.tiled.inputs import inputs_key, open_input
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.maps import LARGEST_SHARE, MAP_SAMPLE, deviation_map, sample_map, write_tile_of_map
-from pcbench.measure.tiled.normals import add_normals, add_wide_normals
 from pcbench.measure.tiled.overview import PixelGrid
+from pcbench.measure.tiled.prepared import TiledReference, prepare_reference
 from pcbench.measure.tiled.presets import crop_tile, presets_of
-from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median
-from pcbench.measure.tiled.runs import tile_ranges
 from pcbench.measure.tiled.settings import TILED_PRESETS, TilingSettings
 from pcbench.measure.tiled.spreads import Distribution, spread_of
+from pcbench.measure.tiled.steps import REFERENCE, Steps, tile_tasks
 from pcbench.measure.tiled.stored import StoredCloud, lattice_around, rough_boxes, store_cloud
-from pcbench.measure.tiled.tiles import WIDE_NORMALS, TiledCloud, TileSummary, make_tile
-from pcbench.registration import Registration, local_origin_of_box
+from pcbench.measure.tiled.tiles import TiledCloud, TileSummary
+from pcbench.registration import Registration
 from pcbench.systems import peak_memory
-from pcbench.tasks import Task, TaskRunner, Workers
-from pcbench.tasks.codec import fingerprint
+from pcbench.tasks import TaskRunner, Workers
 from pcbench.tasks.results import write_result
 
 T = TypeVar("T")
-
-_REFERENCE = "reference"
 
 
 def compare_on_disk(
@@ -117,7 +104,7 @@ def compare_on_disk(
         PcbenchError: a file changed while it was read.
     """
     report = on_step or (lambda _: None)
-    paths = {_REFERENCE: reference}
+    paths = {REFERENCE: reference}
     paths |= {f"candidate-{number}": path for number, path in enumerate(candidates.values(), 1)}
     pieces = tiling.chosen_piece_points
     clouds = {name: open_input(path, settings, pieces, skip_bad=tiling.skip_bad) for name, path in paths.items()}
@@ -128,38 +115,8 @@ def compare_on_disk(
     workers = Workers(tiling.chosen_workers, tiling.cluster)
     folder = workspace.absolute() / key[:16]
     with TaskRunner(workers, folder / "results", report) as runner:
-        run = _Run(runner, folder, key, contents, settings, tiling, tile_points, maps, report)
+        run = _Run(runner, folder, key, settings, tiling, tile_points, report, contents, maps)
         return run.compare(clouds, list(candidates))
-
-
-@dataclass(frozen=True, eq=False)
-class _TiledReference:
-    """The reference in tiles, with all that its candidates share.
-
-    Attributes:
-        stored: the reference as sorted runs.
-        tiles: its tiles, with normals.
-        origin: (3,) local origin, which is subtracted from all coordinates.
-        region: measured region in local coordinates; None: everything.
-        inside: number of its points inside the region.
-        spacing: median point spacing.
-        thresholds: distance thresholds of the F-score.
-        grid: correlation cells of the intervals.
-        voxel, corner: side and origin (3,) of the voxels of area weighting.
-        complete: the reference in memory if all clouds are small: no samples are needed. None otherwise.
-    """
-
-    stored: StoredCloud
-    tiles: TiledCloud
-    origin: FloatArray
-    region: Region | None
-    inside: int
-    spacing: float
-    thresholds: tuple[float, ...]
-    grid: CorrelationGrid
-    voxel: float
-    corner: FloatArray
-    complete: Reference | None
 
 
 class _ComparedCandidate(NamedTuple):
@@ -172,42 +129,28 @@ class _ComparedCandidate(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(Steps):
     """The steps of one comparison.
 
     Attributes:
-        runner: runs the tasks of all steps.
-        folder: folder of intermediate files, with one folder per cloud.
-        key: identifies the inputs and settings; stored results of another key are not used.
         contents: state of each file of the clouds.
-        settings: settings of the comparison.
-        tiling: settings of the tiles.
-        tile_points: largest number of points of a tile.
         maps: folder for the maps of all points; None: none are written.
-        report: progress callback.
     """
 
-    runner: TaskRunner
-    folder: Path
-    key: str
     contents: Mapping[Path, FileState]
-    settings: Settings
-    tiling: TilingSettings
-    tile_points: int
     maps: Path | None
-    report: Callable[[str], None]
 
     def compare(self, clouds: Mapping[str, CloudOnDisk], names: Sequence[str]) -> CandidateComparisons:
         """Compare the candidates, which have these names, with the reference; it is the first of the clouds."""
         pose = known_pose(self.settings)
         boxes = rough_boxes(clouds, self.runner, self.key)
-        poses = dict.fromkeys(boxes, pose) | {_REFERENCE: None}
+        poses = dict.fromkeys(boxes, pose) | {REFERENCE: None}
         lattice = lattice_around(boxes, poses)
         stored = {name: self._store(name, cloud, replace(lattice, pose=poses[name])) for name, cloud in clouds.items()}
         are_small = all(cloud.count <= windows.MAX_SAMPLE for cloud in stored.values())
         timings: dict[str, float] = {}
         with record_time(timings, "reference"):
-            reference = self._prepare(stored[_REFERENCE], are_small=are_small)
+            reference = prepare_reference(self, stored[REFERENCE], are_small=are_small)
         compared = [
             self._compare_one(reference, stage, name, cloud)
             for name, (stage, cloud) in zip(names, itertools.islice(stored.items(), 1, None), strict=True)
@@ -238,108 +181,33 @@ class _Run:
             raise
         return stored
 
-    def _prepare(self, cloud: StoredCloud, *, are_small: bool) -> _TiledReference:
-        """Cut the reference into tiles, compute its normals and its spacing, and prepare its sample."""
-        if cloud.count < 3:
-            raise InputError(
-                f"{cloud.source.path}: expected at least 3 points in the reference, got {cloud.count}: omit --tiles"
-            )
-        origin = local_origin_of_box(cloud.low, cloud.high, cloud.even)
-        crop = self.settings.crop
-        if isinstance(crop, str) and crop.strip().lower() == "reference":
-            crop = Box(cloud.low, cloud.high)
-        given = as_region(crop, cloud.thinned)
-        region = None if given is None else given.shifted(origin)
-        summaries = self._make_tiles(_REFERENCE, cloud, origin, None, region)
-        tiles = TiledCloud.of(self.folder / _REFERENCE / "tiles", summaries)
-        inside = sum(summary.inside for summary in summaries)
-        self._check_inside(inside, cloud, "the reference's")
-        local = cloud.even - origin
-        measured = local if region is None else local[region.contains(local)]
-        if region is not None and len(local) < cloud.count:
-            measured = even_points(cloud.runs, origin, region, self.runner, f"{_REFERENCE}-inside", self.key)
-        spacing, tiles = self._add_normals(tiles)
-        return _TiledReference(
-            stored=cloud,
-            tiles=tiles,
-            origin=origin,
-            region=region,
-            inside=inside,
-            spacing=spacing,
-            thresholds=self._thresholds(spacing),
-            grid=CorrelationGrid.covering(*robust_bounds(local)),
-            voxel=robust_extent(measured) / VOXELS_ALONG or 1.0,
-            corner=np.min([summary.lowest_inside for summary in summaries], axis=0),
-            complete=Reference.prepare(windows.complete_cloud(cloud), self.settings) if are_small else None,
-        )
-
-    def _make_tiles(
-        self,
-        name: str,
-        cloud: StoredCloud,
-        origin: FloatArray,
-        registration: Registration | None,
-        region: Region | None,
-    ) -> list[TileSummary]:
-        folder = self.folder / name / "tiles"
-        folder.mkdir(parents=True, exist_ok=True)
-        pose = None if registration is None else registration.T_local
-        tasks = []
-        for number, codes in enumerate(tile_ranges(cloud.runs, self.tile_points)):
-            arguments = (cloud.runs.overlapping(codes), number, codes, origin, pose, region, folder)
-            tasks.append(Task(f"{number:06d}", arguments, self.tile_points))
-        return list(self._results(f"{name}-tiles", make_tile, tasks, f"cutting {cloud.source.path} into tiles"))
-
-    def _thresholds(self, spacing: float) -> tuple[float, ...]:
-        """Return the thresholds of the F-score; raises an InputError if distances up to them are not searched."""
-        found, limit = self.settings.thresholds or default_thresholds(spacing), self.tiling.max_distance
-        if limit is not None and found and max(found) > limit:
-            raise InputError(
-                f"expected a maximum distance of at least {max(found):.4g}, the largest threshold of the F-score, got"
-                f" {limit:g}: use --max-distance {1.01 * max(found):.3g}, or smaller --thresholds"
-            )
-        return found
-
-    def _add_normals(self, tiles: TiledCloud) -> tuple[float, TiledCloud]:
-        """Compute the normals of all tiles, and return the spacing of the points, and the tiles with their normals."""
-        count = int(tiles.counts.sum())
-        file, k = self.folder / "reference.tiles", min(self.settings.normal_neighbors, count)
-        write_result(file, self.key, tiles)
-        tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, k))
-        found = self._results("normals", add_normals, tasks, "computing normals of the reference")
-        histogram = BitHistogram.merge(found)
-        files = [tiles.file(number, "spacings") for number in tiles.occupied]
-        nearest = median(files, histogram, map_files=self._file_map("spacing")) if histogram.count else 0.0
-        profile = np.concatenate([tiles.load(number, "profile") for number in tiles.occupied])
-        sampling = sampling_of_profile(nearest, profile, count)
-        wide = min(sampling.plane_neighbors(self.settings.normal_neighbors), count)
-        if wide > k:
-            tasks = _tile_tasks(tiles, lambda number: (file, self.key, number, wide))
-            for _ in self._results("wide-normals", add_wide_normals, tasks, "computing normals between scan lines"):
-                pass
-            tiles = replace(tiles, normals=WIDE_NORMALS)
-        return sampling.spacing, tiles
-
-    def _compare_one(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
+    def _compare_one(self, reference: TiledReference, stage: str, name: str, cloud: StoredCloud) -> _ComparedCandidate:
         """Register and measure a candidate."""
         timings: dict[str, float] = {}
         with record_time(timings, "registration"):
-            sample = self._register(reference, stage, name, cloud)
+            sample = register_on_disk(self, reference, stage, name, cloud)
         with record_time(timings, "matching"):
-            summaries = self._make_tiles(stage, cloud, reference.origin, sample.registration, reference.region)
+            pose, origin, region = sample.registration.T_local, reference.origin, reference.region
+            summaries = self.make_tiles(stage, cloud, origin, pose, region)
             inside = sum(summary.inside for summary in summaries)
-            self._check_inside(inside, cloud, f"{name}'s")
-            pair = self._pair(
-                reference, stage, TiledCloud.of(self.folder / stage / "tiles", summaries), sample.registration
-            )
-            directions = forth, back = self._measure_tiles(pair, stage, name, reference.region)
+            self.check_inside(inside, cloud, f"{name}'s")
+            tiles = TiledCloud.of(self.folder / stage / "tiles", summaries)
+            pair = self._pair(reference, stage, tiles, sample.registration)
+            directions = forth, back = self._measure_tiles(pair, stage, name, region)
+        known, file = reference.aligned(self, stage), self.folder / f"{stage}.tiles"
+        lowest = np.min([summary.lowest_inside for summary in summaries], axis=0)
+        aligned = AlignedCloud(
+            cloud, tiles, origin, pose, region, lowest, self.runner, stage, f"{self.key}{stage}", file
+        )
         with record_time(timings, "metrics"):
+            self.report(f"{name}: sampling floors")
+            every_floor = measure_floors(known, aligned, forth.sums, reference.spacing, self.settings.seed)
             spreads = [self._spreads(direction) for direction in directions]
             to_reference, to_candidate = (
                 found.sums.totals.summary(
                     cells=pair.grid.number, floors=floors, spreads=spread, origin=reference.origin
                 )
-                for found, floors, spread in zip(directions, sample.floors, spreads, strict=True)
+                for found, floors, spread in zip(directions, every_floor, spreads, strict=True)
             )
             measurement = measure(to_reference, to_candidate, pair.thresholds, cells=_cells(pair.grid))
         with record_time(timings, "maps"):
@@ -349,6 +217,9 @@ class _Run:
                 self.maps.mkdir(parents=True, exist_ok=True)
                 self._write_map(self.maps, name, "distance", forth, reference, pair.pixels)
                 self._write_map(self.maps, name, "completeness", back, reference, pair.pixels)
+        with record_time(timings, "deformation"):
+            self.report(f"{name}: assessing deformation")
+            deformation = assess_deformation(known, aligned, sample.registration, self.settings.seed)
         with record_time(timings, "presets"):
             quoted = self._presets(reference, pair, stage, name, directions)
         near = NearFit.of_sums(forth.sums.near, inside)
@@ -370,58 +241,17 @@ class _Run:
             metrics=replace(measurement.metrics, presets=quoted),
             deviation=deviation,
             completeness=completeness,
-            deformation=sample.deformation,
+            deformation=deformation,
             timings_s=timings,
             peak_rss_bytes=peak_memory(),
-            steps=tuple(cloud.thinned.quantisation.steps.tolist()),
+            steps=tuple(cloud.quantisation.steps.tolist()),
             warnings=tuple(warnings),
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
 
-    def _register(self, reference: _TiledReference, stage: str, name: str, cloud: StoredCloud) -> SampleResults:
-        """Register a candidate: small clouds as they are, larger ones thinned, then in windows at full density."""
-        if reference.complete is not None:
-            self.report(f"{name}: registering")
-            complete = windows.complete_cloud(cloud)
-            return assess_samples(reference.complete, complete, name, self.settings, reference.origin, is_complete=True)
-        self.report(f"{name}: registering thinned clouds")
-        stored, thinned = reference.stored, cloud.thinned
-        pose = find_pose(stored.thinned, thinned, name, self.settings)
-        places = pose.apply(cloud.even)
-        region = None if reference.region is None else reference.region.shifted(-reference.origin)
-        if region is not None and (inside := region.contains(places)).any():
-            places = places[inside]
-        chosen = windows.Windows.of(stored, places, cloud.count)
-        step = windows.thinning_step(cloud, chosen, pose)
-        sample = windows.candidate_in_windows(cloud, chosen, pose, step, self.runner, f"{stage}-sample", self.key)
-        self.report(f"{name}: registering")
-        settings = replace(refine_settings(self.settings, pose), crop="none")
-        if sample is None:  # the candidate has few points, or does not overlap the reference
-            prepared = Reference.prepare(stored.thinned, settings)
-            found = assess_samples(prepared, thinned, name, settings, reference.origin, is_complete=False)
-            forth, back = found.floors
-            return replace(found, floors=(dict.fromkeys(forth), dict.fromkeys(back)))
-        sampled, aligned = windows.reference_in_windows(stored, chosen), pose.apply(sample.points)
-        # The region may be smaller than a window, and few windows may have no points in their inner parts.
-        measured = len(sample)
-        for limit in (None, region):
-            inner = windows.WindowRegion(chosen, limit, np.zeros(3))
-            number = int(np.count_nonzero(inner.contains(aligned)))
-            if inner.contains(sampled.points).any() and number:
-                settings, measured = replace(settings, crop=inner), number
-        prepared = Reference.prepare(sampled, settings)
-        found = assess_samples(prepared, sample, name, settings, reference.origin, is_complete=False)
-        forth, back = found.floors
-        if measured < windows.MIN_CANDIDATE_POINTS:  # a mean of so few distances says nothing
-            forth = dict.fromkeys(forth)
-        if step > 1 or len(sample) < windows.MIN_CANDIDATE_POINTS * len(chosen.ranges):
-            # The floors r→c are those of the candidate's density, which the sample does not have.
-            back = dict.fromkeys(back)
-        return replace(found, floors=(forth, back))
-
     def _pair(
-        self, reference: _TiledReference, stage: str, candidate: TiledCloud, registration: Registration
+        self, reference: TiledReference, stage: str, candidate: TiledCloud, registration: Registration
     ) -> TiledPair:
         stored, origin, pixels = reference.stored, reference.origin, None
         if self.maps is not None:
@@ -452,8 +282,8 @@ class _Run:
             way: str, function: Callable[..., DistanceSums], queries: TiledCloud, folder: Path, title: str
         ) -> MeasuredDirection:
             folder.mkdir(parents=True, exist_ok=True)
-            tasks = _tile_tasks(queries, lambda number: (file, key, number, region))
-            found = self._results(f"{stage}-{way}", function, tasks, title)
+            tasks = tile_tasks(queries, lambda number: (file, key, number, region))
+            found = self.results(f"{stage}-{way}", function, tasks, title)
             return MeasuredDirection(f"{stage}-{way}", queries, folder, DistanceSums.merge(found))
 
         return (
@@ -463,7 +293,7 @@ class _Run:
 
     def _presets(
         self,
-        reference: _TiledReference,
+        reference: TiledReference,
         pair: TiledPair,
         stage: str,
         name: str,
@@ -474,7 +304,7 @@ class _Run:
         if reference.region is not None and names:
             cropped = replace(
                 pair,
-                reference=self._crop(_REFERENCE, pair.reference, reference.region),
+                reference=self._crop(REFERENCE, pair.reference, reference.region),
                 candidate=self._crop(stage, pair.candidate, reference.region),
                 forth=pair.forth / "cropped",
                 back=pair.back / "cropped",
@@ -488,8 +318,8 @@ class _Run:
         """Cut tiles at the region."""
         folder = self.folder / stage / "cropped"
         folder.mkdir(parents=True, exist_ok=True)
-        tasks = _tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
-        summaries = self._results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+        tasks = tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
+        summaries = self.results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
         found = {tile.number: tile for tile in summaries}
         every = (found.get(number) or TileSummary.empty(number) for number in range(len(tiles)))
         return replace(TiledCloud.of(folder, every), normals=tiles.normals)
@@ -499,7 +329,7 @@ class _Run:
         totals = direction.sums.totals
 
         def spread(name: str, found: Distribution) -> Spread:
-            return spread_of(direction.files(name), found, map_files=self._file_map(f"{direction.stage}-{name}"))
+            return spread_of(direction.files(name), found, map_files=self.file_map(f"{direction.stage}-{name}"))
 
         spreads = {DISTANCE: spread(DISTANCE, totals.distances)}
         if totals.censored:  # these are not even bounds
@@ -518,8 +348,8 @@ class _Run:
         step = -(-count // MAP_SAMPLE)
         share_shown = min(LARGEST_SHARE, MAP_SAMPLE / count)
         least = distances.histogram.approximate_percentile(100 * (1 - share_shown)) if step > 1 else 0.0
-        tasks = _tile_tasks(tiles, lambda number: (tiles.folder, direction.folder, number, step, least))
-        parts = self._results(f"{direction.stage}-map", sample_map, tasks, "sampling the map")
+        tasks = tile_tasks(tiles, lambda number: (tiles.folder, direction.folder, number, step, least))
+        parts = self.results(f"{direction.stage}-map", sample_map, tasks, "sampling the map")
         return deviation_map(parts, count, step, spreads, origin, with_planes=with_planes)
 
     def _write_map(
@@ -528,7 +358,7 @@ class _Run:
         name: str,
         kind: str,
         direction: MeasuredDirection,
-        reference: _TiledReference,
+        reference: TiledReference,
         pixels: PixelGrid | None,
     ) -> None:
         """Write a map of all points, its index and its overview; see `write_overview` for its name and kind."""
@@ -539,14 +369,14 @@ class _Run:
             path = folder / f"tile_{number:04d}{map_tile_extension()}"
             return tiles.folder, direction.folder, number, reference.origin, crs, path
 
-        tasks = _tile_tasks(tiles, arguments)
-        self._results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
+        tasks = tile_tasks(tiles, arguments)
+        self.results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
         write_tile_index(folder, crs)
         if pixels is not None and direction.sums.pixels is not None:
             overview = direction.sums.pixels.overview(pixels, reference.origin)
             write_overview(maps, name, overview, kind=kind, crs=crs)
 
-    def _summary(self, reference: _TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
+    def _summary(self, reference: TiledReference, sample: ReferenceSummary) -> ReferenceSummary:
         source = reference.stored.source
         return ReferenceSummary(
             points=reference.stored.count,
@@ -555,7 +385,7 @@ class _Run:
             extent=robust_extent(reference.stored.even - reference.origin),
             crs=source.crs,
             unit=source.unit,
-            steps=tuple(reference.stored.thinned.quantisation.steps.tolist()),
+            steps=tuple(reference.stored.quantisation.steps.tolist()),
             normals=sample.normals,
             faces=None,
             block_side=reference.grid.side,
@@ -565,42 +395,6 @@ class _Run:
                 *(Notice("reader", text) for text in reference.stored.warnings[len(source.warnings) :]),
             ),
         )
-
-    def _check_inside(self, inside: int, cloud: StoredCloud, owner: str) -> None:
-        """Raise an InputError if no point of a cloud is inside the region."""
-        if inside == 0:
-            crop = self.settings.crop
-            text = crop if isinstance(crop, str) else crop.text
-            corners = zip("xyz", cloud.low, cloud.high, strict=True)
-            extent = ", ".join(f"{axis} {low:,.6g} to {high:,.6g}" for axis, low, high in corners)
-            raise InputError(
-                f"the crop {text!r} leaves none of {owner} {cloud.count:,} points ({extent}): check its numbers, the"
-                " coordinate system and the unit"
-            )
-
-    def _results(self, stage: str, function: Callable[..., T], tasks: Sequence[Task], title: str) -> Iterator[T]:
-        """Run tasks, and return an iterator that loads their results one at a time."""
-        results = self.runner.run(stage, function, tasks, key=self.key, title=title)
-        return (found for _, found in results)
-
-    def _file_map(self, stage: str) -> FileMap:
-        """Return a function that distributes calls for many files as tasks, and repeats none of them."""
-        passes = itertools.count()
-
-        def map_files(function: Callable[[Path], T], files: Sequence[Path]) -> Iterable[T]:
-            if len(files) == 1:
-                return map(function, files)
-            tasks = [Task(f"{number:06d}", (file,), file.stat().st_size / 8) for number, file in enumerate(files)]
-            key = f"{self.key}{fingerprint(getattr(function, 'keywords', {}))}"  # of a `partial`
-            results = self.runner.run(f"{stage}-{next(passes)}", function, tasks, key=key, title="percentiles")
-            return (found for _, found in results)
-
-        return map_files
-
-
-def _tile_tasks(tiles: TiledCloud, arguments: Callable[[int], tuple[Any, ...]]) -> list[Task]:
-    """Return a task for each tile with points; `arguments` returns those of the tile with a number."""
-    return [Task(f"{number:06d}", arguments(number), int(tiles.counts[number])) for number in tiles.occupied]
 
 
 def _cells(grid: CorrelationGrid) -> CorrelationCells:

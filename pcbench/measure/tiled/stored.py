@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,13 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, bounds
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.quantisation import Quantisation
 from pcbench.geometry.transform import Similarity
 from pcbench.io.contents import FileState
 from pcbench.io.las_records import LasFilters
 from pcbench.io.pieces import CloudOnDisk, Piece, read_piece, reading_warnings
 from pcbench.measure.results import LeftOut
-from pcbench.measure.tiled.even import EVEN_POINTS, even_points
+from pcbench.measure.tiled.even import EVEN_POINTS, Picker, PlacedRuns, even_points
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.runs import CloudRuns, store_piece
 from pcbench.tasks import Task, TaskRunner
@@ -50,6 +51,11 @@ class StoredCloud:
     def count(self) -> int:
         """Number of points."""
         return self.runs.count
+
+    @cached_property
+    def quantisation(self) -> Quantisation:
+        """Lattice on which the coordinates lie because files rounded them."""
+        return Quantisation.of(self.even, self.count)
 
     @property
     def thinned(self) -> Cloud:
@@ -160,7 +166,7 @@ def store_cloud(
     runs = CloudRuns.of(folder, lattice, found)
     even = np.concatenate([summary.even for summary in found])
     if step > 1 and runs.count != cloud.count:  # filters and points that are not finite shift the rows
-        even = even_points(runs, np.zeros(3), None, runner, name, key)
+        even = even_points(Picker.of(PlacedRuns(runs, np.zeros(3)), runner, name, key))
     notes = [(pieces[task.name], summary.notes) for task, summary in results]
     return StoredCloud(
         source=cloud,

@@ -19,6 +19,10 @@ from pcbench.measure.tiled.runs import CloudRuns
 
 NORMALS = "normals"
 """Column of normals from as many neighbours as the settings say."""
+GIVEN_NORMALS = "given_normals"
+"""Column of the normals that were given with the cloud."""
+CLASSES = "classes"
+"""Column of LAS classes."""
 WIDE_NORMALS = "wide_normals"
 """Column of normals from more neighbours, of points that have copies or lie in lines."""
 
@@ -85,6 +89,21 @@ class TiledCloud:
         return len(self.counts)
 
     @property
+    def count(self) -> int:
+        """Number of points of all tiles."""
+        return int(self.counts.sum())
+
+    @property
+    def corners(self) -> FloatArray:
+        """Lowest and highest corner (2, 3) of all points."""
+        occupied = self.occupied
+        return np.stack([self.low[occupied].min(axis=0), self.high[occupied].max(axis=0)])
+
+    def has_column(self, name: str) -> bool:
+        """Return whether all tiles with points have a column."""
+        return all(self.file(number, name).exists() for number in self.occupied)
+
+    @property
     def occupied(self) -> list[int]:
         """Numbers of the tiles with points."""
         return [int(number) for number in np.flatnonzero(self.counts)]
@@ -129,11 +148,13 @@ def make_tile(
     points = found.points - origin
     if pose is not None:
         points = pose.apply(points)
-    columns = {"points": points, "rows": found.rows}
+    columns: dict[str, NDArray[Any]] = {"points": points, "rows": found.rows}
     if found.normals is not None and pose is None:
         directions, is_valid = unit(found.normals)
         directions[~is_valid] = np.nan
-        columns["given_normals"] = directions
+        columns[GIVEN_NORMALS] = directions
+    if found.classes is not None:
+        columns[CLASSES] = found.classes
     for name, values in columns.items():
         save_column(folder, number, name, values)
     return TileSummary.of(number, points, points if region is None else points[region.contains(points)])

@@ -13,6 +13,7 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.answer import answer
 from pcbench.report.colors import DIVERGING, SEQUENTIAL, SERIES
+from pcbench.report.html.budget import bars, change_rows, legend
 from pcbench.report.html.charts import charts
 from pcbench.report.html.layers import Layer, layers
 from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, main_rows
@@ -50,7 +51,7 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
     clouds, places = layers(comparison, color_range, axes), worst_places(comparison)
     tiles = tile_maps(comparison, color_range, axes)
     view = _view(comparison, axes, clouds, places, tiles)
-    main = main_rows(comparison)
+    main, is_wide = main_rows(comparison), len(comparison) > MAX_ACROSS
     opening = Opening(
         "Point cloud comparison",
         _heading(comparison),
@@ -69,10 +70,14 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         unit=comparison.reference.unit,
         rows=main,
         columns=columns_of(main),
-        is_wide=len(comparison) > MAX_ACROSS,
+        is_wide=is_wide,
         has_best=any(cell.is_best for row in main for pair in row.cells for cell in pair),
         all_rows=all_rows(comparison),
         details=one_line_each(details(comparison))[len(comparison) :],  # those of single candidates have a section
+        bars=bars(comparison, is_wide=is_wide),
+        legend=legend(),
+        motions=_motions(comparison),
+        changes=change_rows(comparison),
         layers=clouds,
         shown=_shown(clouds),
         charts=charts(comparison),
@@ -91,6 +96,12 @@ def _heading(comparison: SourcedComparison) -> str:
     inputs = comparison.inputs
     reference = "the reference" if inputs is None else printable(Path(inputs.reference.path).name)
     return f"{join_words(names, 4)} against {reference}"
+
+
+def _motions(comparison: SourcedComparison) -> str:
+    """Return under which poses the motions remain."""
+    kept = [c.registration.keeps_pose for c in comparison]
+    return "under the given pose" if all(kept) else "under the pose in use" if any(kept) else "after registration"
 
 
 def _shown(clouds: list[Layer]) -> str:

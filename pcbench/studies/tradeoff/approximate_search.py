@@ -44,7 +44,8 @@ def compare_by_approximate_search(
     to_reference = _approximate_matches(reference.points, index.points, excess)
     to_candidate = _approximate_matches(index.points, reference.points, excess)
     forth = from_candidate(reference, index.points, to_reference, seed=settings.seed)
-    back = from_reference(reference, index, to_reference.indices, to_candidate, forth=forth, seed=settings.seed)
+    surface = Surface(index, is_even=False)
+    back = from_reference(reference, surface, to_reference.indices, to_candidate, forth=forth, seed=settings.seed)
     thresholds = settings.thresholds or ()
     summary = partial(
         summarize,
@@ -57,7 +58,7 @@ def compare_by_approximate_search(
     measurement = measure(summary(forth), summary(back), thresholds, cells=reference.cells)
     inside = np.ones(len(index), bool)
     ours = Side(reference.surface, reference.inside, reference.cloud)
-    theirs = Side(Surface(index), inside, candidate)
+    theirs = Side(surface, inside, candidate)
     return Candidate(
         name="candidate",
         points=len(candidate),

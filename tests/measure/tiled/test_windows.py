@@ -1,4 +1,4 @@
-"""Registration, floors and deformation of clouds that are too large for it, from windows at full density."""
+"""Registration of clouds that are too large for it, from windows at full density, and what follows from the pose."""
 
 import functools
 from types import SimpleNamespace
@@ -70,16 +70,16 @@ def test_windows_find_the_pose_of_the_complete_clouds(city, name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["sparse", "densified"])
-def test_floors_of_windows_are_those_of_the_complete_clouds(city, name):
-    """Floors are means over 2,500 points at most; the density varies fivefold, and windows are a sample of it."""
+def test_floors_are_those_of_the_complete_clouds(city, name):
+    """They are measured from the same rows, after a slightly different registration."""
     _, tiled, memory = city
     for way in WAYS:
         ours, theirs = (result[name].metrics.directed["mean_distance"][way].floor for result in (tiled, memory))
-        assert ours == pytest.approx(theirs, rel=0.15)
+        assert ours == pytest.approx(theirs, rel=0.02)
 
 
 @pytest.mark.long
-def test_windows_show_a_deformation(city):
+def test_a_deformation_after_registration_in_windows(city):
     _, tiled, memory = city
     assert tiled["densified"].deformation.verdict == memory["densified"].deformation.verdict == "non-affine"
     assert tiled["sparse"].deformation.verdict in ("none", "undecided")  # 2,000 points in few windows say little
@@ -167,11 +167,7 @@ def test_a_candidate_of_another_density(tmp_path, small_windows, ratio):
     for way in WAYS:
         ours, theirs = (result["a"].metrics.directed["mean_distance"][way] for result in (tiled, memory))
         assert ours.value == pytest.approx(theirs.value, rel=1e-12)
-    # No window shows the density of such a candidate: a floor would be that of the sample.
-    assert tiled["a"].metrics.directed["mean_distance"][WAYS[1]].floor is None
-    forth = tiled["a"].metrics.directed["mean_distance"][WAYS[0]].floor
-    # Five points of the sparse candidate lie in inner parts of windows.
-    assert forth is None if ratio < 1 else forth == pytest.approx(theirs_forth(memory), rel=0.3)
+        assert ours.floor == theirs.floor  # which no window shows
 
 
 def test_a_candidate_of_one_point(tmp_path, small_windows):
@@ -191,10 +187,6 @@ def test_clouds_that_do_not_overlap_are_refused(tmp_path, small_windows):
         compare_on_disk(
             paths["ref"], {"a": paths["a"]}, Settings(register="none"), TilingSettings(5000), workspace=tmp_path
         )
-
-
-def theirs_forth(memory):
-    return memory["a"].metrics.directed["mean_distance"][WAYS[0]].floor
 
 
 def test_a_dense_candidate_is_thinned_by_the_workers(tmp_path, small_windows, monkeypatch):

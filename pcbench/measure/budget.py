@@ -1,0 +1,333 @@
+"""The budget of D2: what the mean squared distance to the surface consists of, in parts that add up.
+
+Each query of a direction is without a counterpart, belongs to a change, or is stable. The distances of the stable ones
+are split by least-squares fits of displacement fields u(x), observed along the normals: a rigid motion, an affine field
+beyond it, and a cubic field beyond that. The fields of each fit contain those of the one before, and all points weigh
+the same: the fits are orthogonal projections, whose squares add up. What they leave is noise as far as the sampling
+floor or the white noise explains it, and the rest is unexplained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.changes import STABLE, UNMATCHED
+from pcbench.deformation import Deformation
+from pcbench.deformation.polynomials import (
+    DEGREE,
+    EXPONENTS,
+    PARAMETERS,
+    gram_matrix,
+    model_columns,
+    normal_equations,
+    normal_matrix,
+)
+from pcbench.deformation.result import NEGLIGIBLE_SHARE
+from pcbench.errors import Notice
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+
+PARTS = ("unmatched", "changed", "motion", "affine", "smooth", "noise", "unexplained")
+"""Names of the parts, in the order of the budget."""
+CONTRADICTED = "contradicted-by-budget"
+"""Code of the warning that most of the squared distance is a smooth field which the test does not confirm."""
+MAX_NOISE_RATIO = 1.25  # a distance up to this multiple of its floor mostly reflects point spacing
+_MIN_CONTRADICTING_SHARE = 0.5  # of D2, for a smooth field that a verdict cannot leave out
+_POINTS_PER_PARAMETER = 20  # noise explains 5 % of the squares by chance at most
+_MIN_PLACE_RATIO = 10.0  # of the variation of a polynomial over the points to that by the noise of their positions
+_MIN_EIGENVALUE = 1e-9  # relative; far above rounding in float64, far below the share of any visible field
+_CHUNK = 65_536  # queries
+_ROUNDING = 1e-9  # relative; the sums of a billion squares are more precise
+
+_MODELS = ("affine", "quadratic", "cubic")  # of degree 1, 2 and 3
+_DEGREES = EXPONENTS.sum(axis=1)
+_FIRST = 2  # row of the first change in sums by label
+_UNMATCHED_ROW, _STABLE_ROW = UNMATCHED + _FIRST, STABLE + _FIRST
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the budget.
+
+    Attributes:
+        point_share: share of the points that it describes, 0 to 1.
+        mean_square: its contribution to D2: the sum of its squares over the number of all points, in squared units.
+    """
+
+    point_share: float
+    mean_square: float
+
+    @property
+    def rms(self) -> float:
+        """RMS over the points that it describes, in the clouds' unit."""
+        return 0.0 if self.point_share == 0 else float(np.sqrt(self.mean_square / self.point_share))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The budget of D2 in one direction: the contributions of the parts add up to `mean_square`.
+
+    Attributes:
+        mean_square: D2, the mean squared distance to the reference's tangent planes.
+        floor: its sampling floor; None if unknown.
+        unmatched: points without a counterpart: the other cloud does not cover or show their place.
+        changed: points of changes.
+        of_changes: the points of each change.
+        motion: rigid motion of the stable points, those of no other part.
+        affine: affine deformation beyond that motion.
+        smooth: smooth deformation beyond that: a cubic polynomial of position, in small clouds a quadratic one.
+        noise: what the sampling floor or the white noise explains of the rest.
+        unexplained: what no other part explains.
+
+    Raises:
+        ValueError: the contributions do not add up.
+    """
+
+    mean_square: float
+    floor: float | None
+    unmatched: Part
+    changed: Part
+    of_changes: tuple[Part, ...]
+    motion: Part
+    affine: Part
+    smooth: Part
+    noise: Part
+    unexplained: Part
+
+    def __post_init__(self) -> None:
+        contributions = [part.mean_square for part in self.parts.values()]
+        total, changed = sum(contributions), sum(part.mean_square for part in self.of_changes)
+        pairs = (total, self.mean_square), (changed, self.changed.mean_square)
+        if min(contributions) < 0 or not all(math.isclose(*pair, rel_tol=_ROUNDING) for pair in pairs):
+            raise ValueError(f"expected parts of D2 that add up to {self.mean_square}, got {contributions}")
+
+    @property
+    def parts(self) -> Mapping[str, Part]:
+        """The parts by name, in the order of `PARTS`."""
+        return {name: getattr(self, name) for name in PARTS}
+
+    def share(self, *names: str) -> float:
+        """Return the share of D2 that parts have together, 0 to 1; 0 if D2 is 0."""
+        return 0.0 if self.mean_square == 0 else sum(self.parts[name].mean_square for name in names) / self.mean_square
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether noise explains the distances: each other part is small beside D2 or its floor, as are all together.
+
+        Only then may a text say that the candidate lies as far away as error-free points, or that it is not deformed.
+        """
+        scale = max(self.mean_square, self.floor or 0.0)
+        named = [self.parts[name].mean_square for name in PARTS if name not in ("noise", "unexplained")]
+        others = self.mean_square - self.noise.mean_square
+        return max(named) <= NEGLIGIBLE_SHARE**2 * scale and others <= (1 - MAX_NOISE_RATIO**-2) * scale
+
+
+class Frame(NamedTuple):
+    """Coordinates in which positions lie between -1 and 1: their centre (3,) and their radius."""
+
+    center: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, places: FloatArray) -> Frame:
+        """Return the frame of positions (N, 3)."""
+        low, high = bounds(places)
+        return cls((low + high) / 2, float((high - low).max()) / 2 or 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BudgetSums:
+    """Sums over queries, from which the budget follows. Those of pieces of a cloud in one frame add up.
+
+    Attributes:
+        counts: (2 + C,) number of queries without a counterpart, of stable ones, and of those of each change.
+        squares: (2 + C,) sums of their squared distances.
+        moments: (84, 6) moments of the stable queries, see `normal_equations`.
+        scores: (20, 3) their scores.
+    """
+
+    counts: IntArray
+    squares: FloatArray
+    moments: FloatArray
+    scores: FloatArray
+
+    def __add__(self, other: BudgetSums) -> BudgetSums:
+        return BudgetSums(
+            self.counts + other.counts,
+            self.squares + other.squares,
+            self.moments + other.moments,
+            self.scores + other.scores,
+        )
+
+
+def sum_queries(
+    distances: FloatArray,
+    places: FloatArray,
+    normals: FloatArray,
+    rows: IntArray | None,
+    labels: NDArray[np.int32],
+    changes: int,
+    frame: Frame,
+) -> BudgetSums:
+    """Return the sums over the queries of one direction.
+
+    Args:
+        distances: (M,) signed distances to the reference's planes.
+        places: (M, 3) points of the reference through which the planes go, or any number with `rows`. They have the
+            reference's noise alone, which its sampling floor measures.
+        normals: (M, 3) unit normals of the planes, or any number with `rows`.
+        rows: (M,) rows into places and normals; None: all in order.
+        labels: (M,) number of the change of each query, `STABLE` or `UNMATCHED`.
+        changes: number of changes.
+        frame: frame of the places.
+    """
+    size = _FIRST + changes
+    squares = np.bincount(labels + _FIRST, np.square(distances), size).astype(np.float64)
+    moments, scores = np.zeros((84, 6)), np.zeros((20, 3))
+    stable = np.flatnonzero(labels == STABLE)
+    for start in range(0, len(stable), _CHUNK):
+        queries = stable[start : start + _CHUNK]
+        at = queries if rows is None else rows[queries]
+        here = (places[at] - frame.center) / frame.radius
+        equations = normal_equations(here, normals[at], np.ones(len(at)), distances[queries])
+        moments += equations[0][0]
+        scores += equations[1][0]
+    return BudgetSums(np.bincount(labels + _FIRST, None, size), squares, moments, scores)
+
+
+def budget(sums: BudgetSums, frame: Frame, *, floor: float | None, white: float | None = None) -> Budget:
+    """Return the budget that follows from the sums over all queries of a direction.
+
+    Args:
+        sums: the sums.
+        frame: their frame.
+        floor: sampling floor of D2; None if unknown.
+        white: standard deviation of the white noise along the normals; None if unknown.
+    """
+    count, stable = max(int(sums.counts.sum()), 1), int(sums.counts[_STABLE_ROW])
+    groups = [Part(int(n) / count, float(s) / count) for n, s in zip(sums.counts, sums.squares, strict=True)]
+    left, share = groups[_STABLE_ROW].mean_square, stable / count
+    fields = []
+    for explained in _explained_squares(sums, frame, floor or 0.0):
+        fields.append(Part(share, min(explained / count, left)))
+        left -= fields[-1].mean_square
+    motion, affine, smooth = fields
+    level = max(floor or 0.0, (white or 0.0) ** 2)
+    noise = min(left, share * level)
+    changed = groups[_FIRST:]
+    return Budget(
+        float(sums.squares.sum()) / count,
+        floor,
+        groups[_UNMATCHED_ROW],
+        Part(sum(part.point_share for part in changed), sum(part.mean_square for part in changed)),
+        tuple(changed),
+        motion,
+        affine,
+        smooth,
+        Part(share, noise),
+        Part(share, left - noise),
+    )
+
+
+def consistent_with(budget: Budget, deformation: Deformation) -> Deformation:
+    """Return a deformation whose verdict does not leave out most of the squared distance.
+
+    Robust weights can take a deformation for outliers. If a smooth field explains most of D2 and the verdict denies it,
+    the result is undecided.
+    """
+    denied = {"none": ("affine", "smooth"), "similarity": ("smooth",), "affine": ("smooth",)}
+    names = denied.get(deformation.conditional_verdict or deformation.verdict, ())
+    explained = sum(budget.parts[name].mean_square for name in names)
+    if not names or explained < _MIN_CONTRADICTING_SHARE * max(budget.mean_square, budget.floor or 0.0):
+        return deformation
+    reason = Notice(
+        CONTRADICTED,
+        f"a smooth field explains {budget.share(*names):.0%} of the mean squared distance to the surface"
+        f" ({explained**0.5:.3g} RMS), but the test took it for noise or outliers",
+    )
+    return replace(deformation, verdict="undecided", conditional_verdict=None, warnings=(*deformation.warnings, reason))
+
+
+def _explained_squares(sums: BudgetSums, frame: Frame, power: float) -> tuple[float, float, float]:
+    """Return the sums of squares that a rigid motion, an affine field beyond it and a smooth field beyond explain.
+
+    Args:
+        sums: sums over the queries.
+        frame: their frame.
+        power: mean squared noise of the places along the normals.
+    """
+    count = int(sums.counts[_STABLE_ROW])
+    affordable = count / _POINTS_PER_PARAMETER
+    if affordable < PARAMETERS["rigid"]:
+        return 0.0, 0.0, 0.0
+    matrix, scores = normal_matrix(sums.moments) / count, sums.scores.ravel() / count
+    polynomials = _visible_polynomials(gram_matrix(sums.moments) / count, matrix, power / frame.radius**2)
+    degree = sum(PARAMETERS[model] <= affordable for model in _MODELS)
+    steps = [
+        model_columns("rigid"),
+        _fields(polynomials[min(degree, 1)]),
+        _fields(polynomials[degree]),
+    ]
+    fields, explained = np.zeros((len(scores), 0)), []
+    for columns in steps:
+        beyond = _orthonormal(columns, matrix, fields)
+        explained.append(count * float(np.square(beyond.T @ scores).sum()))
+        fields = np.hstack([fields, beyond])
+    motion, affine, smooth = explained
+    return motion, affine, smooth
+
+
+def _visible_polynomials(gram: FloatArray, matrix: FloatArray, power: float) -> list[FloatArray]:
+    """Return coefficients (20, K) of the scalar polynomials of each degree, 0 to 3, that the places show.
+
+    Noise that places and distances share looks like a field: on a plane, the height of the points is nothing but noise.
+    A polynomial counts if it varies ten times as much over the points as noise along the normals makes it vary.
+
+    Args:
+        gram: (20, 20) mean products of the monomials.
+        matrix: (60, 60) mean products of the monomials times the normals.
+        power: mean squared noise along the normals, in the frame's unit.
+    """
+    noise = power * _GRADIENTS @ matrix @ _GRADIENTS.T
+    found, by_degree = np.zeros((len(gram), 0)), []
+    for degree in range(DEGREE + 1):
+        new = _orthonormal(np.eye(len(gram))[:, degree == _DEGREES], gram, found)
+        values, vectors = np.linalg.eigh(new.T @ noise @ new)
+        found = np.hstack([found, new @ vectors[:, values <= _MIN_PLACE_RATIO**-2]])
+        by_degree.append(found)
+    return by_degree
+
+
+def _fields(polynomials: FloatArray) -> FloatArray:
+    """Return coefficients (60, 3 K) of displacement fields whose components are multiples of polynomials (20, K)."""
+    fields: FloatArray = np.einsum("ak,ij->aikj", polynomials, np.eye(3)).reshape(3 * len(polynomials), -1)
+    return fields
+
+
+def _orthonormal(columns: FloatArray, form: FloatArray, known: FloatArray) -> FloatArray:
+    """Return an orthonormal basis (N, K) of columns (N, P) beyond known ones, in a quadratic form (N, N)."""
+    beyond = columns - known @ (known.T @ form @ columns)
+    values, vectors = np.linalg.eigh(beyond.T @ form @ beyond)
+    enough = values > _MIN_EIGENVALUE
+    basis: FloatArray = beyond @ (vectors[:, enough] / np.sqrt(values[enough]))
+    return basis
+
+
+def _gradients() -> FloatArray:
+    """Return (20, 60) coefficients of the gradients of the monomials as displacement fields."""
+    row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
+    found = np.zeros((len(EXPONENTS), 3 * len(EXPONENTS)))
+    for number, powers in enumerate(EXPONENTS.tolist()):
+        for axis in range(3):
+            if powers[axis]:
+                lower = tuple(power - (k == axis) for k, power in enumerate(powers))
+                found[number, 3 * row[lower] + axis] = powers[axis]
+    return found
+
+
+_GRADIENTS = _gradients()

@@ -1,0 +1,312 @@
+"""A cloud in tiles as a search index and as a surface: the same answers as in memory, from the points that matter.
+
+What the assessment of two clouds asks of them are the neighbourhoods of some thousand places. The points nearest to
+each place are searched in all tiles and kept. A later search is answered by the points that are kept if these certainly
+include the result; otherwise, it is another place. So every answer is that of the complete cloud, to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcbench.geometry.arrays import FloatArray, IntArray, bounds
+from pcbench.geometry.neighbors import Index, LocalPlanes, Matches, is_kept
+from pcbench.geometry.normals import Surface
+from pcbench.geometry.sampling import Sampling, sampling_of
+from pcbench.measure.tiled.columns import save_column
+from pcbench.measure.tiled.even import Picker
+from pcbench.measure.tiled.lattice import Lattice
+from pcbench.measure.tiled.search import nearest_in_tiles
+from pcbench.measure.tiled.tiles import CLASSES, TiledCloud, TileSummary
+from pcbench.tasks import Task, TaskRunner
+from pcbench.tasks.codec import fingerprint
+from pcbench.tasks.results import read_shared, write_result
+
+# Around a place, so many points are kept, and so many times as many as asked for: closest points move while a
+# deformation is followed.
+_MIN_NEAR_POINTS, _NEAR_GROWTH = 16, 2
+MAX_NEAR_POINTS = 2_000_000
+"""Points of a cloud that its assessment may have in memory, unless it follows a large deformation."""
+_PLACES_AT_ONCE = 4_096  # of a task
+_CENTERS = 4  # places nearest to a query that may show that its result is complete
+_SLACK = 1e-9  # share of distances, far above their rounding
+
+
+class NearPoints(NamedTuple):
+    """Points of a cloud around places.
+
+    Attributes:
+        points: (N, 3) points.
+        rows: (N,) their rows in the cloud, ascending.
+        normals: (N, 3) their normals, if the cloud has any.
+        classes: (N,) their LAS classes, if the cloud has any.
+        reach: (M,) all points that are nearer to a place than this are among them.
+    """
+
+    points: FloatArray
+    rows: IntArray
+    normals: FloatArray | None
+    classes: NDArray[np.uint8] | None
+    reach: FloatArray
+
+
+def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
+    """Return the k points nearest to each place (M, 3).
+
+    Args:
+        file: the shared `TiledCloud` of the cloud, with at least k points.
+        key: identifies its content.
+        places: the places.
+        k: number of points.
+    """
+    cloud = read_shared(file, key, TiledCloud)
+    found = nearest_in_tiles(places, cloud, k)
+    rows, first = np.unique(found.rows, return_index=True)
+
+    def column(name: str) -> Any:
+        shown = cloud.has_column(name)
+        values = found.column(cloud, name) if shown else None
+        return None if values is None else values.reshape(-1, *values.shape[2:])[first]
+
+    classes = column(CLASSES)
+    reach = np.full(len(places), np.inf) if k == cloud.count else found.distances[:, -1]
+    return NearPoints(
+        column("points"),
+        rows,
+        column(cloud.normals),
+        None if classes is None else classes.astype(np.uint8),
+        reach,
+    )
+
+
+def thin_tile(file: Path, key: str, number: int, share: float, seed: int, folder: Path) -> TileSummary:
+    """Store a random share of the points of a tile as a tile of another folder; see `pcbench.geometry.neighbors`."""
+    cloud = read_shared(file, key, TiledCloud)
+    rows = cloud.load(number, "rows")
+    kept = np.flatnonzero(is_kept(rows, share, seed))
+    if not len(kept):
+        return TileSummary.empty(number)
+    points = cloud.load(number, "points")[kept]
+    save_column(folder, number, "points", points)
+    save_column(folder, number, "rows", rows[kept])
+    return TileSummary.of(number, points, points)
+
+
+class TiledIndex(Index):
+    """An index of a cloud in tiles, of which only the points around earlier queries are in memory.
+
+    Numbers of points refer to `points`, to which searches append what they find; they are not the rows of the cloud.
+
+    Args:
+        cloud: the cloud in tiles.
+        file: file for it, which tasks share.
+        picker: picks points of the cloud by their rows; None: `every` is not called.
+        runner: runs the searches.
+        stage: start of the names of the stages.
+        key: identifies the cloud.
+        is_reused: whether later queries are near to earlier ones, so that more points are kept than asked for.
+    """
+
+    def __init__(
+        self,
+        cloud: TiledCloud,
+        file: Path,
+        picker: Picker | None,
+        runner: TaskRunner,
+        stage: str,
+        key: str,
+        *,
+        is_reused: bool = True,
+    ) -> None:
+        self._is_reused = is_reused
+        self._cloud, self._file, self._picker = cloud, file, picker
+        self._runner, self._stage, self._key = runner, stage, key
+        write_result(file, key, cloud)
+        self.points = np.zeros((0, 3))
+        self.rows = np.zeros(0, np.int64)
+        self.normals: FloatArray | None = np.zeros((0, 3)) if cloud.has_column(cloud.normals) else None
+        self.classes: NDArray[np.uint8] | None = np.zeros(0, np.uint8) if cloud.has_column(CLASSES) else None
+        self._order = np.zeros(0, np.int64)  # numbers in the order of rows
+        self._centers, self._reach = np.zeros((0, 3)), np.zeros(0)
+        self._center_index: Index | None = None
+        self._searches = 0
+
+    def __len__(self) -> int:
+        """Return the number of points of the complete cloud."""
+        return self._cloud.count
+
+    def every(self, step: int) -> FloatArray:
+        """Return every `step`-th point (M, 3) of the complete cloud, from the first one on."""
+        assert self._picker is not None
+        return self._picker.every(step).points
+
+    def thinned(self, share: float, seed: int) -> TiledIndex:
+        """Return an index of a random share of the complete cloud; see `Index.thinned`."""
+        name = f"{self._stage}-thinned"
+        folder = self._file.with_suffix("") / fingerprint([share, seed])[:12]
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = [
+            Task(f"{number:06d}", (self._file, self._key, number, share, seed, folder), int(self._cloud.counts[number]))
+            for number in self._cloud.occupied
+        ]
+        summaries = self._runner.run(name, thin_tile, tasks, key=self._key, title="thinning the reference")
+        found = {tile.number: tile for _, tile in summaries}
+        every = (found.get(number) or TileSummary.empty(number) for number in range(len(self._cloud)))
+        cloud = replace(TiledCloud.of(folder, every), normals="")
+        return TiledIndex(cloud, folder / "cloud.tiles", None, self._runner, name, f"{self._key}{share}")
+
+    def fresh(self) -> TiledIndex:
+        """Return an index of the same cloud with no point in memory, for places far from each other."""
+        stage = f"{self._stage}-sampling"
+        return TiledIndex(self._cloud, self._file, self._picker, self._runner, stage, self._key, is_reused=False)
+
+    def numbers_of(self, rows: IntArray, points: FloatArray, classes: NDArray[np.uint8] | None) -> IntArray:
+        """Return the numbers (M,) of points (M, 3) with these rows of the cloud, without their surroundings."""
+        self._add(NearPoints(points, rows, None, classes, np.zeros(0)))
+        return self._order[np.searchsorted(self.rows[self._order], rows)]
+
+    def query(self, queries: ArrayLike, k: int = 1, hint: ArrayLike | None = None) -> Matches:
+        """Find the k nearest points of each query (M, 3); see `Index.query`."""
+        places = np.ascontiguousarray(queries, np.float64)
+        missing = np.ones(len(places), bool)
+        if len(self.points) >= k and self._center_index is not None and len(places):
+            found = self._search(places, k)
+            farthest = found.distances if k == 1 else found.distances[:, -1]
+            missing = ~self._is_complete(places, farthest)
+            if not missing.any():
+                return found
+        self._load_around(places[missing], k)
+        return self._search(places, k)
+
+    def local_planes(self, k: int, rows: ArrayLike | None = None) -> LocalPlanes:
+        """Fit planes to the k nearest points of the points with these numbers (M,); see `Index.local_planes`."""
+        numbers = np.asarray(rows)
+        near = self.query(self.points[numbers], k).indices
+        every = np.unique(np.append(near.ravel(), numbers))
+        every = every[np.argsort(self.rows[every])]
+        at = np.argsort(every)[np.searchsorted(np.sort(every), numbers)]
+        planes = Index(self.points[every]).local_planes(k, at)
+        other = planes.nearest_other
+        return planes._replace(nearest_other=Matches(other.distances, every[other.indices]))
+
+    def _search(self, places: FloatArray, k: int) -> Matches:
+        """Find the k nearest points in memory."""
+        found = self._tree_index.query(places, k)
+        return Matches(found.distances, self._order[found.indices])
+
+    @cached_property
+    def _tree_index(self) -> Index:
+        return Index(self.points[self._order])  # in the order of rows, which decides between equal distances
+
+    def _is_complete(self, places: FloatArray, farthest: FloatArray) -> NDArray[np.bool_]:
+        """Return whether all points of the cloud within a distance (M,) of each place (M, 3) are in memory."""
+        assert self._center_index is not None
+        k = min(_CENTERS, len(self._center_index))
+        near = self._center_index.query(places, k)
+        away, centers = near.distances.reshape(-1, k), near.indices.reshape(-1, k)
+        is_inside: NDArray[np.bool_] = (away + farthest[:, None]) * (1 + _SLACK) < self._reach[centers]
+        return np.asarray(is_inside.any(axis=1))
+
+    def _load_around(self, places: FloatArray, k: int) -> None:
+        """Load the points around places (M, 3), at least the k nearest ones of each."""
+        if not len(places):
+            return
+        count = min(max(_NEAR_GROWTH * k, _MIN_NEAR_POINTS) if self._is_reused else k, len(self))
+        order = np.argsort(Lattice.around(*bounds(places)).codes(places), kind="stable")
+        tasks = []
+        for number, start in enumerate(range(0, len(order), _PLACES_AT_ONCE)):
+            some = places[order[start : start + _PLACES_AT_ONCE]]
+            tasks.append(Task(f"{number:06d}", (self._file, self._key, some, count), len(some)))
+        self._searches += 1
+        stage, key = f"{self._stage}-near-{self._searches}", f"{self._key}{fingerprint(places)}{count}"
+        results = self._runner.run(stage, near_points, tasks, key=key, title="searching the surroundings of a sample")
+        reach = []
+        for _, found in results:
+            self._add(found)
+            reach.append(found.reach)
+        self._centers = np.concatenate([self._centers, places[order]])
+        self._reach = np.concatenate([self._reach, *reach])
+        self._center_index = Index(self._centers)
+
+    def _add(self, found: NearPoints) -> None:
+        """Append the points that are not in memory, and keep the normals of those that are."""
+        known = self.rows[self._order]
+        at = np.minimum(np.searchsorted(known, found.rows), max(len(known) - 1, 0))
+        is_known = known[at] == found.rows if len(known) else np.zeros(len(found.rows), bool)
+        if self.normals is not None and found.normals is not None:
+            self.normals[self._order[at[is_known]]] = found.normals[is_known]
+        new = np.flatnonzero(~is_known)
+        if not len(new):
+            return
+        self.points = np.concatenate([self.points, found.points[new]])
+        self.rows = np.concatenate([self.rows, found.rows[new]])
+        if self.normals is not None:
+            normals = np.full((len(new), 3), np.nan) if found.normals is None else found.normals[new]
+            self.normals = np.concatenate([self.normals, normals])
+        if self.classes is not None and found.classes is not None:
+            self.classes = np.concatenate([self.classes, found.classes[new]])
+        self._order = np.argsort(self.rows, kind="stable")
+        self.__dict__.pop("_tree_index", None)
+
+
+class TiledSurface(Surface):
+    """A cloud in tiles as a surface: normals and surface variation at points around earlier queries.
+
+    Args:
+        index: its index.
+        k: number of neighbours from which a normal is estimated.
+        sampling: its sampling if it is known.
+    """
+
+    index: TiledIndex
+
+    def __init__(self, index: TiledIndex, k: int = 20, sampling: Sampling | None = None) -> None:
+        self.index = index
+        if sampling is not None:
+            self.sampling = sampling
+        self._positions, self._is_even = k, False
+        self._is_complete = index.normals is not None
+        self._fitted = np.zeros(0, bool)
+        self._directions, self._variations = np.zeros((0, 3)), np.zeros(0, np.float32)
+
+    @cached_property
+    def sampling(self) -> Sampling:
+        """Sampling of the complete cloud; what it is measured from does not stay in memory."""
+        return sampling_of(self.index.fresh())
+
+    def normals(self, rows: IntArray) -> FloatArray:
+        """Return unit normals (M, 3) at the points with these numbers (M,): those of the cloud, or estimated ones."""
+        if self.index.normals is None:
+            self._fit(rows)
+            return self._directions[rows]
+        found = self.index.normals[rows]
+        if (unknown := np.isnan(found[:, 0])).any():  # only the points themselves are in memory
+            self.index.query(self.index.points[rows[unknown]])
+            found = self.index.normals[rows]
+            if (unknown := np.isnan(found[:, 0])).any():  # too many points have the same position
+                self._fit(rows[unknown])
+                found[unknown] = self._directions[rows[unknown]]
+        return found
+
+    def variation(self, rows: IntArray) -> FloatArray:
+        """Return surface variation (M,) at the points with these numbers (M,)."""
+        self._fit(rows)
+        return self._variations[rows].astype(np.float64)
+
+    def _fit(self, rows: IntArray) -> None:
+        """Fit planes at the points with these numbers (M,) unless they are known."""
+        more = len(self.index.points) - len(self._fitted)
+        self._fitted = np.append(self._fitted, np.zeros(more, bool))
+        self._directions = np.concatenate([self._directions, np.full((more, 3), np.nan)])
+        self._variations = np.append(self._variations, np.full(more, np.nan, np.float32))
+        missing = np.unique(rows[~self._fitted[rows]])
+        if len(missing):
+            planes = self.index.local_planes(self.k, missing)
+            self._directions[missing], self._variations[missing] = planes.normals, planes.variation
+            self._fitted[missing] = True

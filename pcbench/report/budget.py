@@ -1,0 +1,89 @@
+"""The budget of D2 and the changes of a candidate in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pcbench.changes import ADDED, REMOVED, Change
+from pcbench.measure.budget import PARTS
+from pcbench.measure.results import Candidate
+from pcbench.measure.wording import pluralize
+from pcbench.report.words import join_words, length, percentage
+
+_MIN_NAMED_SHARE = 0.045  # of D2, for a part that the answer names: rounded, 5 %
+_MAX_NAMED_CHANGES = 3
+_MIN_VERTICAL_SHARE = 0.9  # of the length of a motion that is called raised or lowered
+
+
+def source_words(candidate: Candidate, part: str) -> str:
+    """Return where a part of D2 comes from, as the object of "comes from"."""
+    found = candidate.budget
+    changed = "a change" if found is not None and len(found.accuracy.of_changes) == 1 else "changes"
+    is_kept = found is not None and found.keeps_pose
+    return {
+        "unmatched": "points without a counterpart",
+        "changed": changed,
+        "motion": "a motion (the pose was kept)" if is_kept else "a motion that registration left",
+        "affine": "a stretch or shear",
+        "smooth": "a bend" if candidate.deformation.verdict == "non-affine" else "smooth differences",
+        "noise": "noise",
+        "unexplained": "outliers, edges or uneven errors",
+    }[part]
+
+
+def largest_part(candidate: Candidate) -> tuple[str, float]:
+    """Return the largest part of D2 c→r besides noise and its share; the candidate has a budget."""
+    assert candidate.budget is not None
+    budget = candidate.budget.accuracy
+    name = max((part for part in PARTS if part != "noise"), key=budget.share)
+    return name, budget.share(name)
+
+
+def budget_sentence(candidate: Candidate) -> str:
+    """Return the largest parts of D2 c→r in one sentence; empty without a budget."""
+    if candidate.budget is None:
+        return ""
+    budget = candidate.budget.accuracy
+    known = [name for name in PARTS if name not in ("noise", "unexplained")]
+    order = [*sorted(known, key=budget.share, reverse=True), "noise"]
+    named = [name for name in order if budget.share(name) >= _MIN_NAMED_SHARE]
+    parts = [f"{percentage(budget.share(name))} from {source_words(candidate, name)}" for name in named]
+    clauses = []
+    if parts:
+        clauses.append(join_words([parts[0].replace(" from", " comes from", 1), *parts[1:]]))
+    if budget.share("unexplained") >= _MIN_NAMED_SHARE:
+        clauses.append(f"{percentage(budget.share('unexplained'))} is unexplained (outliers, edges or uneven errors)")
+    return f"Of its mean square, {'; '.join(clauses)}." if clauses else ""
+
+
+def changes_sentence(changes: Sequence[Change], unit: str | None) -> str:
+    """Return the most important changes in one sentence without a subject: "2 parts changed: ..."."""
+    words = [change_words(change, unit) for change in changes[:_MAX_NAMED_CHANGES]]
+    rest = len(changes) - len(words)
+    more = f"; and {rest:,} more" if rest > 0 else ""
+    return f"{pluralize(len(changes), 'part')} changed: {'; '.join(words)}{more}."
+
+
+def change_words(change: Change, unit: str | None) -> str:
+    """Return what happened to a part, where, and its area: "raised by 0.31 m at (1.0, 2.0, 0.5), 12.4 m²"."""
+    place = ", ".join(f"{x:.1f}" for x in change.place)
+    return f"{kind_words(change, unit)} at ({place}), {squared(change.area, unit)}"
+
+
+def kind_words(change: Change, unit: str | None) -> str:
+    """Return what happened to a part: added, removed, raised, lowered or moved, and by how much."""
+    if change.kind in (ADDED, REMOVED):
+        return change.kind
+    if change.motion is not None:
+        distance = sum(x * x for x in change.motion) ** 0.5
+        if abs(change.motion[2]) < _MIN_VERTICAL_SHARE * distance:
+            return f"moved by {length(distance, unit)}"
+        return f"{'raised' if change.motion[2] > 0 else 'lowered'} by {length(abs(change.motion[2]), unit)}"
+    if change.mean is None:
+        return change.kind
+    return f"moved by {length(abs(change.mean), unit)} along the normals"
+
+
+def squared(value: float, unit: str | None) -> str:
+    """Return an area with its unit."""
+    return length(value, f"{unit}²" if unit else "square units")

@@ -1,0 +1,111 @@
+"""What differs, on the page: a bar for the budget of D2 of each candidate and direction, and a table of the changes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pcbench.measure.budget import PARTS, Budget
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
+from pcbench.report.budget import kind_words, squared
+from pcbench.report.inputs import SourcedComparison
+from pcbench.report.words import UNKNOWN, length, percentage, printable
+
+_LABELS = {  # of the parts in the legend, with their colours: of Okabe and Ito, and greys for what has no shape
+    "unmatched": ("no counterpart", "#cc79a7"),
+    "changed": ("changes", "#d55e00"),
+    "motion": ("motion", "#0072b2"),
+    "affine": ("stretch, shear", "#56b4e9"),
+    "smooth": ("smooth beyond affine", "#009e73"),
+    "noise": ("noise", "#c9ccd2"),
+    "unexplained": ("unexplained", "#82868e"),
+}
+_DARK = ("motion", "smooth", "unexplained")  # colours on which text is white
+_MIN_TEXT_SHARE = 0.06  # of the bar, for a percentage inside a segment
+_MAX_CHANGES = 30  # in the table; comparison.json has all
+
+
+class Segment(NamedTuple):
+    """A part of a bar: its width in %, colours of the ground and the text, the text inside and the one on hovering."""
+
+    width: float
+    color: str
+    ink: str
+    text: str
+    title: str
+
+
+class Bar(NamedTuple):
+    """The budget of one direction: the candidate (empty below its first bar), direction, RMS and segments."""
+
+    name: str
+    arrow: str
+    rms: str
+    segments: list[Segment]
+
+    @property
+    def description(self) -> str:
+        """All parts in words, for readers that see no bar."""
+        return ", ".join(segment.title for segment in self.segments)
+
+
+class Legend(NamedTuple):
+    """A part in the legend."""
+
+    label: str
+    color: str
+
+
+class ChangeRow(NamedTuple):
+    """A change in the table, in words."""
+
+    candidate: str
+    kind: str
+    place: tuple[float, float, float]
+    area: str
+    volume: str
+    mean: str
+    peak: str
+
+
+def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[Bar]:
+    """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r."""
+    unit, found = comparison.reference.unit, []
+    for candidate in comparison:
+        if candidate.budget is None:
+            continue
+        for way, arrow in ARROWS.items():
+            budget, is_first = candidate.budget[way], way == CANDIDATE_TO_REFERENCE
+            if budget.mean_square > 0 and (is_first or not is_wide):
+                name = printable(candidate.name) if is_first else ""
+                found.append(Bar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
+    return found
+
+
+def legend() -> list[Legend]:
+    """Return the parts with their colours, in the order of the bars."""
+    return [Legend(*_LABELS[name]) for name in PARTS]
+
+
+def change_rows(comparison: SourcedComparison) -> list[ChangeRow]:
+    """Return the most important changes of all candidates."""
+    unit, rows = comparison.reference.unit, []
+    for candidate in comparison:
+        for change in () if candidate.changes is None else candidate.changes.found:
+            volume = UNKNOWN if change.volume is None else length(change.volume, f"{unit}³" if unit else None)
+            words = squared(change.area, unit), volume, length(change.mean, unit), length(change.peak, unit)
+            rows.append(ChangeRow(printable(candidate.name), kind_words(change, unit), change.place, *words))
+    return rows[:_MAX_CHANGES]
+
+
+def _segments(budget: Budget, unit: str | None) -> list[Segment]:
+    found = []
+    for name, part in budget.parts.items():
+        if not (share := budget.share(name)):
+            continue
+        label, color = _LABELS[name]
+        text = percentage(share) if share >= _MIN_TEXT_SHARE else ""
+        title = (
+            f"{label}: {percentage(share)}, {length(part.rms, unit)} RMS of {percentage(part.point_share)} of points"
+        )
+        found.append(Segment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title))
+    return found

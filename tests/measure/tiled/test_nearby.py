@@ -1,0 +1,63 @@
+"""An index of a cloud in tiles against the index of the same points in memory."""
+
+import numpy as np
+import pytest
+from tiled_clouds import ORIGIN, ShuffledRunner, clouds_of_all_kinds, stored_runs, stored_tiles
+
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.measure.tiled.even import Picker, PlacedRuns
+from pcbench.measure.tiled.nearby import TiledIndex, TiledSurface
+
+CLOUDS = dict(clouds_of_all_kinds(np.random.default_rng(0), 700))
+
+
+def tiled_index(folder, points):
+    tiles = stored_tiles(folder / "cloud", points, 100, piece_points=300)
+    runner = ShuffledRunner(None, folder)
+    runs, _ = stored_runs(folder / "again", points, piece_points=300)
+    picker = Picker.of(PlacedRuns(runs, ORIGIN), runner, "rows", "key")
+    return TiledIndex(tiles, folder / "cloud.tiles", picker, runner, "cloud", "key")
+
+
+@pytest.mark.parametrize("kind", CLOUDS)
+def test_answers_are_those_of_the_complete_cloud(tmp_path, kind):
+    """Queries move as a deformation is followed, so that earlier results answer some of them."""
+    points = CLOUDS[kind]
+    exact, found = Index(points), tiled_index(tmp_path, points)
+    rng = np.random.default_rng(1)
+    start = points[rng.integers(0, len(points), 60)]
+    assert len(found) == len(points)
+    for step, k in ((0, 1), (0.01, 1), (0.02, 9), (0.02, 9), (3.0, 1), (0.0, 20), (0.1, len(points))):
+        places = start + step * rng.normal(size=start.shape)
+        ours, theirs = found.query(places, k), exact.query(places, k)
+        np.testing.assert_array_equal(ours.distances, theirs.distances)
+        np.testing.assert_array_equal(found.rows[ours.indices], theirs.indices)
+        np.testing.assert_array_equal(found.points[ours.indices], points[theirs.indices])
+    np.testing.assert_array_equal(found.every(7), points[::7])
+    thinned = found.thinned(0.3, 5)
+    np.testing.assert_array_equal(thinned.query(start).distances, exact.thinned(0.3, 5).query(start).distances)
+
+
+@pytest.mark.parametrize("kind", CLOUDS)
+def test_planes_and_sampling_are_those_of_the_complete_cloud(tmp_path, kind):
+    points = CLOUDS[kind]
+    exact, found = Surface(Index(points), is_even=False), TiledSurface(tiled_index(tmp_path, points))
+    rows = np.random.default_rng(2).integers(0, len(points), 50)
+    numbers = found.index.numbers_of(np.unique(rows), points[np.unique(rows)], None)
+    rows = np.unique(rows)
+    assert found.sampling == exact.sampling and found.k == exact.k
+    np.testing.assert_array_equal(found.normals(numbers), exact.normals(rows))
+    np.testing.assert_array_equal(found.variation(numbers), exact.variation(rows))
+
+
+def test_repeated_and_near_queries_search_no_tile(tmp_path):
+    points = CLOUDS["flat"]
+    found = tiled_index(tmp_path, points)
+    places = points[::20]
+    found.query(places, 20)
+    found._runner.calls.clear()
+    found.query(places, 20)
+    found.query(places + 0.01)
+    found.local_planes(20, found.query(places).indices)
+    assert found._runner.calls == []
