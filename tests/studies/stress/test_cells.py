@@ -247,7 +247,7 @@ def test_outcomes_of_changes(level, kinds, elsewhere, outcome, monkeypatch):
 
 
 def test_a_raised_part_is_named():
-    plan = RunPlan(CHANGES, "terrain", "raised-part", 100, None, "changes", 0, 6000)
+    plan = RunPlan(CHANGES, "terrain", "raised-part", 100, None, "changes", 0, 24_000)
     (cell,) = run_cell(plan, build_pair(plan)).cells
     assert cell.outcome == RIGHT and cell.named[0] == MOVED
     assert cell.size == pytest.approx(cell.true_size, rel=0.25)
