@@ -80,8 +80,8 @@ class Scene(NamedTuple):
 
     def p_value(self, part: Part) -> float:
         """Return the probability that sampling and noise produce points as significant as these anywhere."""
-        least = [float(tests.p[rows].min(initial=1.0)) for tests, rows in zip(self.evidence, part, strict=True)]
-        return min(1.0, min(least) * sum(map(len, self.samples)))
+        least = min(tests.p_value(rows) for tests, rows in zip(self.evidence, part, strict=True))
+        return min(1.0, least * sum(map(len, self.samples)))
 
 
 def describe(parts: Sequence[Part], scene: Scene) -> list[tuple[Part, Change | None]]:

@@ -74,7 +74,7 @@ def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
 
     In larger voxels than the noise, the points around a point lie along the surface rather than across it.
     """
-    side = max(2 * noise, 1.5 * max(reference.spacing, candidate.spacing))
+    side = max(2 * noise, max(reference.spacing, candidate.spacing))
     for surface in (reference, candidate):
         rows = voxel_downsample(surface.points, side)
         while len(rows) > MAX_SAMPLE:
