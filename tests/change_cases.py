@@ -19,6 +19,7 @@ MIN_POINTS = 12  # of each cloud in a place that is to change
 MAX_HEIGHT = 1 / 3  # of the extent
 _FLAT = 0.1  # largest RMS distance from the plane of a flat place, over its radius
 _TRIES = 40  # places
+_MAX_BOX_HEIGHT = 1 / 16  # of its side, up to which the walls hardly lower the mean distance
 _REACH = 3  # spacings around the true change that count as its place
 _MIN_SHARE = 0.2  # of the points of a found change in the place of the true one
 _OBJECT_GAP = 4  # spacings between objects
@@ -183,7 +184,7 @@ def box(sample: Sample, part: Part, height: float, rng: np.random.Generator) -> 
     old = (sample.reference[part.of_reference] - part.centre) @ part.axes.T
     below = sample.reference[part.of_reference[(np.abs(old[:, :2]) < side / 2).all(axis=1)]]
     candidate = np.concatenate([sample.candidate[keep], top, added])
-    size = height if part.is_flat else None
+    size = height if part.is_flat and height < _MAX_BOX_HEIGHT * side else None
     return Truth(sample.reference, candidate, frozenset({MOVED, ADDED}), size, np.concatenate([below, top, added]))
 
 
