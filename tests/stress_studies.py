@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     FALSE_ALARM,
     FALSE_BEND,
@@ -16,10 +17,12 @@ from pcbench.studies.stress.results import (
     SAID,
     SILENT,
     TIME_OUT,
+    UNNAMED,
     VERDICTS,
     WITHHELD,
     WITHHELD_ALTHOUGH_RIGHT,
     WRONG,
+    ChangeCell,
     LadderInfo,
     MethodInfo,
     MetricCell,
@@ -44,7 +47,8 @@ GAUSSIAN = LadderInfo(
     "noise-gaussian", "Gaussian noise", "noise", (REGISTRATION, METRICS, VERDICTS), "spacings", (0, 1, 4)
 )  # fmt: skip
 DOME = LadderInfo("warp-dome", "dome", "warp", (VERDICTS,), "x noise", (0, 1, 4))
-LADDERS = (ROTATION, MAP, OVERLAP, GAUSSIAN, DOME, CASES)
+PART = LadderInfo("raised-part", "raised part", "changes", (CHANGES,), "x noise", (0, 10, 100))
+LADDERS = (ROTATION, MAP, OVERLAP, GAUSSIAN, DOME, PART, CASES)
 
 ICP = MethodInfo("icp", REGISTRATION, LOCAL, "pcbench", "1")
 PEER = MethodInfo("peer", REGISTRATION, LOCAL, "peerlib", "2")
@@ -53,6 +57,7 @@ METRIC = MethodInfo("pcbench", METRICS, "", "pcbench", "1")
 PEER_METRIC = MethodInfo("Open3D", METRICS, "", "open3d", "0.19")
 DEFORM = MethodInfo("deform", VERDICTS, "", "pcbench", "1")
 NAIVE = MethodInfo("naive BIC", VERDICTS, "", "naive", "1")
+NAMING = MethodInfo("changes", CHANGES, "", "pcbench", "1")
 CITY = SceneInfo("city", 200.0, 0.5, 0.03, "m", (40_000, 20_000))
 
 _ERRORS = {RIGHT: 0.001, FALSE_ALARM: 0.0008, SAID: 0.6, SILENT: 0.9}
@@ -102,6 +107,20 @@ def verdicts(ladder, level, method, results, true_rms=0.0, covers=None):
         rows.append(VerdictCell(
             "city", ladder.name, level, None, method, seed, outcome, cpu_s=1.0, failure=failure, true_rms=true_rms,
             noise=0.04, **size,
+        ))  # fmt: skip
+    return rows
+
+
+def searches(level, outcomes):
+    """Change cells of a level of the raised part; wrong ones are of another kind, or at a place without a change."""
+    rows = []
+    for seed, outcome in enumerate(outcomes):
+        is_named = outcome != UNNAMED and level > 0
+        rows.append(ChangeCell(
+            "city", PART.name, level, None, "changes", seed, outcome, cpu_s=0.8, noise=0.04,
+            kinds=("moved",) if level else (), points=60 if level else 0, true_size=0.04 * level if level else None,
+            named=(("added",) if outcome == WRONG else ("moved",)) if is_named else (),
+            elsewhere=int(outcome == WRONG and level == 0), size=0.041 * level if is_named else None,
         ))  # fmt: skip
     return rows
 
@@ -161,10 +180,15 @@ def study(**changes):
         "settings": StressSettings(),
         "scenes": (CITY,),
         "ladders": LADDERS,
-        "methods": (PEER, ICP, ANYWHERE, PEER_METRIC, METRIC, DEFORM, NAIVE),
+        "methods": (PEER, ICP, ANYWHERE, PEER_METRIC, METRIC, DEFORM, NAIVE, NAMING),
         "missing": (MissingMethod("KISS-Matcher", "kiss-matcher is not installed: pip install 'pcbench[global]'"),),
         "registrations": tuple(cells),
         "metrics": tuple(measured),
         "verdicts": tuple(decided),
+        "changes": (
+            *searches(0, [RIGHT] * 5 + [WRONG]),
+            *searches(10, [RIGHT] * 3 + [UNNAMED]),
+            *searches(100, [RIGHT] * 3 + [WRONG]),
+        ),
     }
     return StressStudy(**{**values, **changes})

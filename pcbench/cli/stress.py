@@ -94,7 +94,8 @@ def stress(
     """Perturb pairs of clouds step by step, and find where each method breaks and whether it says so.
 
     Registration methods of pcbench and of other installed libraries run on ladders of starts, noise, outliers, overlap,
-    density and degenerate shapes; metrics and verdicts on deformation run on noise, density and known deformations.
+    density and degenerate shapes; metrics and verdicts on deformation run on noise, density and known deformations; and
+    the search for changes on parts and objects that moved, were added or removed.
     The built-in scenes have exact truth. With REFERENCE and CANDIDATE, registrations of this pair are stressed instead.
     With --reconstructors, reconstructors run on perturbed photographs of a city.
 

@@ -8,7 +8,16 @@ from typing import Any, NamedTuple
 
 from pcbench.report.colors import SERIES
 from pcbench.studies.stress.limits import SUCCESS, StressRow
-from pcbench.studies.stress.results import METRICS, RECONSTRUCTION, REGISTRATION, VERDICTS, LadderInfo, Rate, Tally
+from pcbench.studies.stress.results import (
+    CHANGES,
+    METRICS,
+    RECONSTRUCTION,
+    REGISTRATION,
+    VERDICTS,
+    LadderInfo,
+    Rate,
+    Tally,
+)
 
 DPI = 110
 GREY = "#777777"
@@ -16,6 +25,7 @@ SUCCESS_LABELS = {
     REGISTRATION: "right poses [% of runs]",
     METRICS: "right or explained [% of runs]",
     VERDICTS: "right verdicts [% of runs]",
+    CHANGES: "rightly named changes [% of runs]",
     RECONSTRUCTION: "half of the F-score kept [% of runs]",
 }
 _LETTERS_PER_INCH = 13.0  # at the size of legends

@@ -21,10 +21,11 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
 from pcbench.io.files import atomic_write
 from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
-from pcbench.studies.stress import metrics, verdicts
+from pcbench.studies.stress import changes, metrics, verdicts
 from pcbench.studies.stress.ladders import LADDERS, Ladder, displaced
 from pcbench.studies.stress.methods import METHODS, PoseResult
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     FALSE_ALARM,
     LOCAL,
@@ -37,6 +38,7 @@ from pcbench.studies.stress.results import (
     SILENT,
     SUBJECTS,
     Cell,
+    ChangeCell,
     MetricCell,
     RegistrationCell,
     VerdictCell,
@@ -45,7 +47,7 @@ from pcbench.studies.stress.scenes import GIVEN, SCENES, SHAPES, WOODED, StressP
 from pcbench.studies.stress.surfaces import DEGENERATE, FREE
 from pcbench.systems import peak_memory_since_reset, reset_peak_memory
 
-# Start of all ladders that set none: angle in degrees, offset over the extent. Verdicts start nearer.
+# Start of all ladders that set none: angle in degrees, offset over the extent. Verdicts and changes start nearer.
 _START_DEG, _START_SHARE = 5.0, 0.02
 _VERDICT_START_DEG, _VERDICT_START_SHARE = 1.0, 0.005
 _UNOBSERVABLE_CODES = {UNOBSERVABLE, WEAKLY_OBSERVABLE}
@@ -185,11 +187,14 @@ def run_cell(plan: RunPlan, pair: StressPair) -> RunResult:
 
     try:
         if plan.subject == REGISTRATION:
-            found = METHODS[plan.method].run(pair.reference, pair.candidate, plan.seed)
-            result = _registration(plan, pair, found, cost())
+            pose = METHODS[plan.method].run(pair.reference, pair.candidate, plan.seed)
+            result = _registration(plan, pair, pose, cost())
         elif plan.subject == METRICS:
             measured = metrics.METRIC_METHODS[plan.method].run(pair, plan.seed)
             result = RunResult(tuple(_metrics(plan, pair, measured, cost())))
+        elif plan.subject == CHANGES:
+            found = changes.CHANGE_METHODS[plan.method].run(pair)
+            result = RunResult((_changes(plan, pair, found, cost()),))
         else:
             verdict = verdicts.run_deform(pair, plan.seed)
             result = RunResult(tuple(_verdicts(pair, verdict, cost())))
@@ -213,6 +218,8 @@ def failed_run(plan: RunPlan, outcome: str, message: str) -> RunResult:
                 for name in metrics.NAMES
             )
         )
+    if plan.subject == CHANGES:
+        return RunResult((ChangeCell(*common, plan.method, plan.seed, outcome, message=message),))
     return RunResult(
         tuple(VerdictCell(*common, name, plan.seed, outcome, message=message) for name in verdicts.VERDICT_METHODS)
     )
@@ -350,6 +357,26 @@ def _metrics(
             floor=value.floor,
             interval=value.interval,
         )
+
+
+def _changes(
+    plan: RunPlan, pair: StressPair, answer: Sequence[changes.NamedChange], cost: dict[str, Any]
+) -> ChangeCell:
+    true = pair.change
+    there, elsewhere = changes.split_by_place(answer, pair)
+    cell = ChangeCell(
+        **cost,
+        method=plan.method,
+        outcome="",
+        kinds=() if true is None else true.kinds,
+        points=0 if true is None else len(true.points),
+        named=tuple(change.kind for change in there),
+        elsewhere=len(elsewhere),
+        true_size=None if true is None else true.size,
+        size=there[0].size if there else None,
+        noise=float(np.hypot(pair.noise, pair.candidate_noise)),
+    )
+    return replace(cell, outcome=changes.judge(cell))
 
 
 def _verdicts(pair: StressPair, run: verdicts.VerdictRun, cost: dict[str, Any]) -> Iterator[VerdictCell]:

@@ -19,9 +19,10 @@ from pcbench.extras import require
 from pcbench.measure.comparison import compare
 from pcbench.studies.folder import write_record
 from pcbench.studies.stress.cells import RunPlan, build_pair, load_pair, run_cell
+from pcbench.studies.stress.changes import name_changes
 from pcbench.studies.stress.methods import METHODS
 from pcbench.studies.stress.metrics import METRIC_METHODS
-from pcbench.studies.stress.results import METRICS, REGISTRATION
+from pcbench.studies.stress.results import CHANGES, METRICS, REGISTRATION
 from pcbench.studies.stress.scenes import scene_pair
 
 MISSING_LIBRARY = 3  # exit code
@@ -67,6 +68,8 @@ def _warm_up(plans: list[RunPlan]) -> None:
     tiny = scene_pair("object", 0, _TINY_POINTS)  # our own methods import in functions
     if any(plan.subject == METRICS for plan in plans):
         compare(tiny.reference, tiny.points)
+    if any(plan.subject == CHANGES for plan in plans):
+        name_changes(tiny.reference, tiny.points)
     deform(tiny.reference, tiny.points)
 
 

@@ -9,6 +9,7 @@ from functools import cached_property
 
 from pcbench.report.words import join_words
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     DEGRADED,
     FALSE_ALARM,
@@ -20,6 +21,7 @@ from pcbench.studies.stress.results import (
     SAID,
     SILENT,
     TIME_OUT,
+    UNNAMED,
     VERDICTS,
     WARNED,
     WITHHELD,
@@ -42,18 +44,21 @@ SUCCESS: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (RIGHT, FALSE_ALARM),
     METRICS: (RIGHT, SAID),
     VERDICTS: (RIGHT,),
+    CHANGES: (RIGHT,),
     RECONSTRUCTION: (RIGHT,),
 }
 SAID_SO: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (SAID, REFUSED),
     METRICS: (),
     VERDICTS: (WITHHELD,),
+    CHANGES: (),
     RECONSTRUCTION: (WARNED, REFUSED),
 }
 CONFIDENT: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (SILENT,),
     METRICS: (SILENT,),
     VERDICTS: (WRONG,),
+    CHANGES: (UNNAMED, WRONG),
     RECONSTRUCTION: (DEGRADED,),
 }
 ABORTED = (CRASH, TIME_OUT)

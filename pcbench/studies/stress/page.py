@@ -10,6 +10,7 @@ from pcbench.report.article import Article, ArticleSection, Block, Bullets, Data
 from pcbench.studies.folder import FIGURES
 from pcbench.studies.stress.results import (
     ALL_SUBJECTS,
+    CHANGES,
     METRICS,
     RECONSTRUCTION,
     REGISTRATION,
@@ -26,6 +27,7 @@ from pcbench.studies.stress.table import (
 )
 from pcbench.studies.stress.words import (
     answer,
+    change_sentences,
     metric_sentences,
     reconstruction_sentences,
     registration_sentences,
@@ -38,12 +40,14 @@ _SENTENCES: dict[str, Callable[[StressStudy], Iterator[str]]] = {
     REGISTRATION: registration_sentences,
     METRICS: metric_sentences,
     VERDICTS: verdict_sentences,
+    CHANGES: change_sentences,
     RECONSTRUCTION: reconstruction_sentences,
 }
 _TITLES = {
     REGISTRATION: "Registration",
     METRICS: "Metrics and their intervals",
     VERDICTS: "Verdicts on deformation",
+    CHANGES: "Changes",
     RECONSTRUCTION: "Reconstructors",
 }
 _CAPTIONS = {
@@ -62,6 +66,7 @@ _PICTURES = {
     REGISTRATION: ("outcomes_registration", "matrix_registration", "recall", "basin_", "profiles", "speed"),
     METRICS: ("outcomes_metrics", "matrix_metrics", "coverage"),
     VERDICTS: ("outcomes_verdicts", "matrix_verdicts", "sizes"),
+    CHANGES: ("outcomes_changes", "matrix_changes"),
     RECONSTRUCTION: ("outcomes_reconstruction", "scores_", "matrix_reconstruction"),
 }
 
@@ -129,7 +134,7 @@ def _setup(study: StressStudy) -> str:
     )
     counts = ", ".join(pluralize(count, noun) for count, noun in (
         (len(study.registrations), "registration"), (len(study.metrics), "metric value"),
-        (len(study.verdicts), "verdict"),
+        (len(study.verdicts), "verdict"), (len(study.changes), "search for changes"),
     ) if count)  # fmt: skip
     return (
         f"{pluralize(runs, 'result')} ({counts}) on {pluralize(len(study.ladders), 'ladder')} of perturbations."

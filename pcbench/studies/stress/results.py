@@ -1,6 +1,6 @@
 """Results of the stress study as types; their fields are the keys of stress.json.
 
-The study asks three subjects, each with its own cells: registrations, metrics and verdicts; or one on perturbed
+The study asks four subjects, each with its own cells: registrations, metrics, verdicts and changes; or one on perturbed
 photographs: reconstructions. A cell is one run: a scene, a ladder, a level of it, a method and a seed.
 """
 
@@ -23,8 +23,9 @@ DOCUMENT = "stress.json"
 REGISTRATION = "registration"
 METRICS = "metrics"
 VERDICTS = "verdicts"
+CHANGES = "changes"
 RECONSTRUCTION = "reconstruction"
-SUBJECTS = (REGISTRATION, METRICS, VERDICTS)  # of pairs of clouds
+SUBJECTS = (REGISTRATION, METRICS, VERDICTS, CHANGES)  # of pairs of clouds
 ALL_SUBJECTS = (*SUBJECTS, RECONSTRUCTION)
 
 # Outcomes of a run. Every subject uses the last two.
@@ -33,8 +34,9 @@ FALSE_ALARM = "false-alarm"  # the pose is right, but the result is doubtful
 REFUSED = "refused"  # no pose, although another method found it from the same clouds
 SAID = "said"  # wrong, and the result is doubtful; or no pose where none was findable
 SILENT = "silent"  # wrong but not doubted
-WRONG = "wrong"  # a verdict that contradicts the truth
+WRONG = "wrong"  # a verdict that contradicts the truth, or a change of another kind or at another place
 WITHHELD = "withheld"  # no verdict
+UNNAMED = "unnamed"  # a change that is not reported
 WARNED = "warned"  # a poor cloud, and the reconstructor warns
 DEGRADED = "degraded"  # a poor cloud without a warning
 CRASH = "crash"
@@ -45,6 +47,7 @@ OUTCOMES: Mapping[str, tuple[str, ...]] = {
     REGISTRATION: (RIGHT, FALSE_ALARM, REFUSED, SAID, SILENT, CRASH, TIME_OUT),
     METRICS: (RIGHT, SAID, SILENT, CRASH, TIME_OUT),
     VERDICTS: (RIGHT, WITHHELD, WRONG, CRASH, TIME_OUT),
+    CHANGES: (RIGHT, UNNAMED, WRONG, CRASH, TIME_OUT),
     RECONSTRUCTION: (RIGHT, WARNED, REFUSED, DEGRADED, CRASH, TIME_OUT),
 }
 
@@ -67,6 +70,9 @@ MAX_FLOOR_SHARE = 0.3
 
 MIN_COUNTED_SIZE = 0.25
 """RMS over the noise above which a deformation has to be found; a smaller one may be."""
+
+MIN_CHANGE_SIZE, MIN_CHANGE_POINTS = 10.0, 30
+"""Motion over the noise, and number of points of both clouds, from which a change has to be named; others may be."""
 
 MIN_SCORE_SHARE = 0.5
 """Smallest F-score of a right reconstruction over that of the unperturbed run.
@@ -143,8 +149,8 @@ class LadderInfo:
     Attributes:
         name: identifier, in lower case with hyphens.
         title: what is perturbed, for charts and tables, such as `rotation of the start`.
-        kind: group of ladders: `start`, `noise`, `parts`, `density`, `coordinates`, `warp` or `degenerate`; of
-            photographs `unperturbed`, `images`, `cameras` or `surface`.
+        kind: group of ladders: `start`, `noise`, `parts`, `density`, `coordinates`, `warp`, `changes` or `degenerate`;
+            of photographs `unperturbed`, `images`, `cameras` or `surface`.
         subjects: subjects that it is run for, of `ALL_SUBJECTS`.
         unit: unit of the levels, such as `deg` or `%`; empty for plain numbers.
         levels: levels of the run, ascending in severity.
@@ -415,6 +421,35 @@ class VerdictCell(Cell):
 
 
 @dataclass(frozen=True)
+class ChangeCell(Cell):
+    """Result of one search for changes.
+
+    Attributes:
+        kinds: kinds of the true change that are right; empty if nothing changed.
+        points: number of points of both clouds that belong to it.
+        named: kinds of the changes that are reported at its place, the one with the most points first.
+        elsewhere: number of changes that are reported elsewhere.
+        true_size: length by which it moved, in the clouds' unit; None if it did not.
+        size: length of the motion that is reported for it; None if there is none.
+        noise: standard deviation of the difference of both clouds along the normals, in the clouds' unit.
+    """
+
+    kinds: tuple[str, ...] = ()
+    points: int = 0
+    named: tuple[str, ...] = ()
+    elsewhere: int = 0
+    true_size: float | None = None
+    size: float | None = None
+    noise: float = math.nan
+
+    @property
+    def has_to_be_named(self) -> bool:
+        """Return whether the change is so large that it has to be reported."""
+        is_far = self.true_size is None or self.true_size >= MIN_CHANGE_SIZE * self.noise
+        return bool(self.kinds) and is_far and self.points >= MIN_CHANGE_POINTS
+
+
+@dataclass(frozen=True)
 class ReconstructionCell(Cell):
     """Result of one reconstruction; lengths are in metres.
 
@@ -565,6 +600,7 @@ class StressStudy:
         registrations: one per registration.
         metrics: one per metric and run.
         verdicts: one per verdict.
+        changes: one per search for changes.
         reconstructions: one per reconstruction.
         photographs: the photographs of the reconstructions; None without any.
         worst: up to three silent failures with the largest error, from different ladders if possible.
@@ -580,6 +616,7 @@ class StressStudy:
     registrations: tuple[RegistrationCell, ...] = ()
     metrics: tuple[MetricCell, ...] = ()
     verdicts: tuple[VerdictCell, ...] = ()
+    changes: tuple[ChangeCell, ...] = ()
     reconstructions: tuple[ReconstructionCell, ...] = ()
     photographs: PhotographInfo | None = None
     worst: tuple[SilentFailure, ...] = ()
@@ -592,6 +629,7 @@ class StressStudy:
             REGISTRATION: self.registrations,
             METRICS: self.metrics,
             VERDICTS: self.verdicts,
+            CHANGES: self.changes,
             RECONSTRUCTION: self.reconstructions,
         }
         return by_subject[subject]
@@ -643,6 +681,7 @@ def read_study(folder: Path) -> StressStudy:
             registrations=tuple(registration_cell(row) for row in values["registrations"]),
             metrics=tuple(metric_cell(row) for row in values["metrics"]),
             verdicts=tuple(verdict_cell(row) for row in values["verdicts"]),
+            changes=tuple(change_cell(row) for row in values.get("changes", ())),
             reconstructions=tuple(reconstruction_cell(row) for row in values.get("reconstructions", ())),
             photographs=_photographs(values.get("photographs")),
             worst=tuple(SilentFailure(registration_cell(row["cell"]), row["file"]) for row in values["worst"]),
@@ -664,6 +703,11 @@ def metric_cell(values: Mapping[str, Any]) -> MetricCell:
 def verdict_cell(values: Mapping[str, Any]) -> VerdictCell:
     """Return the cell of a row of stress.json."""
     return VerdictCell(**_numbers(_tuples(values), "noise"))
+
+
+def change_cell(values: Mapping[str, Any]) -> ChangeCell:
+    """Return the cell of a row of stress.json."""
+    return ChangeCell(**_numbers(_tuples(values), "noise"))
 
 
 def reconstruction_cell(values: Mapping[str, Any]) -> ReconstructionCell:

@@ -24,11 +24,13 @@ from pcbench.studies.stress.child import MISSING_LIBRARY
 from pcbench.studies.stress.methods import METHODS
 from pcbench.studies.stress.metrics import METRIC_METHODS
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     METRICS,
     REGISTRATION,
     TIME_OUT,
     Cell,
+    change_cell,
     metric_cell,
     registration_cell,
     verdict_cell,
@@ -43,7 +45,18 @@ _KILLED = "SIGKILL"  # message of a run whose process was killed, as by a system
 _TIMED_OUT = "Timeout ("  # start of the traceback that the time limit of a run prints
 # Folders of pcbench that no result of a run depends on, and the modules of this study that one depends on.
 _INDEPENDENT_FOLDERS = ("cli", "plugins", "report", "studies")
-_OWN_MODULES = ("cells", "child", "ladders", "methods", "metrics", "results", "scenes", "surfaces", "verdicts")
+_OWN_MODULES = (
+    "cells",
+    "changes",
+    "child",
+    "ladders",
+    "methods",
+    "metrics",
+    "results",
+    "scenes",
+    "surfaces",
+    "verdicts",
+)
 _BATCH_RUNS = (16, 40)  # fewest and most runs of a child process, whose start takes seconds
 _ALL_CPUS = Workers()
 
@@ -198,6 +211,7 @@ def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult | None
     convert: Callable[[Mapping[str, Any]], Cell] = {
         REGISTRATION: registration_cell,
         METRICS: metric_cell,
+        CHANGES: change_cell,
     }.get(plan.subject, verdict_cell)
     try:
         result = None if values is None else RunResult(tuple(convert(row) for row in values["cells"]), values["pose"])

@@ -36,6 +36,21 @@ _MAX_GIVEN_POINTS = 60_000  # of each cloud of a given pair
 
 
 @dataclass(frozen=True, eq=False)
+class TrueChange:
+    """What changed between the clouds of a pair.
+
+    Attributes:
+        kinds: kinds of changes that are right; see `pcbench.changes.result`.
+        points: (K, 3) points of both clouds that belong to it, at the true pose.
+        size: length by which it moved, in the clouds' unit; None for an added or removed object.
+    """
+
+    kinds: tuple[str, ...]
+    points: FloatArray
+    size: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class StressPair:
     """A reference and a candidate, with the truth.
 
@@ -54,6 +69,7 @@ class StressPair:
         true_rms: RMS of the candidate's deformation along the normals, beyond an affine one.
         free: whether the geometry does not determine the pose.
         plants: (M,) number of the plant that each point of the candidate shows, -1 for none; None without vegetation.
+        change: what changed between the clouds; None for nothing.
     """
 
     reference: FloatArray
@@ -68,6 +84,7 @@ class StressPair:
     true_rms: float = 0.0
     free: bool = False
     plants: IntArray | None = None
+    change: TrueChange | None = None
 
     @cached_property
     def candidate(self) -> FloatArray:

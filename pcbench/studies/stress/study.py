@@ -40,12 +40,14 @@ from pcbench.studies.stress.cells import (
     save_pair,
     settle_refusals,
 )
+from pcbench.studies.stress.changes import CHANGE_METHODS
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.methods import METHODS, check_names
 from pcbench.studies.stress.metrics import METRIC_METHODS
 from pcbench.studies.stress.page import article
 from pcbench.studies.stress.results import (
+    CHANGES,
     DOCUMENT,
     METRICS,
     RECONSTRUCTION,
@@ -53,6 +55,7 @@ from pcbench.studies.stress.results import (
     SCHEMA,
     SILENT,
     VERDICTS,
+    ChangeCell,
     MethodInfo,
     MetricCell,
     MissingMethod,
@@ -133,7 +136,7 @@ class StressPlan:
             InputError: there is no such ladder or method, or none of the named methods is installed.
         """
         ladders = selected(settings.only, quick=settings.quick)
-        check_names(settings.methods, (*METHODS, *METRIC_METHODS, *VERDICT_METHODS))
+        check_names(settings.methods, (*METHODS, *METRIC_METHODS, *VERDICT_METHODS, *CHANGE_METHODS))
         missing: dict[str, MissingMethod] = {}
         methods: dict[str, tuple[str, ...]] = {}
         for subject, known in ((REGISTRATION, METHODS), (METRICS, METRIC_METHODS)):
@@ -145,6 +148,7 @@ class StressPlan:
             methods[subject] = tuple(name for name in names if found[name] is None)
         asked = not settings.methods or any(name in VERDICT_METHODS for name in settings.methods)
         methods[VERDICTS] = (DEFORM,) if asked else ()
+        methods[CHANGES] = tuple(name for name in CHANGE_METHODS if name in settings.methods or not settings.methods)
         if not any(methods.values()):
             raise InputError(next(iter(missing.values())).reason)
         return cls(ladders, methods, tuple(missing.values()), QUICK_POINTS if settings.quick else POINTS)
@@ -154,7 +158,8 @@ class StressPlan:
         registrations = [METHODS[name].info() for name in self.methods[REGISTRATION]]
         metrics = [METRIC_METHODS[name].info() for name in self.methods[METRICS]]
         verdicts = [method.info() for method in VERDICT_METHODS.values()] if self.methods[VERDICTS] else []
-        return (*registrations, *metrics, *verdicts)
+        changes = [CHANGE_METHODS[name].info() for name in self.methods[CHANGES]]
+        return (*registrations, *metrics, *verdicts, *changes)
 
 
 def run_stress(
@@ -270,6 +275,7 @@ def csv_text(study: StressStudy) -> str:
         REGISTRATION: RegistrationCell,
         METRICS: MetricCell,
         VERDICTS: VerdictCell,
+        CHANGES: ChangeCell,
         RECONSTRUCTION: ReconstructionCell,
     }
     names = list(dict.fromkeys(field.name for kind in kinds.values() for field in fields(kind)))
@@ -319,7 +325,7 @@ def _study(
     results: Sequence[RunResult],
     unit: str | None,
 ) -> StressStudy:
-    by_subject: dict[str, list[Any]] = {REGISTRATION: [], METRICS: [], VERDICTS: []}
+    by_subject: dict[str, list[Any]] = {REGISTRATION: [], METRICS: [], VERDICTS: [], CHANGES: []}
     for run, result in zip(runs, results, strict=True):
         by_subject[run.subject] += result.cells
     used = {run.ladder for run in runs}
@@ -332,6 +338,7 @@ def _study(
         registrations=tuple(settle_refusals(by_subject[REGISTRATION])),
         metrics=tuple(by_subject[METRICS]),
         verdicts=tuple(by_subject[VERDICTS]),
+        changes=tuple(by_subject[CHANGES]),
         provenance=provenance(settings.seed),
     )
 

@@ -16,6 +16,7 @@ from pcbench.studies.stress.limits import (
 )
 from pcbench.studies.stress.results import (
     ALL_SUBJECTS,
+    CHANGES,
     METRICS,
     OUTCOMES,
     PRESETS,
@@ -43,6 +44,8 @@ OUTCOMES_LEGENDS = {
     METRICS: "said: wrong, but explained by the floor or the interval; silent: wrong and not explained;"
     f" {_COST_LEGEND}",
     VERDICTS: f"withheld: no verdict; wrong: contradicts the truth; {_COST_LEGEND}, each for all rules together",
+    CHANGES: "unnamed: no change is reported at its place; wrong: of another kind, or reported elsewhere;"
+    f" {_COST_LEGEND}",
     RECONSTRUCTION: "right: at least half of the F-score of the unperturbed run; warned: less, with a warning;"
     " refused: an error instead of a cloud; degraded: less, without a warning;"
     " CPU s: median; MiB: largest peak of the process",

@@ -24,6 +24,7 @@ from pcbench.studies.stress.limits import (
 )
 from pcbench.studies.stress.reconstructors.words import case_sentences, failure_sentences, limit_sentences
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     FALSE_ALARM,
     FALSE_BEND,
@@ -38,11 +39,13 @@ from pcbench.studies.stress.results import (
     SAID,
     SILENT,
     TIME_OUT,
+    UNNAMED,
     VERDICTS,
     WITHHELD,
     WITHHELD_ALTHOUGH_RIGHT,
     WRONG,
     Cell,
+    ChangeCell,
     MetricCell,
     Rate,
     RegistrationCell,
@@ -61,7 +64,14 @@ _NOMINAL_COVERAGE = 0.95
 
 def sentences(study: StressStudy) -> tuple[str, ...]:
     """Return all conclusions as sentences, those on registration first."""
-    parts = (registration_sentences, metric_sentences, verdict_sentences, reconstruction_sentences, warnings)
+    parts = (
+        registration_sentences,
+        metric_sentences,
+        verdict_sentences,
+        change_sentences,
+        reconstruction_sentences,
+        warnings,
+    )
     return tuple(sentence for part in parts for sentence in part(study))
 
 
@@ -73,6 +83,7 @@ def answer(study: StressStudy) -> Iterator[str]:
             yield _silent_sentence(study, row)
     yield from (_metric_sentence(row) for row in stress_rows(study, METRICS) if row.method.is_ours)
     yield from (_verdict_sentence(row) for row in stress_rows(study, VERDICTS) if row.method.is_ours)
+    yield from (_change_sentence(row) for row in stress_rows(study, CHANGES))
     for row in stress_rows(study, RECONSTRUCTION):
         yield from limit_sentences(study, row)
 
@@ -121,6 +132,23 @@ def verdict_sentences(study: StressStudy) -> Iterator[str]:
             yield f"{row.name} is wrong with confidence under {places}."
         yield from _size_sentence(row)
         yield from _coverage_sentence(row)
+        yield from _break_sentence(row, safe_ranges(study, row))
+        yield from _abort_sentence(study, row)
+
+
+def change_sentences(study: StressStudy) -> Iterator[str]:
+    """Yield how often a change is named, and how often one is reported where nothing changed."""
+    for row in stress_rows(study, CHANGES):
+        yield _change_sentence(row)
+        cells = [cell for cell in row.cells if isinstance(cell, ChangeCell) and cell.outcome not in ABORTED]
+        unnamed = Rate(sum(cell.outcome == UNNAMED for cell in cells), sum(cell.has_to_be_named for cell in cells))
+        false = Rate(sum(cell.elsewhere > 0 for cell in cells), len(cells))
+        parts = [
+            *_share_part("does not name", unnamed, "large change"),
+            *_share_part("reports a change where there is none in", false, "run"),
+        ]
+        if parts:
+            yield f"{row.name} {'; it '.join(parts)}."
         yield from _break_sentence(row, safe_ranges(study, row))
         yield from _abort_sentence(study, row)
 
@@ -280,6 +308,15 @@ def _verdict_sentence(row: StressRow) -> str:
     return (
         f"{row.name}: right in {rate_text(tally.rate(RIGHT))} of {pluralize(tally.total, 'verdict')}, wrong with"
         f" confidence in {rate_text(tally.rate(WRONG))}, withheld in {rate_text(tally.rate(WITHHELD))}."
+    )
+
+
+def _change_sentence(row: StressRow) -> str:
+    tally = Tally.of(row.cells)
+    return (
+        f"{row.name}: names what changed, or that nothing did, in {rate_text(tally.rate(RIGHT))} of"
+        f" {pluralize(tally.total, 'run')}, leaves a large change out in {rate_text(tally.rate(UNNAMED))}, and names"
+        f" another kind or place in {rate_text(tally.rate(WRONG))}."
     )
 
 

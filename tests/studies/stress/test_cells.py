@@ -5,16 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pcbench.changes import ADDED, MOVED
 from pcbench.deformation import Deformation
 from pcbench.deformation.parts import ModelScore
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress import cells, metrics, verdicts
 from pcbench.studies.stress.cells import RunPlan, build_pair, failed_run, plan_runs, run_cell, settle_refusals
+from pcbench.studies.stress.changes import CHANGE_METHODS, ChangeMethod, NamedChange
 from pcbench.studies.stress.ladders import LADDERS
 from pcbench.studies.stress.ladders.ladder import rotation
 from pcbench.studies.stress.methods import METHODS, PoseResult, RegistrationMethod
 from pcbench.studies.stress.results import (
+    CHANGES,
     CRASH,
     FALSE_ALARM,
     FALSE_BEND,
@@ -27,6 +30,7 @@ from pcbench.studies.stress.results import (
     RIGHT,
     SAID,
     SILENT,
+    UNNAMED,
     VERDICTS,
     WITHHELD,
     WITHHELD_ALTHOUGH_RIGHT,
@@ -212,6 +216,41 @@ def test_verdicts_on_a_known_dome():
     assert [cell.method for cell in (ours, bic, tiles)] == list(verdicts.VERDICT_METHODS)
     assert (ours.verdict, ours.outcome, ours.pose_is_right) == ("non-affine", RIGHT, True)
     assert ours.size_in_noise == pytest.approx(4, rel=DIGITS) and ours.ratio == pytest.approx(1, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("level", "kinds", "elsewhere", "outcome"),
+    [
+        (0, [], False, RIGHT),
+        (0, [], True, WRONG),
+        (100, [MOVED], False, RIGHT),
+        (100, [MOVED], True, WRONG),
+        (100, [ADDED], False, WRONG),
+        (100, [], False, UNNAMED),
+        (3, [], False, RIGHT),  # so small a motion may be named or not
+        (3, [MOVED], False, RIGHT),
+    ],
+)
+def test_outcomes_of_changes(level, kinds, elsewhere, outcome, monkeypatch):
+    plan = RunPlan(CHANGES, "terrain", "raised-part", level, None, "changes", 0, 6000)
+    changed = build_pair(plan)
+    true = changed.change
+    found = [NamedChange(kind, true.size, true.points[:20]) for kind in kinds]
+    if elsewhere:
+        place = np.zeros(3) if true is None else true.points.mean(axis=0)
+        far = np.argsort(np.linalg.norm(changed.points - place, axis=1))[-30:]
+        found.append(NamedChange(MOVED, 1.0, changed.points[far]))
+    monkeypatch.setitem(CHANGE_METHODS, "changes", ChangeMethod("changes", lambda _: found))
+    (cell,) = run_cell(plan, changed).cells
+    assert cell.outcome == outcome and cell.named == tuple(kinds) and cell.elsewhere == elsewhere
+    assert cell.has_to_be_named == (level == 100)
+
+
+def test_a_raised_part_is_named():
+    plan = RunPlan(CHANGES, "terrain", "raised-part", 100, None, "changes", 0, 24_000)
+    (cell,) = run_cell(plan, build_pair(plan)).cells
+    assert cell.outcome == RIGHT and cell.named[0] == MOVED
+    assert cell.size == pytest.approx(cell.true_size, rel=0.25)
 
 
 def test_plan_runs_each_subject_once(pair):

@@ -41,7 +41,12 @@ def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_pat
     (tmp_path / "figures" / "worst_3.png").write_bytes(b"")
     files = draw_charts(study(worst=(silent_failure(tmp_path),)), tmp_path)
     assert set((tmp_path / "figures").iterdir()) == set(files)
-    kinds = {"registration": ("start", "parts", "noise"), "metrics": ("noise",), "verdicts": ("warp",)}
+    kinds = {
+        "registration": ("start", "parts", "noise"),
+        "metrics": ("noise",),
+        "verdicts": ("warp",),
+        "changes": ("changes",),
+    }
     expected = {"recall", "basin_start-map", "profiles", "speed", "sizes", "coverage", "worst_1"}
     expected |= {f"{chart}_{subject}" for chart in ("outcomes", "matrix") for subject in kinds}
     expected |= {f"severity_{subject}_{kind}" for subject, found in kinds.items() for kind in found}
@@ -61,7 +66,7 @@ def test_plot_draws_charts_again(run, tmp_path):
 
 
 def test_charts_without_data_are_not_drawn(tmp_path):
-    empty = study(registrations=(), metrics=(), verdicts=())
+    empty = study(registrations=(), metrics=(), verdicts=(), changes=())
     assert draw_charts(empty, tmp_path) == []
 
 

@@ -9,7 +9,7 @@ from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.studies.stress.ladders import LADDERS, displaced, selected
 from pcbench.studies.stress.ladders.warps import split_observable_affine
-from pcbench.studies.stress.results import METRICS, REGISTRATION, SUBJECTS, VERDICTS
+from pcbench.studies.stress.results import SUBJECTS
 from pcbench.studies.stress.scenes import SCENES, WOODED, degenerate_pair, extent_of, scene_pair
 from pcbench.studies.stress.surfaces import DEGENERATE
 
@@ -71,6 +71,7 @@ def test_every_ladder_starts_at_nothing_and_ends_far_from_it(name, city, wooded)
     np.testing.assert_allclose(first.points, city.points, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(first.reference, city.reference)
     moved = not np.allclose(last.T_true.matrix, city.T_true.matrix)
+    moved |= len(last.reference) != len(city.reference)
     assert moved or len(last.points) != len(city.points) or rms(last.points - city.points) > 1e-3
     again = climbed(city, name, ladder.levels[-1])
     np.testing.assert_array_equal(again.candidate, last.candidate)
@@ -192,6 +193,51 @@ def test_shear_is_affine(city):
     assert np.abs(along).max() < 1e-9
 
 
+def test_a_raised_part_is_apart_by_the_stated_noise(city):
+    raised = climbed(city, "raised-part", 30)
+    (rows,) = np.nonzero((raised.points != city.points).any(axis=1))
+    noise = np.hypot(city.noise, city.candidate_noise)
+    np.testing.assert_allclose(raised.points[rows] - city.points[rows], [[0, 0, 30 * noise]] * len(rows), atol=1e-9)
+    assert raised.change.size == pytest.approx(30 * noise) and len(rows) > 10
+    across = raised.points[rows, :2] - raised.points[rows, :2].mean(axis=0)
+    assert np.linalg.norm(across, axis=1).max() < 0.1 * city.extent
+    assert {*map(tuple, raised.points[rows])} < {*map(tuple, raised.change.points)}
+
+
+@pytest.mark.parametrize(("name", "level"), [("added-object", 10), ("removed-object", 10), ("moved-object", 50)])
+def test_objects_are_boxes_that_hide_what_is_below(name, level, city):
+    pair = climbed(city, name, level)
+    side = 0.1 * city.extent
+    clouds = {"added-object": [pair.points], "removed-object": [pair.reference]}.get(
+        name, [pair.reference, pair.points]
+    )
+    added = [{*map(tuple, cloud)} & {*map(tuple, pair.change.points)} for cloud in clouds]
+    assert sum(map(len, added)) == len(pair.change.points)
+    tops = []
+    for box, cloud in zip((np.array(sorted(points)) for points in added), clouds, strict=True):
+        low, high = box.min(axis=0), box.max(axis=0)
+        np.testing.assert_allclose(high - low, [side, side, side / 2], rtol=0.15)
+        inside = ((cloud > low + 0.05 * side) & (cloud < high - 0.05 * side)).all(axis=1)
+        assert not inside.any()
+        # The top has a third of the area of top and walls.
+        assert np.mean(box[:, 2] > high[2] - 0.02 * side) == pytest.approx(1 / 3, abs=1.5 / np.sqrt(len(box)))
+        tops.append((low + high) / 2)
+    if name == "moved-object":
+        assert np.linalg.norm(tops[1] - tops[0]) == pytest.approx(side / 2, rel=0.1)
+        assert pair.change.size == pytest.approx(side / 2)
+
+
+def test_the_exact_part_has_the_stated_share_and_no_error(city):
+    pair = climbed(city, "exact-part", 75)
+    for cloud in (pair.reference, pair.points):
+        middle = np.percentile(city.reference, [1, 99], axis=0).mean(axis=0)
+        exact = (cloud[:, :2] == middle[:2]).any(axis=1)
+        assert exact.mean() == pytest.approx(0.75, abs=1e-3)
+    assert pair.true_rms == pytest.approx(4 * np.hypot(city.noise, city.candidate_noise) / 2)
+    bent = pair.points[: len(city.points)] - city.points
+    assert np.sqrt(np.square(np.einsum("ni,ni->n", bent, city.normals)).mean() / 4) == pytest.approx(pair.true_rms)
+
+
 def test_ladders_are_described_alike():
     for name, ladder in LADDERS.items():
         assert name == ladder.name and set(ladder.subjects) <= set(SUBJECTS)
@@ -199,7 +245,7 @@ def test_ladders_are_described_alike():
         assert len(ladder.quick) <= 3 <= len(ladder.levels)
         info = ladder.info(quick=False)
         assert info.levels == ladder.levels and info.is_map == (ladder.perturb_map is not None)
-    assert {subject for ladder in LADDERS.values() for subject in ladder.subjects} == {REGISTRATION, METRICS, VERDICTS}
+    assert {subject for ladder in LADDERS.values() for subject in ladder.subjects} == set(SUBJECTS)
     info = LADDERS["degenerate"].info(quick=True)
     assert [info.level_text(level) for level in info.levels] == ["plane", "half-turn building"]
 

@@ -20,7 +20,9 @@ from pcbench.studies.stress.results import REGISTRATION, SILENT, SUBJECTS, VERDI
 from pcbench.studies.stress.scenes import given_pair, scene_pair
 from pcbench.studies.stress.study import GivenClouds, StressPlan, run_stress
 
-SETTINGS = StressSettings(quick=True, only="start-rotation,density,degenerate", methods=("icp", "pcbench", "deform"))
+SETTINGS = StressSettings(
+    quick=True, only="start-rotation,density,raised-part,degenerate", methods=("icp", "pcbench", "deform", "changes")
+)
 
 
 def small_plan(settings):
@@ -40,7 +42,7 @@ def outcome(folder):
 
 def test_quick_study_answers_each_subject(outcome):
     study = outcome.study
-    assert {ladder.name for ladder in study.ladders} == {"start-rotation", "density", "degenerate"}
+    assert {ladder.name for ladder in study.ladders} == {"start-rotation", "density", "raised-part", "degenerate"}
     for subject in SUBJECTS:
         assert study.cells(subject), subject
     cells = {(cell.ladder, cell.level): cell for cell in study.registrations}

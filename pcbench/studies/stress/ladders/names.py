@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pcbench.studies.stress.ladders.changes import CHANGE_LADDERS
 from pcbench.studies.stress.ladders.choice import choose
 from pcbench.studies.stress.ladders.degenerate import DEGENERATE_LADDERS
 from pcbench.studies.stress.ladders.ladder import Ladder
@@ -19,6 +20,7 @@ LADDERS = {
         *PHOTOGRAMMETRIC_LADDERS,
         *PART_LADDERS,
         *WARP_LADDERS,
+        *CHANGE_LADDERS,
         *DEGENERATE_LADDERS,
     )
 }
