@@ -23,6 +23,8 @@ _CELLS_ALONG_DIAGONAL = 28  # cells along the diagonal of the scene
 _CORRELATION_RADII = (0, 1, 2, 3, 5, 8)  # candidate correlation lengths, in cells to either side
 _CORRELATION_Z = 1.3  # standard errors by which the products of cells must exceed zero to count as correlated
 _MIN_VARIANCE_SHARE = 0.2  # minimum share of the variance left after subtracting the mean
+_UNSEEN_PROBABILITY = 0.025  # of exceptions that no query shows
+_POINTS_PER_GAP = 2.0  # queries that fall into one gap of the other cloud
 _MIN_DEGREES_OF_FREEDOM = 2.0  # lower bound of the estimate
 
 
@@ -52,6 +54,7 @@ class LinearizedScore(NamedTuple):
     value: float
     influence: FloatArray  # (B,)
     largest: float = math.inf  # upper bound of the score; the lower bound is 0
+    queries: float = math.inf  # number of queries of a share
 
 
 class ScoreUncertainty(NamedTuple):
@@ -153,8 +156,15 @@ def spreads(
 
 
 def interval(score: LinearizedScore, spread: ScoreUncertainty) -> Interval:
-    """Return the confidence interval of a score, computed on a log scale, or on a log-odds scale for a share."""
+    """Return the confidence interval of a score, computed on a log scale, or on a log-odds scale for a share.
+
+    A share of 0 or of all queries shows no variation. Its interval reaches to the share whose exceptions would all have
+    been missed with a probability of 2.5 % (Clopper & Pearson 1934), if exceptions come in gaps of several points.
+    """
     value, largest = score.value, score.largest
+    if largest < math.inf and value in (0, largest):
+        rest = largest * (1 - _UNSEEN_PROBABILITY ** (_POINTS_PER_GAP / score.queries))
+        return Interval(0.0, rest) if value == 0 else Interval(largest - rest, largest)
     if spread.sigma == 0 or not 0 < value < largest:
         return Interval(value, value)
     reach = student_t_quantile(spread.degrees_of_freedom) * spread.sigma * (1 / value + 1 / (largest - value))

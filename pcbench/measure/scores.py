@@ -153,7 +153,9 @@ def _linearized_scores(
         total = p.value + r.value
         slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
         influence = slopes[0] * p.influence + slopes[1] * r.influence
-        found[f"fscore/{threshold!r}"] = LinearizedScore(metrics.harmonic_mean(p.value, r.value), influence, 1.0)
+        found[f"fscore/{threshold!r}"] = LinearizedScore(
+            metrics.harmonic_mean(p.value, r.value), influence, 1.0, min(p.queries, r.queries)
+        )
     return found
 
 
@@ -196,7 +198,9 @@ def _linearized_means(
         influence = cells.sums / direction.count - cells.mean * shares
         if square > 0:
             influence = influence - float(uneven @ influence) / square * uneven
-        return LinearizedScore(cells.mean, influence, 1.0 if name in shares_within else math.inf)
+        is_share = name in shares_within
+        largest, queries = (1.0, direction.count) if is_share else (math.inf, math.inf)
+        return LinearizedScore(cells.mean, influence, largest, queries)
 
     return {name: linearize(name, cells) for name, cells in direction.means.items()}
 

@@ -1,5 +1,7 @@
 """Intervals: estimates for fields of known variance, and coverage of the expectation."""
 
+import math
+
 import numpy as np
 import pytest
 from coverage_cases import Case, coverage, draw
@@ -107,3 +109,17 @@ def test_noise_correlated_over_a_third_of_the_scene_gives_a_warning():
 
     assert sum(runs_with_warning("L/2")) >= 6
     assert not any(runs_with_warning("white"))
+
+
+@pytest.mark.parametrize("points", [300, 1000])
+def test_a_precision_of_one_has_an_interval(points):
+    """Some points lie beyond the threshold, with an expectation of 0.3 and 0.9: often none is drawn."""
+    assert coverage(Case("plane", "none", points, points), 20).shares[-1] >= 0.85  # 0.40 and 0.68 with no width
+
+
+def test_a_share_of_all_or_none_reaches_to_what_would_be_seen():
+    exact = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
+    low, high = interval(LinearizedScore(1.0, np.zeros(1), 1.0, 1000), exact)
+    assert (low, high) == (pytest.approx(0.025 ** (2 / 1000)), 1.0)
+    assert interval(LinearizedScore(0.0, np.zeros(1), 1.0, 1000), exact) == (0.0, pytest.approx(1 - low))
+    assert interval(LinearizedScore(2.0, np.zeros(1)), exact) == (2.0, 2.0)
