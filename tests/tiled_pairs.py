@@ -19,11 +19,11 @@ SUMS = ("mse", "mean", "rms", "bias", "std", "chamfer", "sum_", "area_weighted",
 
 
 def numbers(candidate):
-    """All numbers of a candidate by name, and their intervals."""
+    """All numbers of a candidate that tiles compute too, by name, and their intervals."""
     return {
         (q.metric, q.direction, q.threshold, q.variant): (q.value, q.interval)
         for q in quantities(candidate)
-        if q.variant not in ("mpeg", "tnt")
+        if q.variant not in ("mpeg", "tnt") and q.section != "budget"
     }
 
 

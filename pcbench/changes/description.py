@@ -14,13 +14,14 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.voxels import cells
 
-_MAX_SIZE_RATIO = 1.6  # of the areas of a part before and after it moved
+_MAX_SIZE_RATIO = 2.0  # of the areas of a part before and after it moved
 # Distance of a moved part from its former or new place, in voxels, for most of its points.
-_MAX_MISFIT, _FITTING_PERCENT = 1.5, 80
+_MAX_MISFIT, _FITTING_PERCENT, _COMMON_PERCENT = 1.5, 80, 60
 _REFINEMENTS = 3  # of a motion by closest points
 _SURROUNDINGS = 2.0  # radius of a part's surroundings, in radii of the part
 _CELL = 3.0  # side of the cells of a footprint, in voxels
 _MIN_COVERED_SHARE = 0.5
+_MIN_FOOTPRINT_SHARE = 0.4  # of the occupied cells: those of narrow parts lie along the outline
 _MIN_RELIEF = 4.0  # height of an object above its surroundings, in voxels
 
 
@@ -80,8 +81,8 @@ class Scene(NamedTuple):
 
     def p_value(self, part: Part) -> float:
         """Return the probability that sampling and noise produce points as significant as these anywhere."""
-        least = [float(tests.p[rows].min(initial=1.0)) for tests, rows in zip(self.evidence, part, strict=True)]
-        return min(1.0, min(least) * sum(map(len, self.samples)))
+        least = min(tests.p_value(rows) for tests, rows in zip(self.evidence, part, strict=True))
+        return min(1.0, least * sum(map(len, self.samples)))
 
 
 def describe(parts: Sequence[Part], scene: Scene) -> list[tuple[Part, Change | None]]:
@@ -127,8 +128,13 @@ def _motion(ours: Shown, theirs: Shown, scene: Scene, normal: FloatArray) -> Flo
     Each part, displaced, has to lie on the other cloud: its former or its new place.
     """
     along = float(np.median(theirs.signed)) * normal
+    return _best_motion(ours, theirs, scene, [theirs.center - ours.center, along])
+
+
+def _best_motion(ours: Shown, theirs: Shown, scene: Scene, starts: Sequence[FloatArray]) -> FloatArray | None:
+    """Return the motion (3,) with the smallest misfit, refined from several starts; None if none fits."""
     best, least = None, _MAX_MISFIT * scene.side
-    for start in (theirs.center - ours.center, along):
+    for start in starts:
         motion = start
         for _ in range(_REFINEMENTS):
             back = scene.samples[0].index.query(theirs.points - motion)
@@ -159,18 +165,35 @@ def _same_shapes(removed: Sequence[Part], added: Sequence[Part], scene: Scene) -
         for j, theirs in enumerate(after):
             if not 1 / _MAX_SIZE_RATIO <= ours.area / theirs.area <= _MAX_SIZE_RATIO:
                 continue
-            motion = theirs.center - ours.center
-            misfit = max(
-                _upper_misfit(Index(theirs.points), ours.points + motion),
-                _upper_misfit(Index(ours.points), theirs.points - motion),
-            )
-            if misfit <= _MAX_MISFIT * scene.side:
-                pairs.append((float(np.linalg.norm(motion)), i, j))
+            motion = _shortest_motion(ours, theirs, scene)
+            if motion is not None and _have_same_shape(ours, theirs, scene.side):
+                pairs.append((float(np.linalg.norm(motion)), i, j, motion))
     found: list[tuple[int, int, FloatArray]] = []
-    for _, i, j in sorted(pairs):
+    for _, i, j, motion in sorted(pairs, key=lambda pair: pair[:3]):
         if all(i != a and j != b for a, b, _ in found):
-            found.append((i, j, after[j].center - before[i].center))
+            found.append((i, j, motion))
     return found
+
+
+def _shortest_motion(ours: Shown, theirs: Shown, scene: Scene) -> FloatArray | None:
+    """Return the shortest motion (3,) that fits.
+
+    Of an object that moved by less than its size, only the ends differ, and they lie farther apart than it moved.
+    """
+    for share in (0.25, 0.5, 0.75, 1.0):
+        motion = _best_motion(ours, theirs, scene, [share * (theirs.center - ours.center)])
+        if motion is not None and np.linalg.norm(motion) > scene.side:
+            return motion
+    return None
+
+
+def _have_same_shape(ours: Shown, theirs: Shown, side: float) -> bool:
+    """Return whether each of two parts, moved to the same centre, lies on the other, up to missing pieces."""
+    motion = theirs.center - ours.center
+    return all(
+        float(np.percentile(Index(a).query(b).distances, _COMMON_PERCENT)) <= 2 * _MAX_MISFIT * side
+        for a, b in ((theirs.points, ours.points + motion), (ours.points, theirs.points - motion))
+    )
 
 
 def _moved(ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, scene: Scene, part: Part) -> Change:
@@ -192,15 +215,28 @@ def _grown(part: Part, which: int, up: FloatArray, scene: Scene) -> Change:
     """Return the change of a part that one cloud shows (0: the reference), by its height above the other cloud."""
     shown, other, step = scene.shown(part)[which], scene.samples[1 - which], _CELL * scene.side
     heights = (1.0 if which else -1.0) * _heights(shown.points, other, up, scene.side)
-    grid = cells(np.column_stack([_in_plane(shown.points, up), np.zeros(len(shown))]), step)
+    flat = np.column_stack([_in_plane(shown.points, up), np.zeros(len(shown))])
+    grid = cells(flat, step)
     largest = np.zeros(len(grid.first))
     np.maximum.at(largest, grid.of_point, np.abs(heights))
     means = grid.means(heights)
     # The top of an object limits its volume, and the mean of a surface's points, which are noisy, is its height.
     columns = np.where(largest > np.abs(means) + step, np.sign(means) * largest, means)
-    volume, mean = float(columns.sum()) * step**2, float(np.average(heights, weights=shown.areas))
-    kind = ADDED if which else REMOVED
+    mean = float(np.average(heights, weights=shown.areas))
+    volume = float(columns.mean()) * _footprint(flat, step)
+    # Where both clouds show a surface, material was added if the candidate's is higher.
+    is_added = mean > 0 if min(len(part.reference), len(part.candidate)) > 0 else which == 1
+    kind = ADDED if is_added else REMOVED
     return _change(kind, shown.center, [shown], shown.area, volume, mean, _peak(heights), None, part, scene)
+
+
+def _footprint(flat: FloatArray, step: float) -> float:
+    """Return the area that points (N, 3) in a plane cover.
+
+    Cells along the outline count as a whole, in proportion to their side: twice the side shows how much that adds.
+    """
+    fine, coarse = (len(cells(flat, side).first) * side**2 for side in (step, 2 * step))
+    return max(2 * fine - coarse, _MIN_FOOTPRINT_SHARE * fine)
 
 
 def _heights(points: FloatArray, other: Sample, up: FloatArray, side: float) -> FloatArray:

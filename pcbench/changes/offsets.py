@@ -23,6 +23,8 @@ _MIN_LEVEL_SHARE = 0.5  # of the cell's offset, which a point that belongs to it
 _NULL_SHARE = 0.4  # of the cells, which is stable whatever changed: its width gives the scatter of all stable cells
 _NULL_Z = 0.5244  # half width of the inner 40 % of a normal distribution, in standard deviations
 _REGION_CELLS = 25
+# Smallest noise of a region, in the upper quartile of all regions and in voxels: planes do not resolve less.
+_MIN_NOISE_SHARE, _MIN_NOISE_SPACINGS = 0.3, 0.0075
 _MAD = 1.4826
 _MEDIAN_ERROR = 1.2533  # standard error of a median over that of a mean, for normal values
 
@@ -112,7 +114,9 @@ def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
     places = np.stack([grid.means(sample.points[:, axis]) for axis in range(3)], axis=1)
     around = Index(places[known]).query(places, min(_REGION_CELLS, len(known))).indices.reshape(count, -1)
     found: FloatArray = _MAD * np.median(spread[known][around], axis=1)[grid.of_point]
-    return found
+    # Where planes are exact, the noise of a region is zero, but not that of the scene.
+    least = max(_MIN_NOISE_SHARE * float(np.percentile(found[sheet], 75)), _MIN_NOISE_SPACINGS * sample.side)
+    return np.maximum(found, least)
 
 
 def _group_quantiles(values: FloatArray, group: IntArray, count: int, share: float) -> FloatArray:

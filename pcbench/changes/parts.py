@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.changes.offsets import OffsetTest
+from pcbench.changes.presence import BALLS, Absence
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 
 _LINK = 4.0  # largest gap between points of one part, in voxels of the samples
-# Sampled points of a part in one cloud that have no counterparts, or of each cloud that lie off the other's surface. In
-# random halves of real scans, the largest cluster of points without counterparts has four.
-_MIN_POINTS = 8
+_MIN_POINTS = 10  # sampled points of each cloud that lie off the other's surface in one part
 _MAX_RATIO = 2.0  # of the offsets that both clouds show
 
 
@@ -26,24 +25,28 @@ class Evidence(NamedTuple):
     Attributes:
         offsets: tests for an offset from the other cloud's surface.
         signed: (N,) signed distances from that surface.
-        absence: (N,) p-values of the number of counterparts.
-        is_absent: (N,) whether there are too few counterparts.
+        absence: tests for counterparts.
     """
 
     offsets: OffsetTest
     signed: FloatArray
-    absence: FloatArray
-    is_absent: NDArray[np.bool_]
+    absence: Absence
 
     @property
     def is_flagged(self) -> NDArray[np.bool_]:
         """(N,) whether a point differs from the other cloud."""
-        return self.is_absent | self.offsets.is_off
+        return self.absence.is_absent | self.offsets.is_off
 
-    @property
-    def p(self) -> FloatArray:
-        """(N,) smaller p-value of both tests."""
-        return np.minimum(self.offsets.p, self.absence)
+    def p_value(self, rows: IntArray) -> float:
+        """Return the probability that a part, given by its rows, differs by chance at one place.
+
+        Points share the neighbours in a ball, so that each ball counts once.
+        """
+        if not len(rows):
+            return 1.0
+        balls = max(1.0, len(rows) / BALLS[0].points)
+        log_p = balls * float(np.log(np.maximum(self.absence.p[rows], 1e-300)).mean())
+        return min(float(self.offsets.p[rows].min()), float(np.exp(max(log_p, -690.0))))
 
 
 class Part(NamedTuple):
@@ -102,8 +105,7 @@ def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArr
 
 
 def _is_significant(part: Part, evidence: Sequence[Evidence]) -> bool:
-    absent = [np.count_nonzero(each.is_absent[rows]) for rows, each in zip(part, evidence, strict=True)]
-    if max(absent) >= _MIN_POINTS:
+    if any(each.absence.is_significant(rows) for rows, each in zip(part, evidence, strict=True)):
         return True
     off = [rows[each.offsets.is_off[rows]] for rows, each in zip(part, evidence, strict=True)]
     if min(map(len, off)) < _MIN_POINTS:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.changes.samples import Sample
-from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 
 _REGION_POINTS = 400  # nearest points whose median density ratio is expected at a point
@@ -13,8 +16,50 @@ _POINTS_PER_REGION = 50
 _MIN_DENSITY_SHARE = 0.5  # of the scene's median ratio: a missing object must not hide itself
 
 
-def absence(sample: Sample, other: Index) -> FloatArray:
-    """Return (N,) p-values of the points of a sample: the probability of as few points of another cloud around them.
+class Ball(NamedTuple):
+    """A size of the ball around a point, in which counterparts are counted.
+
+    Attributes:
+        points: number of other points of the sample in it.
+        max_p: p-value of the number of counterparts below which they are absent.
+        min_part: number of such points that makes a connected part significant. In random halves of 13 real scans, the
+            largest chance cluster had 8, 2 and 1 points.
+    """
+
+    points: int
+    max_p: float
+    min_part: int
+
+
+# Small balls show thin and small objects, which stand on a surface that has not changed.
+BALLS = (Ball(8, 5e-3, 12), Ball(12, 1e-3, 6), Ball(24, 1e-4, 5))
+
+
+class Absence(NamedTuple):
+    """Test for counterparts at each point of a sample, N points.
+
+    Attributes:
+        p: (N,) p-value of the number of counterparts in the smallest ball.
+        in_balls: (B, N) whether too few counterparts are in each ball of `BALLS`.
+    """
+
+    p: FloatArray
+    in_balls: NDArray[np.bool_]
+
+    @property
+    def is_absent(self) -> NDArray[np.bool_]:
+        """(N,) whether too few counterparts are in any of the balls."""
+        found: NDArray[np.bool_] = np.logical_or.reduce(self.in_balls)
+        return found
+
+    def is_significant(self, rows: IntArray) -> bool:
+        """Return whether a connected part, given by rows, has more such points than chance produces."""
+        counts = np.count_nonzero(self.in_balls[:, rows], axis=1)
+        return any(count >= ball.min_part for count, ball in zip(counts, BALLS, strict=True))
+
+
+def find_absence(sample: Sample, other: Index) -> Absence:
+    """Count the points of another cloud around each point of a sample.
 
     If both clouds show the same surface, of the n points in a ball that are not the sample's k, n is distributed as
     Binomial(k + n, rho / (1 + rho)) with the ratio rho of the densities. It is the regional median of n / k, and at
@@ -26,15 +71,24 @@ def absence(sample: Sample, other: Index) -> FloatArray:
     """
     from scipy.special import bdtr
 
-    own = sample.near.distances.shape[1]
-    most = min(2 * own, len(other))
-    distances = other.query(sample.points, most).distances.reshape(len(sample), most)
-    counts = np.count_nonzero(distances <= sample.reach[:, None], axis=1)
-    ratios = counts / own
+    own = sample.near.distances
+    distances = other.query(sample.points, min(own.shape[1], len(other))).distances.reshape(len(sample), -1)
+
+    def count(points: int) -> IntArray:
+        found: IntArray = (distances <= own[:, points - 1, None]).sum(axis=1)
+        return found
+
+    density = _density_ratios(sample, count(own.shape[1]) / own.shape[1])
+    share = density / (1 + density)
+    p = np.stack([bdtr(count(ball.points), ball.points + count(ball.points), share) for ball in BALLS])
+    return Absence(p[0].astype(np.float64), p < np.array([[ball.max_p] for ball in BALLS]))
+
+
+def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
+    """Return the ratio (N,) of the other cloud's density to the sample's in the region around each point."""
     anchors = np.arange(0, len(sample), _POINTS_PER_REGION)
     regions = sample.index.query(sample.points[anchors], min(_REGION_POINTS, len(sample))).indices
     typical = np.median(ratios[regions.reshape(len(anchors), -1)], axis=1)
     region = Index(sample.points[anchors]).query(sample.points).indices
-    density = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
-    found: FloatArray = bdtr(counts, own + counts, density / (1 + density))
+    found: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
     return found

@@ -14,6 +14,7 @@ from pcbench.geometry.voxels import voxel_downsample
 
 MAX_SAMPLE = 60_000
 _COUNTED_POINTS = 240_000  # even sample that fills nearly all of `MAX_SAMPLE` voxels
+_SIDE_VOXELS = 1.5
 _SMOOTHED_POINTS = 8  # nearest points over which distances are smoothed
 NEIGHBORS = 24  # other points in the ball around a point, on which its area and its counterparts are measured
 
@@ -25,7 +26,7 @@ class Sample:
     Attributes:
         rows: (N,) rows in the cloud.
         index: search index over the sample.
-        side: side of the voxels that hold one point each.
+        side: length scale of the sample: one and a half sides of the voxels that hold one point each.
     """
 
     rows: IntArray
@@ -34,8 +35,8 @@ class Sample:
 
     @classmethod
     def of(cls, surface: Surface, side: float) -> Sample:
-        """Return the sample with one point per voxel of a side."""
-        rows = surface.first_in_cells(side)
+        """Return the sample at a length scale."""
+        rows = surface.first_in_cells(side / _SIDE_VOXELS)
         return cls(rows, Index(surface.points[rows]), side)
 
     def __len__(self) -> int:
@@ -63,7 +64,7 @@ class Sample:
         found: FloatArray = np.median(values[rows], axis=1)
         return found
 
-    @property
+    @cached_property
     def areas(self) -> FloatArray:
         """Area (N,) of the surface that each point represents."""
         found: FloatArray = np.pi * np.square(self.reach) / self.near.distances.shape[1]
@@ -71,15 +72,15 @@ class Sample:
 
 
 def common_side(reference: Surface, candidate: Surface, noise: float) -> float:
-    """Return the side of voxels for samples of both clouds: two standard deviations of the noise or more.
+    """Return the length scale for samples of both clouds: two standard deviations of the noise or more.
 
-    In larger voxels than the noise, the points around a point lie along the surface rather than across it.
+    At scales beyond the noise, the points around a point lie along the surface rather than across it.
     """
-    side = max(2 * noise, 1.5 * max(reference.spacing, candidate.spacing))
+    side = max(2 * noise, _SIDE_VOXELS * max(reference.spacing, candidate.spacing))
     for surface in (reference, candidate):
         points = surface.index.every(max(1, len(surface) // _COUNTED_POINTS))
-        points = points[voxel_downsample(points, side)]
+        points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
         while len(points) > MAX_SAMPLE:
             side *= max(1.05, float(np.sqrt(len(points) / MAX_SAMPLE)))
-            points = points[voxel_downsample(points, side)]
+            points = points[voxel_downsample(points, side / _SIDE_VOXELS)]
     return side

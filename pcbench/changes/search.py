@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from pcbench.changes.description import Scene, describe
 from pcbench.changes.offsets import Offsets, find_offsets, shortest_width
 from pcbench.changes.parts import Evidence, connected_parts
-from pcbench.changes.presence import absence
+from pcbench.changes.presence import find_absence
 from pcbench.changes.result import STABLE, UNMATCHED, Change
 from pcbench.changes.samples import Sample, common_side
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.normals import Surface
 
 _MIN_POINTS = 100
-_MAX_P_ABSENT = 1e-4
 _MAX_NOISE_SAMPLE = 10_000
 _MAX_SHEET_VARIATION = 0.03  # surface variation, or four times its lower quartile: a smooth surface
 _MAX_TANGENTIAL = 3.0  # tangential distance of closest points on the same surface, in voxels of the sample
@@ -81,8 +80,7 @@ def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
     offsets = _offsets(reference, candidate, samples)
     evidence = []
     for sample, other, found in zip(samples, samples[::-1], offsets, strict=True):
-        p = absence(sample, other.index)
-        evidence.append(Evidence(find_offsets(sample, found), found.signed, p, p < _MAX_P_ABSENT))
+        evidence.append(Evidence(find_offsets(sample, found), found.signed, find_absence(sample, other.index)))
     scene = Scene(samples, evidence, [found.normals for found in offsets])
     described = describe(list(connected_parts(samples, evidence)), scene)
     changed = [(part, change) for part, change in described if change is not None]

@@ -154,6 +154,8 @@ def register(
 
 def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) -> Iterator[str]:
     """Yield lines on the motion of a registration and its precision."""
+    from pcbench.report.moved import motion_clause
+
     motion = result.T_reference_candidate.motion_at(centroid)
     unit_text = f" {unit}" if unit else ""
     shift = motion.shift * (abs(motion.shift) > 1e-14 * abs(centroid).max())  # smaller shifts are rounding errors
@@ -164,6 +166,8 @@ def _motion_lines(result: Registration, centroid: FloatArray, unit: str | None) 
     fixed = " (not estimated)" if motion.scale == 1 and not result.solved_scale else ""
     yield f"scale: {motion.scale:.8g}{fixed}"
     sigma = "unconstrained" if result.weakest_sigma is None else f"{result.weakest_sigma:.3g}{unit_text}"
+    if (removed := result.motion) is not None:
+        yield f"{motion_clause(result, removed, 'the candidate', unit)}, at the centre of the overlap"
     state = {True: "converged", False: "NOT converged", None: "no iteration"}[result.converged]
     yield (
         f"{result.method}: {'the pose is DOUBTFUL, ' if result.doubtful else ''}rmse {result.rmse:.4g}{unit_text},"

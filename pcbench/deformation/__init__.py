@@ -29,6 +29,7 @@ from pcbench.deformation.pairs import Side
 from pcbench.deformation.parts import (
     Amplitude,
     Bin,
+    DetectableSize,
     Field,
     Growth,
     LocalChanges,
@@ -37,6 +38,8 @@ from pcbench.deformation.parts import (
     Observable,
     Tiles,
     Trend,
+    Wave,
+    WaveLimit,
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
@@ -47,6 +50,7 @@ __all__ = [
     "Amplitude",
     "Bin",
     "Deformation",
+    "DetectableSize",
     "Field",
     "Growth",
     "LocalChanges",
@@ -57,6 +61,8 @@ __all__ = [
     "TileSums",
     "Tiles",
     "Trend",
+    "Wave",
+    "WaveLimit",
     "deform",
     "assess",
     "residual_deformation",

@@ -16,6 +16,7 @@ from pcbench.deformation.size import (
     effective_count,
     minimum_detectable_rms,
     observable_shares,
+    stated_rms,
     with_systematic_errors,
 )
 from pcbench.deformation.sums import TileSums
@@ -33,13 +34,15 @@ def assess(sums: TileSums, *, metric: bool = True, resolution: float = 0.0, seed
         seed: random seed for the folds of the cross-validation.
     """
     view = PairEvidence.of(sums)
-    return describe(view, decide([view], metric=metric, resolution=resolution), resolution=resolution, seed=seed)
+    finding = decide([view], metric=metric, resolution=resolution)
+    return describe(view, finding, resolution=resolution, seed=seed).without_empty_denial()
 
 
 def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, seed: int = 0) -> Deformation:
     """Complete a finding with model scores, amplitude, noise, local changes and the minimum detectable deformation."""
     sums, geometry, scores, noise = view
     negligible = max(resolution, negligible_rms(noise))
+    stated = stated_rms(negligible, noise)
     rungs = cross_validate(geometry, scores, noise, seed)
     beyond = geometry.step("affine", finding.model if PARAMETERS[finding.model] > 12 else "quadratic")
     cells = CellDisplacements(geometry, scores, noise, sums)
@@ -67,7 +70,8 @@ def describe(view: PairEvidence, finding: Finding, *, resolution: float = 0.0, s
             local=local,
             minimum_detectable_rms=minimum_detectable_rms(geometry, noise),
             negligible_rms=negligible,
-            detectable=detectable_sizes(geometry, noise, negligible),
+            stated_rms=stated,
+            detectable=detectable_sizes(geometry, noise, stated),
             conditional_verdict=finding.conditional,
             warnings=finding.warnings,
         )

@@ -13,7 +13,7 @@ _NEAR_WIDTH_BLOCKS, _FAR_WIDTH_BLOCKS = 1.0, 3.0
 # Residuals below this share of their 90th percentile count as exact: of normal ones, 1.3 % do.
 _EXACT_SHARE = 0.01
 _MIN_NOISY_WEIGHT, _MIN_NOISY_BLOCKS = 0.15, 0.25  # shares of a block's weight, and of the blocks, that have noise
-_WELL_SEEN, _MIN_WEIGHT_SHARE = 0.75, 0.1  # quantile of the blocks' mean weight; share of it that a block needs
+_MIN_WEIGHT_SHARE = 0.1  # of the mean weight of well seen blocks: one with less says nothing
 _MIN_SIZE = 0.5  # of the blocks' median: a quiet part does not set the scale of the others
 
 
@@ -59,12 +59,12 @@ def smooth(places: FloatArray, values: FloatArray, weights: FloatArray) -> Float
 
 
 def share_with_weight(places: FloatArray, weights: FloatArray, areas: FloatArray) -> float:
-    """Return the share of the area in blocks whose mean weight is at least a tenth of that of well seen blocks."""
+    """Return the share of the area in blocks whose mean weight is at least a tenth of that behind half of the fit."""
     blocks, _ = _blocks(places)
-    area = np.bincount(blocks.of_point, areas)
-    mean = np.bincount(blocks.of_point, areas * weights) / area
+    area, total = np.bincount(blocks.of_point, areas), np.bincount(blocks.of_point, areas * weights)
+    mean = total / area
     order = np.argsort(mean)
-    well_seen = mean[order][np.searchsorted(np.cumsum(area[order]), _WELL_SEEN * area.sum())]
+    well_seen = mean[order][np.searchsorted(np.cumsum(total[order]), 0.5 * total.sum())]
     return float(area[(mean >= _MIN_WEIGHT_SHARE * well_seen) & (mean > 0)].sum() / area.sum())
 
 

@@ -142,6 +142,7 @@ class Pairs:
         spacing: median spacing of the points that define the planes.
         plane_spacing: root mean square of their spacing at the pairs, which is larger where the density varies.
         distance: median distance of the closest points.
+        field: the largest model, of the candidate.
     """
 
     places: FloatArray
@@ -159,6 +160,7 @@ class Pairs:
     spacing: float
     plane_spacing: float
     distance: float
+    field: Displacement
 
 
 def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
@@ -201,12 +203,21 @@ class PairSearch:
         closest = surface.surface.index.query(queries.surface.points[rows])
         return cls(queries, surface, -1.0 if swapped else 1.0, rows, closest)
 
+    @property
+    def candidate(self) -> Side:
+        """The candidate, which may be queried or searched."""
+        return self.queries if self.sign > 0 else self.surface
+
+    @property
+    def reference(self) -> Side:
+        """The reference."""
+        return self.surface if self.sign > 0 else self.queries
+
     def coincides(self, within: float) -> bool:
         """Return whether every candidate point lies within a distance of a reference point, however it is weighted."""
         if self.closest.distances.max() > within:
             return False
-        candidate, reference = (self.queries, self.surface)[:: int(self.sign)]
-        return candidate.lies_on(reference, within)
+        return self.candidate.lies_on(self.reference, within)
 
     def find(self, follow: bool) -> Pairs | None:
         """Return the pairs; None if there are too few.
@@ -371,7 +382,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places, spacings = _local_means(surface, pairs.closest)
     quality = pairs.quality
-    fitted, left = _fit_frozen_pairs(pairs, field, places)
+    field, fitted, left = _fit_frozen_pairs(pairs, field, places)
     squared = _squared_ratios(left, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
@@ -394,6 +405,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         spacing=surface.spacing,
         plane_spacing=math.sqrt(np.average(np.square(spacings), weights=weights)) if weights.any() else surface.spacing,
         distance=float(np.median(pairs.distances)),
+        field=field,
     )
 
 
@@ -432,8 +444,10 @@ def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArr
     return means, spacings
 
 
-def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Fit by iteratively reweighted least squares; return the model along the normals (N,) and the residuals (N,).
+def _fit_frozen_pairs(
+    pairs: _PlanePairs, field: Displacement, places: FloatArray
+) -> tuple[Displacement, FloatArray, FloatArray]:
+    """Fit by iteratively reweighted least squares; return the model, its part along the normals (N,), the residuals.
 
     Damping is minimal, because no further closest points are searched.
     """
@@ -446,7 +460,7 @@ def _fit_frozen_pairs(pairs: _PlanePairs, field: Displacement, places: FloatArra
         if np.abs(left - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
             break
         weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
-    return fitted, left
+    return field, fitted, left
 
 
 def tile_sums(pairs: Pairs) -> TileSums:

@@ -165,6 +165,41 @@ class DetectableSize:
 
 
 @dataclass(frozen=True)
+class Wave:
+    """A wave of the displacement that is shorter than a cubic field shows, such as an error from strip to strip.
+
+    Attributes:
+        length: from crest to crest, in the clouds' unit.
+        direction: unit vector from crest to crest.
+        axis: axis x, y or z of the displacement.
+        rms: RMS displacement along the normals, in the clouds' unit.
+        ci: 95 % confidence interval of `rms`.
+        gain: standard errors by which the wave, fitted to half of the tiles, predicts the other half better than none.
+    """
+
+    length: float
+    direction: tuple[float, float, float]
+    axis: str
+    rms: float
+    ci: Interval
+    gain: float
+
+
+@dataclass(frozen=True)
+class WaveLimit:
+    """Size above which waves are found and stated, in the clouds' unit.
+
+    Attributes:
+        shortest, longest: range of the lengths that were searched.
+        rms: RMS along the normals of a wave, across the plane of the scene, that is found with a power of 90 %.
+    """
+
+    shortest: float
+    longest: float
+    rms: float
+
+
+@dataclass(frozen=True)
 class LocalChanges:
     """Parts of the scene that changed locally.
 

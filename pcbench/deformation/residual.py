@@ -9,16 +9,22 @@ import numpy as np
 
 from pcbench.deformation.answer import describe
 from pcbench.deformation.breaks import find_break
-from pcbench.deformation.displacement import projected_share
+from pcbench.deformation.displacement import Displacement, projected_share
 from pcbench.deformation.field import local_changes
+from pcbench.deformation.model import Noise
 from pcbench.deformation.pairs import MIN_PAIRS, Pairs, PairSearch, Side, extent, tile_sums
+from pcbench.deformation.parts import Wave
 from pcbench.deformation.result import BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED, RESOLUTION_SHARE, Deformation
-from pcbench.deformation.verdict import Finding, PairEvidence, decide
-from pcbench.errors import Notice
+from pcbench.deformation.size import widened
+from pcbench.deformation.verdict import Finding, PairEvidence, decide, negligible_rms
+from pcbench.deformation.waves import find_waves
+from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.geometry.crs import euclidean_offsets
-from pcbench.registration import Registration
-from pcbench.registration.result import UNOBSERVABLE
+from pcbench.geometry.transform import Similarity
+from pcbench.registration import Registration, Target
+from pcbench.registration.quality import assess_given
+from pcbench.registration.result import DOUBTFUL_POSE, FEW_POINTS, UNOBSERVABLE
 from pcbench.threads import one_blas_thread
 
 _MIN_DISTANCE_GAIN = 0.1  # relative decrease of the median distance at which the pairs disagree
@@ -85,14 +91,25 @@ def residual_deformation(
             " clouds, or classes without vegetation (--classes)"
         )
         finding = finding.as_undecided(Notice("rough-places", text))
+    found = find_waves(pairs)
+    wave = _stated_wave(found.wave, views[0].noise, resolution)
+    if wave is not None:
+        plain = search.find(follow=False)  # as for the other models
+        wave = None if plain is None or find_waves(plain).wave is None else wave
+    if wave is not None and finding.is_open_to_waves:
+        finding = finding._replace(verdict="non-affine", warnings=())
     broken = find_break(views[-1])
     if broken is not None:
         finding = finding.as_undecided(Notice("parts-displaced", broken.text(origin)))
+    if registration.doubtful and _bend_explains_doubt(finding, registration, search, pairs.field):
+        settled = [notice for notice in registration.warnings if notice not in registration.doubts]
+        registration = replace(registration, warnings=tuple(settled))
     finding = _with_registration(finding, registration, pairs)
     # A claim is described by the pairs that follow the model; if these claimed too much, by the others.
     which = -1 if (finding.conditional or finding.verdict) == "none" else 0
     described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
+    answer = answer.with_waves(wave, found.limit).without_empty_denial()
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     if finding.verdict == "undecided" and finding.conditional is None and finding.warnings[0].code in _POSE_CODES:
@@ -116,6 +133,30 @@ def exclude_moved_cells(whole: PairEvidence, resolution: float) -> PairEvidence:
             return whole
         view = PairEvidence.of(view.sums.without(moved))
     return view
+
+
+def _bend_explains_doubt(finding: Finding, registration: Registration, search: PairSearch, field: Displacement) -> bool:
+    """Return whether the pose is doubted only for its fit, and is not once the deformation found is removed.
+
+    A bend of many spacings worsens the fit of a right pose as a wrong pose does.
+    """
+    if finding.verdict != "non-affine" or {notice.code for notice in registration.doubts} != {DOUBTFUL_POSE}:
+        return False
+    points = search.candidate.surface.points
+    target, straightened = Target(search.reference.surface), points - field(points)
+    try:
+        fit = assess_given(target, straightened, Similarity.identity(), np.zeros(3), registration.method)
+    except RegistrationError:
+        return False
+    return not any(notice.code in (DOUBTFUL_POSE, FEW_POINTS) for notice in fit.quality.warnings)
+
+
+def _stated_wave(wave: Wave | None, noise: Noise, resolution: float) -> Wave | None:
+    """Return a wave with systematic errors in its interval, if that lies above the negligible size."""
+    if wave is None:
+        return None
+    wave = replace(wave, ci=widened(wave.rms, wave.ci, noise))
+    return wave if wave.ci[0] > max(resolution, negligible_rms(noise)) else None
 
 
 def _with_registration(finding: Finding, registration: Registration, pairs: Pairs) -> Finding:

@@ -25,13 +25,17 @@ from pcbench.deformation.parts import (
     NoiseSize,
     Observable,
     Tiles,
+    Wave,
+    WaveLimit,
     from_json_value,
+    round_to_six_digits,
     scale_amplitude,
 )
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
 BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share, such as those of cameras, cannot show
+NO_SIZE_LIMIT = "no-size-limit"  # no deformation is found, but one of any size may be there
 POSE_NOT_FIXED = "pose-not-fixed"  # the geometry leaves some motion free: the verdict covers the constrained part
 _CODES_IN_SENTENCE = (BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED)
 NEGLIGIBLE_SHARE = 0.4  # share of the noise, white and correlated, below which a deformation is negligible
@@ -73,7 +77,11 @@ class Deformation:
         minimum_detectable_rms: RMS of the smallest dome that is detected with a power of 90 %.
         negligible_rms: RMS below which a deformation is negligible: 40 % of the noise, white and correlated, or 0.75 %
             of the spacing of the points that define the planes, whichever is larger.
+        stated_rms: RMS of the smallest deformation that is stated as non-affine: from here on the interval of its size
+            lies above `negligible_rms`.
         detectable: smallest detectable sizes by kind of deformation.
+        wave: the wave that stands out of what the models leave; None if there is none.
+        waves_from: range of wave lengths that were searched, and the size above which a wave is found.
         conditional_verdict: the verdict if the pose is right, where the registration is doubtful and `verdict` is
             therefore undecided; sizes and p-value then belong to it. None otherwise.
         warnings: codes and texts; for an undecided verdict, the reasons.
@@ -100,7 +108,10 @@ class Deformation:
     local: LocalChanges | None = None
     minimum_detectable_rms: float | None = None
     negligible_rms: float | None = None
+    stated_rms: float | None = None
     detectable: tuple[DetectableSize, ...] = ()
+    wave: Wave | None = None
+    waves_from: WaveLimit | None = None
     conditional_verdict: str | None = None
     warnings: tuple[Notice, ...] = ()
     field: Field | None = dataclasses.field(default=None, compare=False, metadata={"json": False})
@@ -157,9 +168,9 @@ class Deformation:
 
     @property
     def size_limit(self) -> float | None:
-        """RMS above which a dome is detected and not negligible."""
-        limits = [limit for limit in (self.minimum_detectable_rms, self.negligible_rms) if limit is not None]
-        return None if self.minimum_detectable_rms is None else max(limits)
+        """RMS above which a dome is detected, and its interval above the negligible size."""
+        known = (self.minimum_detectable_rms, self.negligible_rms, self.stated_rms)
+        return None if self.minimum_detectable_rms is None else max(limit for limit in known if limit is not None)
 
     @property
     def limit_problem(self) -> str:
@@ -170,6 +181,14 @@ class Deformation:
         is_seen = self.observable is not None and self.observable.z >= _MIN_VERTICAL_SHARE
         reason = "the clouds are too noisy" if is_seen else "the surfaces hardly show vertical displacements"
         return f"no size limit can be given, because {reason}"
+
+    def without_empty_denial(self) -> Deformation:
+        """Return the result as undecided if it denies a deformation of any size without a limit for it."""
+        if "none" not in (self.verdict, self.conditional_verdict) or not self.limit_problem:
+            return self
+        others = [notice for notice in self.warnings if notice.code != POSE_NOT_FIXED]
+        warnings = (Notice(NO_SIZE_LIMIT, self.limit_problem), *others)
+        return replace(self, verdict="undecided", conditional_verdict=None, warnings=warnings)
 
     def _verdict_in_words(self, name: str, unit: str, is_noise: bool) -> str:
         if self.verdict == "undecided":
@@ -184,7 +203,15 @@ class Deformation:
         if self.verdict == "non-affine" and self.amplitude is not None:
             a = self.amplitude
             low, high = a.ci
-            over = "" if a.rms_surface is None else f", {a.rms_surface:.3g}{unit} over the whole surface,"
+            over = ""
+            if a.rms_surface is not None and a.ci_surface is not None:
+                least, most = a.ci_surface
+                over = f", {a.rms_surface:.3g} [{least:.3g}, {most:.3g}]{unit} over the whole surface,"
+            if self.wave is not None:
+                return (
+                    f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth"
+                    f" areas beyond any affine motion, of which {self._wave_in_words(unit)}"
+                )
             return (
                 f"{name} is deformed: {a.rms:.3g} [{low:.3g}, {high:.3g}]{unit} RMS along the normals of smooth areas"
                 f"{over} beyond any affine motion ({self.model} model, {_p_value_text(self.p_value)})"
@@ -205,6 +232,18 @@ class Deformation:
         if self.surface_share is not None and self.surface_share < _WHOLE_SURFACE:
             limits.append(f"for {self.surface_share:.0%} of the surface")
         return f"{', '.join(limits)}, " if limits else ""
+
+    def _wave_in_words(self, unit: str) -> str:
+        """Return the size, length and direction of the wave."""
+        if self.wave is None:
+            return ""
+        x, y, z = self.wave.direction
+        angle = math.degrees(math.atan2(y, x)) % 180
+        along = f"at {angle:.0f} degrees from x" if abs(z) < 0.1 else f"along ({x:.2f}, {y:.2f}, {z:.2f})"
+        return (
+            f"{self.wave.rms:.3g}{unit} in waves of {self.wave.length:.3g}{unit} {along}, displaced along"
+            f" {self.wave.axis}"
+        )
 
     def _origin_in_words(self) -> str:
         """Return what a comparison of two clouds from photographs cannot show."""
@@ -227,17 +266,22 @@ class Deformation:
             return f"; {self.limit_problem}" if self.limit_problem else ""
         of_noise = 0.0 if self.noise is None else NEGLIGIBLE_SHARE * self.noise.sigma
         share = ""
-        if limit == self.negligible_rms:
-            of_what = f"{NEGLIGIBLE_SHARE:.0%} of the noise"
-            if not math.isclose(limit, of_noise, rel_tol=1e-4):
-                of_what = f"{RESOLUTION_SHARE:.2%} of the point spacing"
+        if limit != self.minimum_detectable_rms and self.negligible_rms:
+            of_what = f"{NEGLIGIBLE_SHARE * limit / self.negligible_rms:.0%} of the noise"
+            if not math.isclose(self.negligible_rms, of_noise, rel_tol=1e-4):
+                of_what = f"{RESOLUTION_SHARE * limit / self.negligible_rms:.2%} of the point spacing"
             share = f" ({of_what})"
-        text = f"; a smooth deformation above {limit:.3g}{unit} RMS{share} would have been detected"
+        text = (
+            f"; a smooth deformation (dome, saddle, S-bend) above {limit:.3g}{unit} RMS{share} would have been detected"
+        )
         known = [size for size in self.detectable if size.displacement is not None]
         large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
         if large:
             parts = [f"{_in_words(size.kind)} above {size.displacement:.3g}{unit}" for size in large]
             text += f", and so would {' or '.join(parts)}"
+        if (waves := self.waves_from) is not None:
+            size = f"{waves.shortest:.3g} to {waves.longest:.3g}{unit} length above {waves.rms:.3g}{unit} RMS"
+            text += f", and so would waves of {size}"
         if hidden := [_in_words(size.kind) for size in self.detectable if size.displacement is None]:
             text += f"; the surfaces do not show {' or '.join(hidden)}, however large"
         return text
@@ -272,7 +316,10 @@ class Deformation:
             local=None,
             minimum_detectable_rms=None,
             negligible_rms=None,
+            stated_rms=None,
             detectable=(),
+            wave=None,
+            waves_from=None,
         )
 
     def without_rounding(self) -> Deformation:
@@ -287,8 +334,23 @@ class Deformation:
             noise=self.noise and replace(self.noise, sigma_white=0.0, sigma_correlated=0.0),
             minimum_detectable_rms=None if self.minimum_detectable_rms is None else 0.0,
             negligible_rms=None if self.negligible_rms is None else 0.0,
+            stated_rms=None if self.stated_rms is None else 0.0,
             detectable=(),
+            waves_from=None,
         )
+
+    def with_waves(self, wave: Wave | None, limit: WaveLimit | None) -> Deformation:
+        """Add a wave and the limit of the search for waves; the amplitude includes the wave."""
+        if limit is not None and self.stated_rms is not None:
+            limit = replace(limit, rms=max(limit.rms, self.stated_rms))
+        amplitude = self.amplitude
+        if wave is not None and amplitude is not None:
+            rms = math.hypot(wave.rms, amplitude.rms)
+            low, high = (math.hypot(*ends) for ends in zip(wave.ci, amplitude.ci, strict=True))
+            most = math.sqrt(2) * wave.rms
+            amplitude = Amplitude(rms, max(amplitude.p95, most), max(amplitude.max, most), (low, high))
+        found: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
+        return found
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         """Return the same result with further warnings."""

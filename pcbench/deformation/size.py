@@ -55,7 +55,7 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
     of a displacement by a few per cent. Both were measured on clouds of photographs with exact truth, see
     `docs/measured/deformation.md`.
     """
-    error = math.hypot(_BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated), _BIAS_SIZE_SHARE * size.rms)
+    error = _systematic_error(size.rms, noise)
     if size.rms == 0 or size.rms_surface is None or size.ci_surface is None:
         return replace(size, ci=_widen(size.rms, size.ci, error))
     surface_error = error * size.rms_surface / size.rms
@@ -64,6 +64,23 @@ def with_systematic_errors(size: Amplitude, noise: Noise) -> Amplitude:
         ci=_widen(size.rms, size.ci, error),
         ci_surface=_widen(size.rms_surface, size.ci_surface, surface_error),
     )
+
+
+def widened(value: float, interval: Interval, noise: Noise) -> Interval:
+    """Return the interval of an RMS with systematic errors included."""
+    return _widen(value, interval, _systematic_error(value, noise))
+
+
+def _systematic_error(value: float, noise: Noise) -> float:
+    """Return the standard error of an RMS from systematic errors."""
+    return math.hypot(_BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated), _BIAS_SIZE_SHARE * value)
+
+
+def stated_rms(negligible: float, noise: Noise) -> float:
+    """Return the RMS from which the interval of a size lies above the negligible size, for its systematic errors."""
+    scatter = 1.96 * _BIAS_NOISE_SHARE * math.sqrt(noise.white + noise.correlated)
+    rest = 1 - (1.96 * _BIAS_SIZE_SHARE) ** 2
+    return (negligible + math.sqrt(negligible**2 - rest * (negligible**2 - scatter**2))) / rest
 
 
 def _widen(value: float, interval: Interval, error: float) -> Interval:
@@ -102,8 +119,8 @@ def minimum_detectable_rms(geometry: Geometry, noise: Noise) -> float | None:
     return None if kind is None else kind.rms * _NullDistribution.of(geometry, noise).detectable_factor(kind)
 
 
-def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tuple[DetectableSize, ...]:
-    """Return the smallest detectable size of each kind of deformation; negligible sizes are not stated."""
+def detectable_sizes(geometry: Geometry, noise: Noise, stated: float) -> tuple[DetectableSize, ...]:
+    """Return the smallest detectable size of each kind of deformation, at least the smallest one that is `stated`."""
     null, sizes = _NullDistribution.of(geometry, noise), []
     for name in KINDS:
         kind = _Kind.of(geometry, name)
@@ -111,7 +128,7 @@ def detectable_sizes(geometry: Geometry, noise: Noise, negligible: float) -> tup
         if kind is None or not math.isfinite(factor):
             sizes.append(DetectableSize(name))
             continue
-        factor = max(factor, negligible / kind.rms)
+        factor = max(factor, stated / kind.rms)
         sizes.append(DetectableSize(name, factor * kind.rms, factor * kind.displacement))
     return tuple(sizes)
 

@@ -10,14 +10,15 @@ import numpy as np
 
 from pcbench.deformation.chi_squares import chi_squares_tail
 from pcbench.deformation.model import TILE, Geometry, Noise, Scores, estimate_noise
-from pcbench.deformation.parts import ModelScore
+from pcbench.deformation.parts import Amplitude, ModelScore
 from pcbench.deformation.polynomials import MODELS, PARAMETERS
 from pcbench.deformation.result import NEGLIGIBLE_SHARE
-from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count
+from pcbench.deformation.size import MAX_P_SIGNIFICANT, amplitude, effective_count, with_systematic_errors
 from pcbench.deformation.sums import TileSums, sum_over_tiles
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
 
+CORRELATED_MISFIT = "correlated-misfit"  # residuals that look like noise of a long correlation
 MIN_TILES = 40
 _FOLDS = 10
 _MAX_P_DOUBTFUL = 1e-3
@@ -69,6 +70,12 @@ class Finding(NamedTuple):
     warnings: tuple[Notice, ...]
     conditional: str | None = None  # the verdict if the pose is right, where the verdict is undecided
 
+    @property
+    def is_open_to_waves(self) -> bool:
+        """Return whether a wave settles the verdict: a model was found, or residuals that are only correlated."""
+        codes = {notice.code for notice in self.warnings}
+        return self.verdict in ("none", "similarity", "affine") or codes == {CORRELATED_MISFIT}
+
     def as_undecided(self, reason: Notice) -> Finding:
         """Return the finding as undecided, with the reason as first warning."""
         return self._replace(verdict="undecided", model="rigid", warnings=(reason, *self.warnings))
@@ -83,7 +90,8 @@ class Finding(NamedTuple):
 def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: float = 0.0) -> Finding:
     """Return the smallest adequate model, tested from the largest down.
 
-    A larger model is stated only if it is significant and its size is not negligible. An affine or larger one must also
+    A larger model is stated only if it is significant and its size is not negligible; the whole interval of the size of
+    a non-affine one has to lie above the negligible size, in each view. An affine or larger one must also
     predict tiles that are left out of its fit significantly better than the smaller model does. Tiny systematic errors
     of a scanner or of a matching method are significant if there are enough points. Errors of planes through sparse
     points near edges are significant too, but do not continue from tile to tile. Closest points hide a displacement
@@ -101,19 +109,19 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
     def compare(smaller: str, larger: str) -> Evidence:
         return least_significant([compare_models(view, smaller, larger) for view in views])
 
-    def exceeds(smaller: str, larger: str, limit: float, *, upper: bool = False) -> bool:
-        """Return whether the larger model's part, or the end of its interval, exceeds a limit in each view."""
-        for view in views:
-            step = view.geometry.step(smaller, larger)
-            if not step.modes.shape[1]:
-                return False
-            found = amplitude(view.geometry, view.scores, view.noise, step)
-            if (found.ci[1] if upper else found.rms) <= limit:
-                return False
-        return True
+    def sizes(smaller: str, larger: str) -> list[Amplitude]:
+        """Return the size of the larger model's part in each view; none if it has no modes."""
+        steps = [(view, view.geometry.step(smaller, larger)) for view in views]
+        if not all(step.modes.shape[1] for _, step in steps):
+            return []
+        return [
+            with_systematic_errors(amplitude(view.geometry, view.scores, view.noise, step), view.noise)
+            for view, step in steps
+        ]
 
     def is_needed(smaller: str, larger: str) -> bool:
-        return compare(smaller, larger).significant and exceeds(smaller, larger, negligible)
+        found = sizes(smaller, larger)
+        return compare(smaller, larger).significant and bool(found) and min(a.rms for a in found) > negligible
 
     def gain(smaller: str, larger: str) -> float:
         return min(prediction_gain(view, smaller, larger) for view in views)
@@ -133,8 +141,10 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
-    is_indicated = is_needed("affine", "cubic") and not warnings
-    may_be_noise = non_affine.doubtful and exceeds("affine", "cubic", negligible, upper=True)
+    found = sizes("affine", "cubic")
+    surely, possibly = (found and min(a.ci[end] for a in found) > negligible for end in (0, 1))
+    is_indicated = non_affine.significant and bool(surely) and not warnings
+    may_be_noise = non_affine.doubtful and bool(possibly)
     if is_indicated or may_be_noise:
         gains = {model: gain("affine", model) for model in ("quadratic", "cubic")}
         # The choice of quadratic or cubic needs less evidence: a non-affine deformation is already established.
@@ -142,7 +152,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         for model in ("cubic", "quadratic") if needs_cubic else ("quadratic",):
             if is_indicated and gains[model] >= _MIN_PREDICTION_GAIN:
                 return Finding("non-affine", model, non_affine, ())
-        is_indicated, may_be_noise = (found and max(gains.values()) > 0 for found in (is_indicated, may_be_noise))
+        is_indicated, may_be_noise = (each and max(gains.values()) > 0 for each in (is_indicated, may_be_noise))
     if is_needed("similarity", "affine") and gain("similarity", "affine") >= _MIN_PREDICTION_GAIN:
         verdict, model = "affine", "affine"
     elif is_needed("rigid", "similarity"):
@@ -166,7 +176,7 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             "the residuals are correlated more strongly than the noise of scans and photographs: closest points may"
             " hide a displacement along the surfaces; measure known points in both clouds (--register points:FILE)"
         )
-        warnings.append(Notice("correlated-misfit", text))
+        warnings.append(Notice(CORRELATED_MISFIT, text))
         verdict = "undecided"
     if is_indicated or may_be_noise:
         side = geometry.side * TILE

@@ -53,7 +53,7 @@ _UNMATCHED_ROW, _STABLE_ROW = UNMATCHED + FIRST, STABLE + FIRST
 
 
 @dataclass(frozen=True)
-class Part:
+class BudgetPart:
     """A part of the budget.
 
     Attributes:
@@ -71,7 +71,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Budget:
+class D2Budget:
     """The budget of D2 in one direction: the contributions of the parts add up to `mean_square`.
 
     Attributes:
@@ -92,14 +92,14 @@ class Budget:
 
     mean_square: float
     floor: float | None
-    unmatched: Part
-    changed: Part
-    of_changes: tuple[Part, ...]
-    motion: Part
-    affine: Part
-    smooth: Part
-    noise: Part
-    unexplained: Part
+    unmatched: BudgetPart
+    changed: BudgetPart
+    of_changes: tuple[BudgetPart, ...]
+    motion: BudgetPart
+    affine: BudgetPart
+    smooth: BudgetPart
+    noise: BudgetPart
+    unexplained: BudgetPart
 
     def __post_init__(self) -> None:
         contributions = [part.mean_square for part in self.parts.values()]
@@ -109,7 +109,7 @@ class Budget:
             raise ValueError(f"expected parts of D2 that add up to {self.mean_square}, got {contributions}")
 
     @property
-    def parts(self) -> Mapping[str, Part]:
+    def parts(self) -> Mapping[str, BudgetPart]:
         """The parts by name, in the order of `PARTS`."""
         return {name: getattr(self, name) for name in PARTS}
 
@@ -129,14 +129,14 @@ class Budget:
         return max(named) <= NEGLIGIBLE_SHARE**2 * scale and others <= (1 - MAX_NOISE_RATIO**-2) * scale
 
 
-class Frame(NamedTuple):
+class FitFrame(NamedTuple):
     """Coordinates in which positions lie between -1 and 1: their centre (3,) and their radius."""
 
     center: FloatArray
     radius: float
 
     @classmethod
-    def of(cls, places: FloatArray) -> Frame:
+    def of(cls, places: FloatArray) -> FitFrame:
         """Return the frame of positions (N, 3)."""
         low, high = bounds(places)
         return cls((low + high) / 2, float((high - low).max()) / 2 or 1.0)
@@ -176,7 +176,7 @@ def sum_queries(
     rows: IntArray | None,
     labels: NDArray[np.int32],
     changes: int,
-    frame: Frame,
+    frame: FitFrame,
 ) -> BudgetSums:
     """Return the sums over the queries of one direction.
 
@@ -204,7 +204,7 @@ def sum_queries(
     return BudgetSums(np.bincount(labels + FIRST, None, size), squares, moments, scores)
 
 
-def budget(sums: BudgetSums, frame: Frame, *, floor: float | None, white: float | None = None) -> Budget:
+def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: float | None = None) -> D2Budget:
     """Return the budget that follows from the sums over all queries of a direction.
 
     Args:
@@ -214,31 +214,31 @@ def budget(sums: BudgetSums, frame: Frame, *, floor: float | None, white: float 
         white: standard deviation of the white noise along the normals; None if unknown.
     """
     count, stable = max(int(sums.counts.sum()), 1), int(sums.counts[_STABLE_ROW])
-    groups = [Part(int(n) / count, float(s) / count) for n, s in zip(sums.counts, sums.squares, strict=True)]
+    groups = [BudgetPart(int(n) / count, float(s) / count) for n, s in zip(sums.counts, sums.squares, strict=True)]
     left, share = groups[_STABLE_ROW].mean_square, stable / count
     fields = []
     for explained in _explained_squares(sums, frame, floor or 0.0):
-        fields.append(Part(share, min(explained / count, left)))
+        fields.append(BudgetPart(share, min(explained / count, left)))
         left -= fields[-1].mean_square
     motion, affine, smooth = fields
     level = max(floor or 0.0, (white or 0.0) ** 2)
     noise = min(left, share * level)
     changed = groups[FIRST:]
-    return Budget(
+    return D2Budget(
         float(sums.squares.sum()) / count,
         floor,
         groups[_UNMATCHED_ROW],
-        Part(sum(part.point_share for part in changed), sum(part.mean_square for part in changed)),
+        BudgetPart(sum(part.point_share for part in changed), sum(part.mean_square for part in changed)),
         tuple(changed),
         motion,
         affine,
         smooth,
-        Part(share, noise),
-        Part(share, left - noise),
+        BudgetPart(share, noise),
+        BudgetPart(share, left - noise),
     )
 
 
-def consistent_with(budget: Budget, deformation: Deformation) -> Deformation:
+def consistent_with(budget: D2Budget, deformation: Deformation) -> Deformation:
     """Return a deformation whose verdict does not leave out most of the squared distance.
 
     Robust weights can take a deformation for outliers. If a smooth field explains most of D2 and the verdict denies it,
@@ -257,7 +257,7 @@ def consistent_with(budget: Budget, deformation: Deformation) -> Deformation:
     return replace(deformation, verdict="undecided", conditional_verdict=None, warnings=(*deformation.warnings, reason))
 
 
-def _explained_squares(sums: BudgetSums, frame: Frame, power: float) -> tuple[float, float, float]:
+def _explained_squares(sums: BudgetSums, frame: FitFrame, power: float) -> tuple[float, float, float]:
     """Return the sums of squares that a rigid motion, an affine field beyond it and a smooth field beyond explain.
 
     Args:

@@ -25,6 +25,7 @@ from pcbench.measure.deviation import DeviationMap
 from pcbench.measure.directions import Direction
 from pcbench.measure.m3c2 import compare_along_normals, m3c2_warnings
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.measure.offset import signed_offset
 from pcbench.measure.pair import (
     AlignedCandidate,
     align,
@@ -179,6 +180,7 @@ def _compare_one(
         warnings=tuple(_warnings(reference, cloud, measurement, deviation)),
         budget=budget,
         changes=changes.shifted(reference.origin),
+        offset=signed_offset(forth.distances, forth.cells, reference.cells),
     ), measurement
 
 

@@ -19,7 +19,7 @@ from pcbench.geometry.normals import Surface
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
-from pcbench.measure.budget import Budget, Frame, budget, sum_queries
+from pcbench.measure.budget import D2Budget, FitFrame, budget, sum_queries
 from pcbench.measure.directions import PLANE_METRIC, Direction, from_candidate, from_reference
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import DirectedBudget
@@ -142,10 +142,10 @@ def split_into_budget(
     deformation: Deformation,
 ) -> DirectedBudget | None:
     """Return the budget of D2 in both directions; None if D2 is unknown or estimated from a sample."""
-    frame = Frame.of(reference.points)
+    frame = FitFrame.of(reference.points)
     white = None if deformation.noise is None else deformation.noise.sigma_white
 
-    def of(direction: Direction, rows: IntArray | None, labels: NDArray[np.int32]) -> Budget | None:
+    def of(direction: Direction, rows: IntArray | None, labels: NDArray[np.int32]) -> D2Budget | None:
         if not isinstance(direction.distances.to_planes, np.ndarray):
             return None
         sums = sum_queries(

@@ -135,16 +135,26 @@ def _budget(candidate: Candidate) -> Iterator[Quantity]:
         return
     for name, label in _BUDGET_LABELS.items():
         for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            part, path = candidate.budget[way].parts[name], ("budget", way, name)
-            share = candidate.budget[way].share(name)
-            text = f"share of D2 in the part of its budget: {name}"
-            yield Quantity(
-                "budget_share", way, text, share, RATIO, name, path=(*path, "share"), section="budget", label=label
-            )
-            text = f"contribution to D2 of the part of its budget: {name}"
-            yield Quantity("budget_mse", way, text, part.mean_square, SQUARED_LENGTH, name, path=(*path, "mean_square"))
-            text = f"share of the points in the part of the budget: {name}"
-            yield Quantity("budget_points", way, text, part.point_share, RATIO, name, path=(*path, "point_share"))
+            budget = candidate.budget[way]
+            part = budget.parts[name]
+            for metric, key, definition, value, unit in (
+                ("budget_share", "share", "share of D2 in the part of its budget", budget.share(name), RATIO),
+                ("budget_mse", "mean_square", "contribution to D2 of the part of its budget", part.mean_square,
+                 SQUARED_LENGTH),
+                ("budget_points", "point_share", "share of the points in the part of the budget", part.point_share,
+                 RATIO),
+            ):  # fmt: skip
+                yield Quantity(
+                    metric,
+                    way,
+                    f"{definition}: {name}",
+                    value,
+                    unit,
+                    variant=name,
+                    path=("budget", way, name, key),
+                    section="budget",
+                    label=label if key == "share" else "",
+                )
 
 
 def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
@@ -325,7 +335,7 @@ def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
     yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
-    text = f"RMS of a dome that is detected and exceeds {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
+    text = f"RMS of a dome that is detected, its interval above {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
     yield Quantity("detectable_rms", "", text, bend.size_limit, section="deformation", label="  detectable RMS")
 
 

@@ -17,9 +17,10 @@ from pcbench.changes import Changes
 from pcbench.deformation import Deformation
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
-from pcbench.measure.budget import Budget
+from pcbench.measure.budget import D2Budget
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
+from pcbench.measure.offset import SignedOffset
 from pcbench.measure.presets import Preset
 from pcbench.measure.settings import Settings
 from pcbench.measure.wording import pluralize
@@ -139,11 +140,11 @@ class DirectedBudget:
             moved; otherwise it is what its registration left.
     """
 
-    accuracy: Budget
-    completeness: Budget
+    accuracy: D2Budget
+    completeness: D2Budget
     keeps_pose: bool
 
-    def __getitem__(self, direction: str) -> Budget:
+    def __getitem__(self, direction: str) -> D2Budget:
         """Return the budget of a direction, `CANDIDATE_TO_REFERENCE` or `REFERENCE_TO_CANDIDATE`."""
         return {CANDIDATE_TO_REFERENCE: self.accuracy, REFERENCE_TO_CANDIDATE: self.completeness}[direction]
 
@@ -271,6 +272,7 @@ class Candidate:
             `CANDIDATE_TO_REFERENCE` and `REFERENCE_TO_CANDIDATE`; empty if there is no maximum. Their distances
             count as the maximum, so that means, mean squares and extremes are lower bounds. Their distances to planes
             are unknown, and so are D2, and the standard deviation and the NMAD of distances.
+        offset: signed offset from the reference's surface; None without normals.
         faces: number of faces if the candidate is a mesh, whose points are samples; None for a cloud.
         budget: what D2 consists of; None if there are no normals, or if D2 is estimated from a sample or unknown.
         changes: the changes, in tiles with the labels of sampled points; None if they were not searched for.
@@ -289,6 +291,7 @@ class Candidate:
     steps: tuple[float, ...]
     warnings: tuple[Notice, ...] = ()
     censored: Mapping[str, float] = field(default_factory=dict)
+    offset: SignedOffset | None = None
     faces: int | None = None
     budget: DirectedBudget | None = None
     changes: Changes | None = None

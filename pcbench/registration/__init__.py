@@ -5,6 +5,7 @@ from pcbench.registration.from_features import FeatureSettings
 from pcbench.registration.given import GivenPose, as_similarity
 from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.methods import METHODS, Method, as_method, parse_method, register
+from pcbench.registration.motion import RemovedMotion
 from pcbench.registration.residuals import PointResidual, PointRmse, SurveyResiduals
 from pcbench.registration.result import Registration
 from pcbench.registration.target import Target, local_origin, local_origin_of_box
@@ -19,6 +20,7 @@ __all__ = [
     "PointResidual",
     "PointRmse",
     "Registration",
+    "RemovedMotion",
     "SurveyResiduals",
     "Target",
     "as_method",

@@ -40,11 +40,14 @@ _TILES_PER_SIDE = 8  # tiles of the bootstrap along the scene's longest side
 # estimate the scatter. Errors of normals are correlated over less than a fine tile.
 _FINE_TILES_PER_SIDE = 24
 _REPLICATES = 400
-# A motion is weakly observable if its sigma exceeds this share of the spacing and of the residuals.
-_MIN_WEAK_SIGMA_SHARE = 0.3
+_MAX_STEP_RATIO = 4.5  # of a replicate's motion to the median one: three standard deviations along one direction
+# A motion is weakly observable if its sigma exceeds the spacing and the residuals: it then changes distances between
+# points. From the smaller share on, other poses may fit as well, so that the pose is tested by restarts.
+_MIN_WEAK_SIGMA_SHARE, _MIN_TESTED_SIGMA_SHARE = 1.0, 0.3
 # Information about the scale per pair that the other motions leave: measured 0.002 to 0.007 for flat facades with
 # recesses, whose scale is biased, and 0.019 to 0.9 for buildings, streets, rooms, hills and objects.
 _MIN_SCALE_INFORMATION = 0.01
+_MIN_RIGID_PART = 0.3  # of an unobservable motion; a smaller part beside the scale is an error of the eigenvectors
 _MIN_SCALE_SIGNIFICANCE = 5  # standard deviations before a missing scale is reported
 
 
@@ -58,6 +61,7 @@ class Observability(NamedTuple):
     weakest_sigma: float | None  # predicted standard deviation along the weakest direction; None: unobservable
     unobservable: FloatArray  # (6 or 7, U) orthonormal directions that the geometry does not fix
     covariance: PoseCovariance  # of the observable motions
+    is_weak: bool  # whether some motion is known so badly that other poses may fit as well
     warnings: tuple[Notice, ...]
 
 
@@ -96,9 +100,10 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     error = np.sqrt(np.square(shares - values * fine_weight[:, None]).sum(axis=0)) / total
     observable = (values > np.maximum(3 * error, 1e-9)) & (np.count_nonzero(fine_weight) > 1)
     eigenvalues, unobservable = tuple(float(v) for v in values), vectors[:, ~observable]
-    fixes_scale = observable.all() and _scale_information(information.sum(axis=0) / total) > _MIN_SCALE_INFORMATION
-    if with_scale and observable.all() and not fixes_scale:
-        unobservable = np.eye(7)[:, 6:]
+    open_rigid = unobservable if with_scale else np.vstack([unobservable, np.zeros((1, unobservable.shape[1]))])
+    fixes_scale = _scale_information(information.sum(axis=0) / total, open_rigid) > _MIN_SCALE_INFORMATION
+    if with_scale and not fixes_scale:
+        unobservable = _with_scale_motion(unobservable)
     curvature = _sums_by_tile(sample_tile, a, b * _tukey_slope(sample)[:, None], tiles) * step
     normals = target.normals(pairs.indices)
     weighted_rows = frame.jacobian(pairs.moved, normals) * (pairs.weights * pairs.residuals)[:, None]
@@ -108,10 +113,10 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
     if not observable.all():
         motions = " and ".join(_describe_motion(vector) for vector in unobservable.T)
         notice = Notice(UNOBSERVABLE, f"the geometry does not fix {motions}: scores along it are meaningless")
-        return Observability(eigenvalues, None, unobservable, covariance, (notice,))
+        return Observability(eigenvalues, None, unobservable, covariance, False, (notice,))
     if with_scale and not fixes_scale:
         text = "the geometry weakly constrains the scale: only few pairs inform about it, and they are biased"
-        return Observability(eigenvalues, None, unobservable, covariance, (Notice(WEAKLY_OBSERVABLE, text),))
+        return Observability(eigenvalues, None, unobservable, covariance, True, (Notice(WEAKLY_OBSERVABLE, text),))
 
     weakest, direction = covariance.weakest
     warnings = []
@@ -123,22 +128,44 @@ def observability(target: Surface, pairs: WeightedPairs, *, with_scale: bool) ->
             factor = np.exp(remaining_motion[6] / frame.radius)
             text = f"the pairs indicate a scale of about {factor:.5g}: use --register similarity to solve for it"
             warnings.append(Notice(SCALE_MISSING, text))
-    if weakest > max(_MIN_WEAK_SIGMA_SHARE * target.spacing, _MIN_WEAK_SIGMA_SHARE * residual):
+    ratio = weakest / (max(target.spacing, residual) or np.inf)
+    if ratio > _MIN_WEAK_SIGMA_SHARE:
         text = f"the geometry weakly constrains {_describe_motion(direction)} (predicted sigma {weakest:.3g})"
         warnings.append(Notice(WEAKLY_OBSERVABLE, text))
-    return Observability(eigenvalues, weakest, unobservable, covariance, tuple(warnings))
+    is_weak = ratio > _MIN_TESTED_SIGMA_SHARE
+    return Observability(eigenvalues, weakest, unobservable, covariance, is_weak, tuple(warnings))
 
 
-def _scale_information(information: FloatArray) -> float:
-    """Return the information (7, 7) about the scale that is not explained by the six observable motions before it."""
-    rigid, mixed = information[:6, :6], information[:6, 6]
-    return float(information[6, 6] - mixed @ np.linalg.solve(rigid, mixed))
+def _scale_information(information: FloatArray, unobservable: FloatArray) -> float:
+    """Return the information (7, 7) about the scale that the other observable motions do not explain.
+
+    Args:
+        information: information matrix per pair.
+        unobservable: (7, U) orthonormal motions that the pairs do not fix, and that are kept.
+    """
+    free = _complement(unobservable)
+    scale = free[6]
+    variance = float(scale @ np.linalg.pinv(free.T @ information @ free, hermitian=True) @ scale)
+    return 1 / variance if variance > 0 else 0.0
+
+
+def _with_scale_motion(unobservable: FloatArray) -> FloatArray:
+    """Return an orthonormal basis (7, V) of the unobservable motions and the scale, which comes last."""
+    rigid = unobservable.copy()
+    rigid[6] = 0
+    basis, sizes, _ = np.linalg.svd(rigid, full_matrices=False)
+    return np.hstack([basis[:, sizes > _MIN_RIGID_PART], np.eye(7)[:, 6:]])
+
+
+def _complement(basis: FloatArray) -> FloatArray:
+    """Return an orthonormal basis (K, K - U) of the motions orthogonal to those of a basis (K, U)."""
+    return np.linalg.svd(basis, full_matrices=True)[0][:, basis.shape[1] :]
 
 
 def _observable_covariance(curvature: FloatArray, gradient: FloatArray, unobservable: FloatArray) -> FloatArray:
     """Return the bootstrap covariance (K, K) of the motions that the geometry fixes, zero along the others."""
     size = len(unobservable)
-    free = np.linalg.svd(unobservable, full_matrices=True)[0][:, unobservable.shape[1] :]
+    free = _complement(unobservable)
     if not free.shape[1]:
         return np.zeros((size, size))
     of_tiles = np.einsum("ki,tkl,lj->tij", free, curvature, free, optimize=False)
@@ -158,6 +185,10 @@ def _bootstrap(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray,
     steps = -np.linalg.solve(hessians, np.einsum("rt,ti->ri", weights, gradient, optimize=False)[:, :, None])[:, :, 0]
     motion: FloatArray = np.median(steps, axis=0)
     steps -= motion
+    # A replicate without the only tile that fixes a motion says nothing about its error: its step is shortened.
+    sizes = np.linalg.norm(steps, axis=1)
+    longest = _MAX_STEP_RATIO * float(np.median(sizes))
+    steps *= (longest / np.maximum(sizes, longest or 1.0))[:, None]
     return motion, np.einsum("ri,rj->ij", steps, steps, optimize=False) / len(steps)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError, Notice, RegistrationError
-from pcbench.geometry.crs import check_lengths, is_projected_crs
+from pcbench.geometry.crs import check_lengths, is_projected_crs, same_crs
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate, sample_reference, sampling_notice
 from pcbench.geometry.reflections import REFLECTIONS
@@ -33,7 +33,7 @@ from pcbench.registration.mirrored import (
     mirrored_notice,
 )
 from pcbench.registration.mismatch import explain_failure, unit_warnings
-from pcbench.registration.quality import assess_given
+from pcbench.registration.quality import PoseSource, assess_given, plane_rms
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.registration.result import Registration
 from pcbench.registration.rounding import step_warnings
@@ -102,6 +102,7 @@ def register(
     points = candidate.points - origin
     residuals = SurveyResiduals()
     ratio = robust_extent(points) / (target.extent or np.inf)
+    shares_crs = bool(reference.crs and candidate.crs) and same_crs(str(reference.crs), str(candidate.crs))
     target = target.for_candidate(points, _approximate_scale(method, start, ratio))
 
     try:
@@ -118,7 +119,9 @@ def register(
             fit = fit.with_covariance(pose_covariance(method, T, origin))
         else:
             T = method.T_reference_candidate
-            fit = assess_given(target, points, T.about(-origin), origin, method.text).with_covariance(None)
+            source: PoseSource = "stated" if shares_crs and np.array_equal(T.matrix, np.eye(4)) else "given"
+            fit = assess_given(target, points, T.about(-origin), origin, method.text, source=source)
+            fit = fit.with_covariance(None)
     except RegistrationError as error:
         any_scale = isinstance(method, FeatureSettings) and method.with_scale
         explanation = explain_failure(reference, candidate, ratio, any_scale=any_scale)
@@ -156,12 +159,15 @@ def register(
         information_eigenvalues=quality.eigenvalues,
         weakest_sigma=quality.weakest_sigma,
         covariance=None if quality.covariance is None else quality.covariance.shifted(origin),
+        shares_crs=shares_crs,
         residuals=residuals,
         warnings=(*sampling, *quality.warnings, *unit_warnings(reference, candidate, scale * ratio, scale), *steps),
         solved_scale=method.with_scale,
         contrast=quality.contrast,
         returned_share=quality.returned,
     )
+    if registration.covariance is not None and registration.keeps_frame:
+        registration = replace(registration, rms_as_given=plane_rms(target.surface, points))
     if may_be_mirrored(registration):
         axes = find_reflection(target, points, origin, with_scale=method.with_scale, off_surface=quality.off_surface)
         if axes is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -33,6 +34,8 @@ from pcbench.registration.result import (
     FEW_POINTS,
     LOW_OVERLAP,
     OFF_SURFACE,
+    UNKNOWN_SCALE,
+    UNOBSERVABLE,
     WEAKLY_OBSERVABLE,
 )
 from pcbench.registration.sample_matches import (
@@ -59,9 +62,11 @@ _MIN_NORMAL_COSINE = 0.9  # floating points lie along the normal, and not beyond
 # Share of near points off the surface above which turned poses are tried, and the ratio of mean distances below which
 # one of them fits better.
 _MIN_UNEXPLAINED_SHARE, _MAX_TURNED_RATIO = 0.05, 0.7
+_MAX_KEPT_SCALE = 1e-9  # change of the logarithm of the scale by rounding, if ICP keeps it
+_MIN_SCALE_SHARE = 0.05  # of the scale in the unobservable motions, from which on a solved scale is unknown
 _MAX_SPACINGS_OFF = 10  # distance of the candidate's nearest quarter, above which a warning is given
 
-PoseSource = Literal["icp", "given", "search"]
+PoseSource = Literal["icp", "given", "stated", "search"]
 
 
 class Quality(NamedTuple):
@@ -76,6 +81,7 @@ class Quality(NamedTuple):
     weakest_sigma: float | None
     unobservable: FloatArray  # (6 or 7, U) orthonormal motions that the geometry does not fix
     covariance: PoseCovariance | None  # None with too few points
+    is_weak: bool  # whether some motion is known so badly that restarts have to confirm the pose
     warnings: tuple[Notice, ...]
 
 
@@ -134,6 +140,7 @@ def assess(
         with_scale=with_scale,
     )
     hovering = _hovering_share(weigh(target.surface, moved, nearest, matched.max_on_surface, robust=True), matched)
+    found = _warnings(matched, observation, pose_contrast, hovering)
     return Quality(
         rmse=_weighted_rmse(on_surface, plane=plane),
         overlap=matched.overlap,
@@ -144,7 +151,8 @@ def assess(
         weakest_sigma=observation.weakest_sigma,
         unobservable=observation.unobservable,
         covariance=observation.covariance,
-        warnings=_warnings(matched, observation, pose_contrast, hovering),
+        is_weak=observation.is_weak or any(notice.code == WEAKLY_OBSERVABLE for notice in found),
+        warnings=found,
     )
 
 
@@ -175,7 +183,12 @@ def with_doubt(
             `unmatched_share`: a part of a regular city may slide onto another part, and restarts then return.
     """
     share = quality.contrast
-    is_weak = any(notice.code == WEAKLY_OBSERVABLE for notice in quality.warnings)
+    if with_scale and _leaves_scale_open(quality, T if source == "icp" else None):
+        text = (
+            "the scale may be wrong, because the geometry does not fix it; use --register icp if the scale is known, or"
+            " points:FILE (control points)"
+        )
+        return _with_notice(quality, Notice(UNKNOWN_SCALE, text))
     if share is None:
         return quality
     name = "the given pose" if source == "given" else "the pose"
@@ -188,6 +201,8 @@ def with_doubt(
                 f" candidate's mean distance to the reference to {turned.distance_ratio:.0%}; {align_coarsely()}"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
+    if source == "stated":
+        return quality
     if source == "search":
         unmatched = unmatched_share(target, T.apply(random_sample))
         if unmatched > MAX_UNMATCHED_SHARE:
@@ -196,7 +211,7 @@ def with_doubt(
                 " counterpart in it"
             )
             return _with_notice(quality, Notice(DOUBTFUL_POSE, text))
-    if share >= SURE_CONTRAST and not is_weak:
+    if share >= SURE_CONTRAST and not quality.is_weak:
         return quality
     at_noise = share
     if MIN_CONTRAST <= share < DOUBTFUL_CONTRAST:
@@ -207,7 +222,7 @@ def with_doubt(
         " same displacement costs the reference itself",
     )
     is_low = share < MIN_CONTRAST or at_noise < DOUBTFUL_CONTRAST
-    if is_low and (source == "search" or is_weak or not is_determined):
+    if is_low and (source == "search" or quality.is_weak or not is_determined):
         return _with_notice(quality, low_contrast)
     if not is_determined:
         return quality  # restarts would slide along the unobservable motions
@@ -225,6 +240,21 @@ def with_doubt(
         )
         return _with_notice(quality, Notice(BLURRED, text))
     return quality
+
+
+def _leaves_scale_open(quality: Quality, T: Similarity | None) -> bool:
+    """Return whether the geometry does not fix the scale, and it is unknown or was solved for nevertheless.
+
+    A scale about which only few pairs inform keeps its initial value, so that it is no result of theirs.
+
+    Args:
+        quality: result of `assess`.
+        T: pose by ICP from the identity; None for other methods.
+    """
+    if float(np.square(quality.unobservable[6]).sum()) <= _MIN_SCALE_SHARE:
+        return False
+    is_open = any(notice.code == UNOBSERVABLE for notice in quality.warnings)
+    return is_open or (T is not None and abs(math.log(T.scale)) > _MAX_KEPT_SCALE)
 
 
 def _contrast_at_noise(
@@ -277,7 +307,8 @@ def assess_given(
         T_local: pose between local coordinates.
         origin: (3,) local origin, added again in the error message.
         text: method text for the error message.
-        source: `given` by the user, or found by a `search` over all poses.
+        source: `given` by the user, `stated` by one coordinate system of both clouds, or found by a `search` over all
+            poses. A displacement in stated coordinates is a result and no doubt.
 
     Raises:
         RegistrationError: the bounding boxes do not overlap.
@@ -305,6 +336,13 @@ def assess_given(
     return Fit(T_local, quality)
 
 
+def plane_rms(surface: Surface, points: FloatArray) -> float:
+    """Return the RMS distance of a random sample of points (N, 3) to the tangent planes at their closest points."""
+    sample = random_rows(points, MAX_RANDOM_SAMPLE)
+    pairs = weigh(surface, sample, surface.index.query(sample), np.inf, robust=False)
+    return float(np.sqrt(np.mean(np.square(pairs.residuals))))
+
+
 def _pairs_with_weight(pairs: WeightedPairs | None) -> WeightedPairs | None:
     """Return the pairs with positive weight; None if there are fewer than `MIN_POINTS`."""
     if pairs is None or np.count_nonzero(pairs.weights) < MIN_POINTS:
@@ -324,6 +362,7 @@ def _quality_from_distances(matched: SampleMatches, *, with_scale: bool) -> Qual
         weakest_sigma=None,
         unobservable=np.zeros((7 if with_scale else 6, 0)),
         covariance=None,
+        is_weak=False,
         warnings=(Notice(FEW_POINTS, "too few points to determine which motions the geometry constrains"),),
     )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from pcbench.errors import Notice
 from pcbench.geometry.transform import Similarity
-from pcbench.registration.motion import PoseCovariance
+from pcbench.registration.motion import PoseCovariance, RemovedMotion
 from pcbench.registration.residuals import PointResidual, SurveyResiduals
 
 # Warning codes of a registration: programs use these, not the texts.
@@ -23,13 +23,16 @@ OFF_SURFACE = "off-surface"  # many points near the reference float beside its s
 FAR_OFF = "far-off"  # even the nearest quarter is far from the reference
 NO_CONVERGENCE = "no-convergence"  # the iteration ended before the updates were small
 AMBIGUOUS = "ambiguous"  # a clearly different pose fits about as well
+UNKNOWN_SCALE = "unknown-scale"  # the scale was to be solved for, but the geometry does not fix it
 UNIT_MISMATCH = "unit-mismatch"  # the extents differ by a ratio of units
 DOUBTFUL_POSE = "doubtful-pose"  # the pose fits little better than its surroundings
 MIRRORED = "mirrored"  # no rotation aligns the candidate, but its reflection fits
 BLURRED = "blurred"  # noise or blur hides how well the pose fits, but restarts return to it
 
 # Codes of warnings that the pose may be wrong. The others limit how accurately a right pose is known.
-_DOUBT_CODES = frozenset((FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNIT_MISMATCH, DOUBTFUL_POSE, MIRRORED))
+_DOUBT_CODES = frozenset(
+    (FEW_POINTS, FAR_OFF, NO_CONVERGENCE, AMBIGUOUS, UNKNOWN_SCALE, UNIT_MISMATCH, DOUBTFUL_POSE, MIRRORED)
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,6 +61,9 @@ class Registration:
             not fix it.
         covariance: covariance of the pose, in the reference's coordinates: of ICP from that bootstrap, of control
             points from their residuals. None for a given pose, or if it is unknown.
+        shares_crs: whether both clouds state the same coordinate system.
+        rms_as_given: RMS distance of a sample of the candidate, in its given coordinates, to the tangent planes of the
+            reference; None for a given pose, or where those coordinates have no meaning in the reference.
         residuals: residuals of control and check points; empty unless the pose was fitted to such pairs.
         warnings: warnings to read before any score, as codes (those of this module) with texts.
         solved_scale: whether the scale was estimated from the data. A given scale is not.
@@ -79,6 +85,8 @@ class Registration:
     information_eigenvalues: tuple[float, ...] = ()
     weakest_sigma: float | None = None
     covariance: PoseCovariance | None = None
+    shares_crs: bool = False
+    rms_as_given: float | None = None
     residuals: SurveyResiduals = field(default_factory=SurveyResiduals)
     warnings: tuple[Notice, ...] = ()
     solved_scale: bool = False
@@ -89,6 +97,21 @@ class Registration:
     def is_given(self) -> bool:
         """Return whether the user gave the pose (`none`, `matrix`), so that no data determined it."""
         return self.converged is None and not self.residuals
+
+    @property
+    def motion(self) -> RemovedMotion | None:
+        """Motion of the candidate that the registration removed; None for a given pose, or if its error is unknown."""
+        if self.covariance is None:
+            return None
+        return RemovedMotion.of(self.T_reference_candidate, self.covariance, self.rmse)
+
+    @property
+    def keeps_frame(self) -> bool:
+        """Return whether the candidate's given coordinates mean the same as the reference's.
+
+        Both clouds state the same coordinate system, or the given coordinates fit as well up to a shift.
+        """
+        return self.shares_crs or ((motion := self.motion) is not None and motion.is_shift)
 
     @property
     def check_points(self) -> tuple[PointResidual, ...]:

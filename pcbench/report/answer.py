@@ -18,10 +18,12 @@ from pcbench.registration.result import (
     MIRRORED,
     NO_CONVERGENCE,
     UNIT_MISMATCH,
+    UNKNOWN_SCALE,
 )
 from pcbench.registration.rounding import COARSE_STEP
 from pcbench.report.budget import budget_sentence, changes_sentence, largest_part, source_words
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.moved import is_offset, place_sentence
 from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
 from pcbench.report.words import join_words, length, percentage, rounding_limit, shorten_name
@@ -30,6 +32,7 @@ _MAX_SENTENCES = 4  # besides the one on changes
 _MIN_OUTLIER_RATIO = 2.0  # an RMS above this multiple of the NMAD indicates outliers
 _MAX_NAME_COLUMNS = 28
 _UNPROVEN = "none, unproven"
+_MAX_PLACES = 3  # candidates whose place as a whole is stated
 _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "global": "global (from any pose), global-similarity (also at any scale)",
     "points": "points:FILE (control points)",
@@ -38,6 +41,7 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
 
 _DOUBTS = {  # why poses are doubtful, by the code of the warning
     FEW_POINTS: "too few points overlap",
+    UNKNOWN_SCALE: "the geometry does not fix the scale",
     UNIT_MISMATCH: "the sizes suggest different units",
     MIRRORED: "mirrored",
     FAR_OFF: "far from the reference",
@@ -73,15 +77,19 @@ class _Distance(NamedTuple):
 
 
 def answer(comparison: SourcedComparison) -> list[str]:
-    """Return two to five sentences on a comparison, without distances if all registrations are doubtful."""
+    """Return two to five sentences on a comparison, without distances if all registrations are doubtful.
+
+    A sentence before them says where candidates lie as a whole, if registration moved them or none was made.
+    """
     trusted = [c for c in comparison if not c.registration.doubtful]
     doubtful = [c for c in comparison if c.registration.doubtful]
     writer = _Writer(comparison)
     if not trusted:
-        return writer.of_doubtful(doubtful)
+        return [*writer.places([c for c in doubtful if c.registration.is_given]), *writer.of_doubtful(doubtful)]
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
-    return sentences[: _MAX_SENTENCES + any(c.changes is not None and c.changes.found for c in trusted)]
+    most = _MAX_SENTENCES + any(c.changes is not None and c.changes.found for c in trusted)
+    return [*writer.places(trusted), *sentences[:most]]
 
 
 class _Writer:
@@ -152,6 +160,13 @@ class _Writer:
             " describe poses that may be wrong"
         )
 
+    def places(self, candidates: Sequence[Candidate]) -> list[str]:
+        """Return one sentence on where candidates lie as a whole, or none if all lie on the reference as given."""
+        found = [place_sentence(self.comparison, c, self.names[c.name]) for c in candidates]
+        found = [sentence for sentence in found if sentence]
+        more = f" So do {len(found) - _MAX_PLACES} others." if len(found) > _MAX_PLACES else ""
+        return [f"{' '.join(found[:_MAX_PLACES])}{more}"] if found else []
+
     def of_one(self, candidate: Candidate) -> list[str]:
         """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
         if candidate.metrics.hausdorff.symmetric_max <= rounding_limit(self.comparison):
@@ -171,7 +186,8 @@ class _Writer:
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
-        if off.floor is not None and off.is_sampling and candidate.is_noise:
+        is_noise = candidate.is_noise and not is_offset(self.comparison, candidate)
+        if off.floor is not None and off.is_sampling and is_noise:
             step = self._step_words(candidate)
             with_step = f" and coordinates in {step}" if step else ""
             return f"{text}, about as far as error-free points with this density{with_step} ({self.length(off.floor)})."

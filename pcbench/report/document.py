@@ -147,6 +147,7 @@ def _candidate(candidate: Candidate, file: InputFile | None) -> dict[str, Any]:
         "map_samples": _map_samples(candidate),
         "registration": _registration(candidate.registration),
         **_measurements(candidate),
+        "offset": None if candidate.offset is None else candidate.offset._asdict(),
         "changes": None if candidate.changes is None else candidate.changes.found,
         "deformation": candidate.deformation,
         "timings_s": candidate.timings_s,
@@ -230,12 +231,28 @@ def _registration(registration: Registration) -> dict[str, Any]:
         "converged": registration.converged,
         "information_eigenvalues": registration.information_eigenvalues,
         "weakest_sigma": registration.weakest_sigma,
+        "motion": _motion(registration),
         **registration.residuals.plain(),
         "scale_solved": registration.solved_scale,
         "contrast": registration.contrast,
         "returned_share": registration.returned_share,
         "warnings": [notice.text for notice in registration.warnings],
         "warning_codes": [notice.code for notice in registration.warnings],
+    }
+
+
+def _motion(registration: Registration) -> dict[str, Any] | None:
+    """Return the motion that registration removed, and what the given coordinates mean; None for a given pose."""
+    motion = registration.motion
+    if motion is None:
+        return None
+    return {
+        **{item.name: getattr(motion, item.name) for item in fields(motion)},
+        "size": motion.size,
+        "half_width": motion.half_width,
+        "shares_crs": registration.shares_crs,
+        "is_shift": motion.is_shift,
+        "rms_as_given": registration.rms_as_given,
     }
 
 

@@ -20,6 +20,7 @@ from pcbench.measure.results import (
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.moved import motion_clause
 from pcbench.report.words import join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
@@ -62,6 +63,8 @@ def remarks(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
             yield f"{candidate.name}: {'; '.join(lines)}"
+        if (motion := candidate.registration.motion) is not None:
+            yield f"{motion_clause(candidate.registration, motion, candidate.name, unit)}."
     if comparison.settings.tolerance is None:
         return
     for candidate in comparison:

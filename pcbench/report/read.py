@@ -20,7 +20,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.meshes import holds_mesh, read_mesh
-from pcbench.measure.budget import Budget
+from pcbench.measure.budget import D2Budget
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, DirectedBudget
 from pcbench.report.colors import has_colors
 from pcbench.report.manifest import complete_replacement
@@ -239,7 +239,7 @@ def _candidate(
 
 def _budget(values: Mapping[str, Any]) -> DirectedBudget:
     """Read the `budget` of a candidate."""
-    forth, back = (from_json_value(Budget, values[way]) for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE))
+    forth, back = (from_json_value(D2Budget, values[way]) for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE))
     return DirectedBudget(forth, back, values["keeps_pose"])
 
 

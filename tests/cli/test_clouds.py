@@ -44,12 +44,13 @@ def test_register_prints_the_motion_before_the_matrix(files, run):
     write_cloud("moved.ply", Cloud((points - centroid) @ rotation.T + centroid + [0.03, 0.04, 0], unit="m"))
     code, out, _ = run("register", "far.ply", "moved.ply")
     assert code == 0
-    shift_line, rotation_line, scale_line, fit_line, title_line, *matrix_lines = out.splitlines()
+    shift_line, rotation_line, scale_line, overlap_line, fit_line, title_line, *matrix_lines = out.splitlines()
     assert float(shift_line.split()[5]) == pytest.approx(0.05, abs=0.002)
     assert shift_line.split()[6] == "m"
     assert float(rotation_line.split()[2]) == pytest.approx(0.5, abs=0.002)
     assert float(rotation_line.rstrip(")").split()[-1]) == pytest.approx(-1, abs=1e-4)  # back about z
     assert scale_line.startswith("# scale: 1 ")
+    assert "turned it by 0.5 ± " in overlap_line
     assert "100.0%" in fit_line
     check_text("\n".join([scale_line, title_line]))
     assert len(matrix_lines) == 4

@@ -47,7 +47,8 @@ def test_json_has_the_documented_keys_in_order(bent_result):
     assert list(values) == [
         "verdict", "model", "parameters", "p_value", "rungs", "amplitude", "remaining_rms", "coincides", "noise",
         "tiles", "pairs", "surface_share", "growth", "observable", "local", "minimum_detectable_rms",
-        "negligible_rms", "detectable", "conditional_verdict", "warnings", "warning_codes",
+        "negligible_rms", "stated_rms", "detectable", "wave", "waves_from", "conditional_verdict",
+        "warnings", "warning_codes",
     ]  # fmt: skip
     assert list(values["amplitude"]) == ["rms", "p95", "max", "ci", "rms_surface", "ci_surface"]
     assert list(values["rungs"][0]) == ["model", "parameters", "cv_score", "cv_se", "bic_eff", "rms_explained"]

@@ -9,7 +9,7 @@ from wording import check_text
 from pcbench.registration import (
     register,
 )
-from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
+from pcbench.registration.result import SCALE_MISSING, UNKNOWN_SCALE, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.scenes.synthetic import city
 
 
@@ -68,6 +68,34 @@ def test_the_scale_of_a_facade_is_not_solved_from_its_edges():
     assert result.T_reference_candidate.scale == pytest.approx(1, abs=1e-9)
     assert result.warnings[0].code == WEAKLY_OBSERVABLE
     assert "the scale" in check_text(result.warnings[0].text)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_solved_scale_that_the_geometry_does_not_fix_is_doubtful(seed):
+    """A round hill with noise as large as the spacing: closest points may shrink the candidate by a tenth."""
+    rng = np.random.default_rng(seed)
+    clouds = []
+    for noise in (0.1, 0.6):
+        x, y = rng.uniform(-30, 30, (2, 3000))
+        points = np.column_stack([x, y, 4 * np.exp(-(x**2 + y**2) / 200)])
+        clouds.append(points + rng.normal(0, noise, points.shape))
+    result = register(*clouds, "similarity")
+    assert result.doubts[0].code == UNKNOWN_SCALE
+    check_text(result.doubts[0].text)
+    assert UNKNOWN_SCALE not in [notice.code for notice in register(*clouds).warnings]
+
+
+@pytest.mark.parametrize(("noise", "is_weak"), [(0.15, False), (0.3, True)])
+def test_sliding_by_less_than_the_spacing_is_no_warning(noise, is_weak):
+    """Ground of gentle waves: sliding by less than the spacing and the noise changes no score."""
+    rng = np.random.default_rng(0)
+    clouds = []
+    for _ in range(2):
+        x, y = rng.uniform(-30, 30, (2, 3000))
+        points = np.column_stack([x, y, 0.3 * np.sin(x / 9) + 0.2 * np.cos(y / 7.5)])
+        clouds.append(points + rng.normal(0, noise, points.shape))
+    result = register(*clouds)
+    assert (WEAKLY_OBSERVABLE in [notice.code for notice in result.warnings]) == is_weak
 
 
 def test_unobservable_motions_are_reported():

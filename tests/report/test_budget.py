@@ -24,7 +24,7 @@ GONE = replace(NEW, kind=REMOVED, points_reference=40, points_candidate=0)
 CLAIMS = ("not deformed", "equals the reference", "about as far as error-free points")
 
 
-def ground(seed, size=3000):
+def ground(seed, size=1600):
     x, y = np.random.default_rng(seed).uniform(-10, 10, (2, size))
     noise = np.random.default_rng(seed + 100).normal(0, 0.02, size)
     return np.column_stack([x, y, 0.5 * np.sin(x / 3) + 0.4 * np.cos(y / 4) + noise])
@@ -35,7 +35,7 @@ def comparison():
     """Compare ground with itself sampled anew, lowered, with outliers, and with a raised disc."""
     lowered, outliers, raised = ground(2), ground(3), ground(4)
     lowered[:, 2] -= 0.05
-    outliers[::40, 2] += np.random.default_rng(5).uniform(0.2, 0.6, 75)
+    outliers[::40, 2] += np.random.default_rng(5).uniform(0.2, 0.6, 40)
     raised[np.hypot(*raised[:, :2].T) < 2, 2] += 0.5
     clouds = {"anew": ground(1), "lowered": lowered, "outliers": outliers, "raised": raised}
     return compare(Cloud(ground(0), unit="m"), clouds, Settings(register="none"))

@@ -11,6 +11,8 @@ from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
+from pcbench.measure.metrics import Distances, plane_distances
+from pcbench.measure.offset import SignedOffset, signed_offset
 from pcbench.measure.pair import align
 from pcbench.measure.reference import Reference
 from pcbench.measure.results import ReferenceSummary
@@ -82,11 +84,13 @@ class SampleResults:
 
     Attributes:
         registration: the registration, with `T_local` between coordinates minus the local origin of the reference.
+        offset: signed offset from the reference's surface; None without normals.
         near: fit of the sample, to compare with that of all points; None if the sample is all points.
         reference: the reference's sample in short: its normals and warnings.
     """
 
     registration: Registration
+    offset: SignedOffset | None
     near: NearFit | None
     reference: ReferenceSummary
 
@@ -173,9 +177,20 @@ def register_samples(
         is_complete: whether the samples are all points.
     """
     aligned = align(reference, name, candidate, settings)
-    registration = aligned.registration
+    registration, points = aligned.registration, aligned.index.points[aligned.inside]
+    offset = _offset(reference, points)
     if is_complete:
-        return SampleResults(registration, None, reference.summary())
+        return SampleResults(registration, offset, None, reference.summary())
     registration = replace(registration, T_local=registration.T_reference_candidate.about(-origin))
-    near = NearFit.of(reference, aligned.index.points[aligned.inside], registration.overlap_distance)
-    return SampleResults(registration, near, reference.summary())
+    near = NearFit.of(reference, points, registration.overlap_distance)
+    return SampleResults(registration, offset, near, reference.summary())
+
+
+def _offset(reference: Reference, points: FloatArray) -> SignedOffset | None:
+    """Return the signed offset of aligned points (M, 3) of a sample; None if there are too few points for normals."""
+    if not reference.has_normals:
+        return None
+    distances, closest = reference.index.query(points)
+    normals = reference.surface.compute_normals(closest)
+    planes = plane_distances(points, reference.points, normals, closest_rows=closest, normal_rows=closest)
+    return signed_offset(Distances(distances, planes), reference.cells.of_point[closest], reference.cells)

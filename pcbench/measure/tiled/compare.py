@@ -31,7 +31,7 @@ from pcbench.geometry.voxels import robust_extent
 from pcbench.io.contents import FileState, cloud_contents, cloud_files
 from pcbench.io.map_tiles import map_tile_extension, write_overview, write_tile_index
 from pcbench.io.pieces import CloudOnDisk
-from pcbench.measure.budget import Frame, consistent_with
+from pcbench.measure.budget import FitFrame, consistent_with
 from pcbench.measure.comparison import crs_warnings, differences, record_time
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import CorrelationCells, CorrelationGrid
@@ -271,6 +271,7 @@ class _Run(Steps):
             warnings=tuple(warnings),
             budget=split,
             changes=Changes(changes.sampled.found, *changes.sampled.labels).shifted(origin),
+            offset=sample.offset,
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))
@@ -299,7 +300,7 @@ class _Run(Steps):
             max_distance=self.tiling.max_distance or np.inf,
             overlap_distance=registration.overlap_distance,
             pixels=pixels,
-            frame=Frame.of(reference.tiles.corners),
+            frame=FitFrame.of(reference.tiles.corners),
             labels=(PointLabels.of(changes, 1), PointLabels.of(changes, 0)),
         )
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
-from pcbench.measure.budget import FIRST, BudgetSums, Frame, sum_queries
+from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import column_file, save_column
@@ -59,7 +59,7 @@ class TiledPair:
     max_distance: float
     overlap_distance: float
     pixels: PixelGrid | None
-    frame: Frame | None
+    frame: FitFrame | None
     labels: tuple[PointLabels, PointLabels]
 
 

@@ -1,14 +1,14 @@
-"""What differs, on the page: a bar for the budget of D2 of each candidate and direction, and a table of the changes."""
+"""Bars for the budgets of D2 of each candidate and direction, and a table of the changes, on the page."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from pcbench.measure.budget import PARTS, Budget
+from pcbench.measure.budget import PARTS, D2Budget
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
 from pcbench.report.budget import kind_words, squared
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import UNKNOWN, length, percentage, printable
+from pcbench.report.words import UNKNOWN, length, percentage, printable, rounding_limit
 
 _LABELS = {  # of the parts in the legend, with their colours: of Okabe and Ito, and greys for what has no shape
     "unmatched": ("no counterpart", "#cc79a7"),
@@ -24,7 +24,7 @@ _MIN_TEXT_SHARE = 0.06  # of the bar, for a percentage inside a segment
 _MAX_CHANGES = 30  # in the table; comparison.json has all
 
 
-class Segment(NamedTuple):
+class BudgetSegment(NamedTuple):
     """A part of a bar: its width in %, colours of the ground and the text, the text inside and the one on hovering."""
 
     width: float
@@ -34,13 +34,13 @@ class Segment(NamedTuple):
     title: str
 
 
-class Bar(NamedTuple):
+class BudgetBar(NamedTuple):
     """The budget of one direction: the candidate (empty below its first bar), direction, RMS and segments."""
 
     name: str
     arrow: str
     rms: str
-    segments: list[Segment]
+    segments: list[BudgetSegment]
 
     @property
     def description(self) -> str:
@@ -48,7 +48,7 @@ class Bar(NamedTuple):
         return ", ".join(segment.title for segment in self.segments)
 
 
-class Legend(NamedTuple):
+class LegendPart(NamedTuple):
     """A part in the legend."""
 
     label: str
@@ -67,23 +67,26 @@ class ChangeRow(NamedTuple):
     peak: str
 
 
-def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[Bar]:
-    """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r."""
+def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[BudgetBar]:
+    """Return the bars of all candidates with a budget, c→r above r→c; of many candidates only c→r.
+
+    Directions whose distances are within rounding have none.
+    """
     unit, found = comparison.reference.unit, []
     for candidate in comparison:
         if candidate.budget is None:
             continue
         for way, arrow in ARROWS.items():
             budget, is_first = candidate.budget[way], way == CANDIDATE_TO_REFERENCE
-            if budget.mean_square > 0 and (is_first or not is_wide):
+            if budget.mean_square**0.5 > rounding_limit(comparison) and (is_first or not is_wide):
                 name = printable(candidate.name) if is_first else ""
-                found.append(Bar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
+                found.append(BudgetBar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
     return found
 
 
-def legend() -> list[Legend]:
+def legend() -> list[LegendPart]:
     """Return the parts with their colours, in the order of the bars."""
-    return [Legend(*_LABELS[name]) for name in PARTS]
+    return [LegendPart(*_LABELS[name]) for name in PARTS]
 
 
 def change_rows(comparison: SourcedComparison) -> list[ChangeRow]:
@@ -97,7 +100,7 @@ def change_rows(comparison: SourcedComparison) -> list[ChangeRow]:
     return rows[:_MAX_CHANGES]
 
 
-def _segments(budget: Budget, unit: str | None) -> list[Segment]:
+def _segments(budget: D2Budget, unit: str | None) -> list[BudgetSegment]:
     found = []
     for name, part in budget.parts.items():
         if not (share := budget.share(name)):
@@ -107,5 +110,5 @@ def _segments(budget: Budget, unit: str | None) -> list[Segment]:
         title = (
             f"{label}: {percentage(share)}, {length(part.rms, unit)} RMS of {percentage(part.point_share)} of points"
         )
-        found.append(Segment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title))
+        found.append(BudgetSegment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title))
     return found

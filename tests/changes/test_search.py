@@ -1,0 +1,135 @@
+"""What moved, was added or was removed, where and how much; nothing changed between samples of the same scene."""
+
+import numpy as np
+import pytest
+from changed_scenes import NOISE, SIZE, box, disc, ground
+from data_folder import data_folder
+
+from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, find_changes
+from pcbench.changes.description import convex_outline
+from pcbench.geometry.neighbors import Index
+from pcbench.geometry.normals import Surface
+from pcbench.io import read_cloud
+
+CAR, HOUSE = (2.0, 4.5, 1.5), (10.0, 10.0, 6.0)
+
+
+def search(reference, candidate):
+    return find_changes(Surface(Index(reference)), Surface(Index(candidate)))
+
+
+def raised(points, radius, offset):
+    return points + np.where(disc(points, radius), offset, 0.0)[:, None] * [0, 0, 1]
+
+
+def test_samples_of_the_same_scene_have_no_changes():
+    for seed in range(3):
+        found = search(ground(seed), ground(seed + 10))
+        assert not found.found
+        assert (found.of_reference == STABLE).all()
+        assert (found.of_candidate == STABLE).all()
+
+
+@pytest.mark.parametrize("file", ["samp22.pcd", "mvk.las", "car400.csv"])
+def test_halves_of_a_real_scan_have_no_changes(file):
+    points = np.unique(read_cloud(data_folder("halves") / file).points, axis=0)
+    rows = np.random.default_rng(0).permutation(len(points))
+    assert not search(points[np.sort(rows[::2])], points[np.sort(rows[1::2])]).found
+
+
+@pytest.mark.parametrize("radius", [2.5, 15.0])
+def test_a_larger_offset_is_never_reported_less(radius):
+    """A disc of 5 or 30 % of the extent, raised by 3 to 1,000 standard deviations of the noise."""
+    reference, candidate = ground(1), ground(2)
+    inside, sizes = disc(candidate, radius), []
+    for factor in (3, 10, 30, 100, 300, 1000):
+        offset = factor * NOISE
+        found = search(reference, raised(candidate, radius, offset))
+        if factor < 10 and not found.found:
+            continue
+        largest = found.found[0]
+        assert largest.kind == MOVED
+        assert largest.mean == pytest.approx(offset, rel=0.25)
+        assert np.hypot(largest.place[0] - 10, largest.place[1] - 5) < 0.4 * radius
+        assert np.mean(found.of_candidate[inside] == 0) > 0.6
+        sizes.append(largest.importance)
+    assert sizes == sorted(sizes)
+    assert largest.area == pytest.approx(np.pi * radius**2, rel=0.35)
+
+
+def test_a_lowered_disc_has_a_negative_volume():
+    found = search(ground(1), raised(ground(2), 6.0, -2.0)).found
+    assert [change.kind for change in found] == [MOVED]
+    assert found[0].mean == pytest.approx(-2.0, rel=0.05)
+    assert found[0].volume == pytest.approx(-2 * np.pi * 36, rel=0.25)
+
+
+def test_half_of_a_site_that_sank_is_one_change():
+    candidate = ground(2)
+    candidate[candidate[:, 0] > 0, 2] -= 5 * NOISE
+    (change,) = search(ground(1), candidate).found
+    assert change.kind == MOVED
+    assert change.mean == pytest.approx(-5 * NOISE, rel=0.1)
+    assert change.area == pytest.approx(SIZE**2 / 2, rel=0.1)
+
+
+def test_an_added_and_a_removed_object_are_told_apart():
+    car = box((10, 5), CAR, 3)
+    for reference, candidate, kind, sign in (
+        (ground(1), np.concatenate([ground(2), car]), ADDED, 1),
+        (np.concatenate([ground(1), car]), ground(2), REMOVED, -1),
+    ):
+        (change,) = search(reference, candidate).found
+        assert change.kind == kind
+        assert change.volume * sign > 0
+        assert change.peak == pytest.approx(sign * CAR[2], rel=0.3)
+        assert change.place[:2] == pytest.approx((10, 5), abs=1.0)
+        assert change.motion is None
+
+
+def test_a_house_on_ground_that_it_hides_was_added():
+    covered = np.abs(ground(2)[:, :2] - [10, 5]).max(axis=1) < 5
+    candidate = np.concatenate([ground(2)[~covered], box((10, 5), HOUSE, 3)])
+    (change,) = search(ground(1), candidate).found
+    assert change.kind == ADDED
+    assert change.volume == pytest.approx(np.prod(HOUSE), rel=0.35)
+
+
+def test_an_object_elsewhere_moved():
+    reference = np.concatenate([ground(1), box((10, 5), CAR, 3)])
+    candidate = np.concatenate([ground(2), box((25, 5), CAR, 4)])
+    (change,) = search(reference, candidate).found
+    assert change.kind == MOVED
+    assert change.motion[0] == pytest.approx(15, rel=0.1)
+
+
+def test_what_one_cloud_does_not_cover_is_no_change():
+    reference, candidate = ground(1), ground(2)
+    for kept in (candidate[:, 0] > 0, ~disc(candidate, 6.0)):
+        found = search(reference, candidate[kept])
+        assert not found.found
+        assert set(found.of_reference) <= {STABLE, UNMATCHED}
+
+
+def test_a_displacement_that_is_no_change_is_removed():
+    candidate = ground(2)
+    bend = 2.0 * ((candidate[:, :2] / 50) ** 2).sum(axis=1)[:, None] * [0, 0, 1]
+    found = find_changes(
+        Surface(Index(ground(1))), Surface(Index(raised(candidate, 6.0, 0.5) + bend)), displacement=bend
+    ).found
+    assert [change.kind for change in found] == [MOVED]
+    assert found[0].mean == pytest.approx(0.5, rel=0.1)
+
+
+def test_few_or_coincident_points_have_no_changes():
+    for points in (ground(1)[:50], np.zeros((200, 3))):
+        found = search(points, points)
+        assert not found.found
+        assert len(found.of_reference) == len(points)
+
+
+def test_outline_is_the_convex_hull():
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5], [0.5, 0.0]])
+    assert convex_outline(square) == ((0, 0), (1, 0), (1, 1), (0, 1))
+    assert convex_outline(square[:2]) == ((0, 0), (1, 0))
+    assert convex_outline(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == ((0, 0), (2, 2))
