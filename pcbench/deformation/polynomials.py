@@ -79,6 +79,14 @@ def normal_equations(
     return moments, scores
 
 
+def equal_normal_equations(
+    places: FloatArray, normals: FloatArray, residuals: FloatArray
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Accumulate normal equations of pairs of equal weight: moments (84, 6) and scores (20, 3)."""
+    moments, scores = normal_equations(places, normals, np.ones(len(places)), residuals)
+    return moments[0], scores[0]
+
+
 def whole_normal_equations(
     places: FloatArray, normals: FloatArray, residuals: FloatArray
 ) -> tuple[NDArray[np.object_], NDArray[np.object_]]:

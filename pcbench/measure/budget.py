@@ -10,7 +10,7 @@ floor or the white noise explains it, and the rest is unexplained.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -23,11 +23,11 @@ from pcbench.deformation.polynomials import (
     DEGREE,
     EXPONENTS,
     PARAMETERS,
+    equal_normal_equations,
     gram_matrix,
     model_columns,
     normal_matrix,
     value_of_digits,
-    whole_normal_equations,
 )
 from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.errors import Notice
@@ -129,6 +129,10 @@ class D2Budget:
         return max(named) <= NEGLIGIBLE_SHARE**2 * scale and others <= (1 - MAX_NOISE_RATIO**-2) * scale
 
 
+Equations = Callable[[FloatArray, FloatArray, FloatArray], tuple[NDArray[Any], NDArray[Any]]]
+"""Accumulates moments and scores of positions (N, 3), normals (N, 3) and residuals (N,)."""
+
+
 class FitFrame(NamedTuple):
     """Coordinates in which positions lie between -1 and 1: their centre (3,) and their radius."""
 
@@ -151,8 +155,8 @@ class BudgetSums:
     Attributes:
         counts: (2 + C,) number of queries without a counterpart, of stable ones, and of those of each change.
         squares: (2 + C,) sums of their squared distances.
-        moments: (3, 84, 6) moments of the stable queries.
-        scores: (4, 20, 3) their scores.
+        moments: (84, 6) moments of the stable queries, or (3, 84, 6) in whole numbers.
+        scores: (20, 3) their scores, or (4, 20, 3) in whole numbers.
     """
 
     counts: IntArray
@@ -177,6 +181,7 @@ def sum_queries(
     labels: NDArray[np.int32],
     changes: int,
     frame: FitFrame,
+    equations: Equations = equal_normal_equations,
 ) -> BudgetSums:
     """Return the sums over the queries of one direction.
 
@@ -189,19 +194,21 @@ def sum_queries(
         labels: (M,) number of the change of each query, `STABLE` or `UNMATCHED`.
         changes: number of changes.
         frame: frame of the places.
+        equations: function that accumulates the normal equations; `whole_normal_equations` takes much longer, and gives
+            sums that do not depend on the order of queries and pieces.
     """
     size = FIRST + changes
     squares = np.bincount(labels + FIRST, np.square(distances), size).astype(np.float64)
-    moments, scores = np.zeros((3, 84, 6), object), np.zeros((4, 20, 3), object)
+    moments: NDArray[Any] | float = 0.0
+    scores: NDArray[Any] | float = 0.0
     stable = np.flatnonzero(labels == STABLE)
-    for start in range(0, len(stable), _CHUNK):
+    for start in range(0, max(len(stable), 1), _CHUNK):
         queries = stable[start : start + _CHUNK]
         at = queries if rows is None else rows[queries]
         here = (places[at] - frame.center) / frame.radius
-        equations = whole_normal_equations(here, normals[at], distances[queries] / frame.radius)
-        moments += equations[0]
-        scores += equations[1]
-    return BudgetSums(np.bincount(labels + FIRST, None, size), squares, moments, scores)
+        of_chunk = equations(here, normals[at], distances[queries] / frame.radius)
+        moments, scores = moments + of_chunk[0], scores + of_chunk[1]
+    return BudgetSums(np.bincount(labels + FIRST, None, size), squares, np.asarray(moments), np.asarray(scores))
 
 
 def budget(sums: BudgetSums, frame: FitFrame, *, floor: float | None, white: float | None = None) -> D2Budget:
@@ -269,8 +276,10 @@ def _explained_squares(sums: BudgetSums, frame: FitFrame, power: float) -> tuple
     affordable = count / _POINTS_PER_PARAMETER
     if affordable < PARAMETERS["rigid"]:
         return 0.0, 0.0, 0.0
-    moments = value_of_digits(sums.moments)
-    scores = frame.radius * value_of_digits(sums.scores).ravel() / count
+    moments, scores = sums.moments, sums.scores
+    if moments.dtype == object:
+        moments, scores = value_of_digits(moments), value_of_digits(scores)
+    scores = frame.radius * scores.ravel() / count
     matrix = normal_matrix(moments) / count
     polynomials = _visible_polynomials(gram_matrix(moments) / count, matrix, power / frame.radius**2)
     degree = sum(PARAMETERS[model] <= affordable for model in _MODELS)

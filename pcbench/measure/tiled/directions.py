@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.deformation.polynomials import whole_normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
 from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
@@ -191,7 +192,7 @@ def _budget_sums(
     if pair.frame is None or np.isnan(planes).any():
         return _TileBudget(None, np.zeros(len(points), np.int64))
     found = labels.of_points(points)
-    sums = sum_queries(planes, places, normals, None, found, labels.changes, pair.frame)
+    sums = sum_queries(planes, places, normals, None, found, labels.changes, pair.frame, whole_normal_equations)
     moments, scores = (values.astype(np.int64) for values in (sums.moments, sums.scores))  # a tile's fit into 63 bits
     return _TileBudget(replace(sums, moments=moments, scores=scores), found.astype(np.int64) + FIRST)
 
