@@ -203,7 +203,8 @@ def _moved(ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, s
     peak = mean
     if np.linalg.norm(sideways) <= max(scene.side, 0.25 * abs(mean)):  # a surface shows no motion along itself
         motion = mean * normal
-        peak = _peak(theirs.signed)
+        # The largest offset of a smoothed surface: that of single points would be their noise.
+        peak = _largest(scene.samples[1].smooth(scene.evidence[1].signed)[part.candidate])
         if abs(peak) < abs(mean):
             peak = mean
     area = 0.5 * (ours.area + theirs.area)
@@ -280,6 +281,11 @@ def _change(
         len(part.candidate),
         scene.p_value(part),
     )
+
+
+def _largest(values: FloatArray) -> float:
+    """Return the value that is largest in size."""
+    return float(values[np.argmax(np.abs(values))])
 
 
 def _peak(values: FloatArray) -> float:

@@ -20,7 +20,7 @@ from pcbench.changes.description import Scene, describe
 from pcbench.changes.offsets import Offsets, find_offsets, shortest_width
 from pcbench.changes.parts import Evidence, connected_parts
 from pcbench.changes.presence import find_absence
-from pcbench.changes.result import STABLE, UNMATCHED, Change
+from pcbench.changes.result import STABLE, UNMATCHED, Change, Changes
 from pcbench.changes.samples import Sample, common_side
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.normals import Surface
@@ -53,6 +53,10 @@ class SampledChanges:
     def are_stable(self, which: int) -> bool:
         """Return whether all points of a cloud (0: the reference) are stable."""
         return self.samples is None or bool((self.labels[which] == STABLE).all())
+
+    def of_clouds(self, reference: FloatArray, candidate: FloatArray) -> Changes:
+        """Return the changes with the labels of all points (N, 3) and (M, 3) of both clouds."""
+        return Changes(self.found, self.of_points(0, reference), self.of_points(1, candidate))
 
     def of_points(self, which: int, points: FloatArray) -> NDArray[np.int32]:
         """Return the labels (N,) of points (N, 3) of a cloud: those of the nearest sampled points."""

@@ -12,6 +12,7 @@ from pcbench.report.words import join_words, length, percentage
 
 _MIN_NAMED_SHARE = 0.045  # of D2, for a part that the answer names: rounded, 5 %
 _MAX_NAMED_CHANGES = 3
+_MAX_EVEN_RATIO = 1.5  # of the largest offset to the mean one, up to which a part moved as a whole
 _MIN_VERTICAL_SHARE = 0.9  # of the length of a motion that is called raised or lowered
 
 
@@ -73,12 +74,15 @@ def change_words(change: Change, unit: str | None) -> str:
 def kind_words(change: Change, unit: str | None) -> str:
     """Return what happened to a part: added, removed, raised, lowered or moved, and by how much."""
     if change.kind in (ADDED, REMOVED):
-        return change.kind
+        return change.kind if change.peak is None else f"{change.kind} (up to {length(abs(change.peak), unit)} off)"
     if change.motion is not None:
         distance = sum(x * x for x in change.motion) ** 0.5
         if abs(change.motion[2]) < _MIN_VERTICAL_SHARE * distance:
             return f"moved by {length(distance, unit)}"
-        return f"{'raised' if change.motion[2] > 0 else 'lowered'} by {length(abs(change.motion[2]), unit)}"
+        rise = abs(change.motion[2])
+        words = f"{'raised' if change.motion[2] > 0 else 'lowered'} by {length(rise, unit)}"
+        is_uneven = change.peak is not None and abs(change.peak) > _MAX_EVEN_RATIO * rise
+        return f"{words} on average, by up to {length(abs(change.peak or 0.0), unit)}" if is_uneven else words
     if change.mean is None:
         return change.kind
     return f"moved by {length(abs(change.mean), unit)} along the normals"

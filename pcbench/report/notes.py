@@ -20,7 +20,7 @@ from pcbench.measure.results import (
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.moved import motion_clause
+from pcbench.report.moved import motion_clause, place_sentence
 from pcbench.report.words import join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
@@ -53,7 +53,7 @@ def warnings(comparison: SourcedComparison) -> list[str]:
 
 
 def remarks(comparison: SourcedComparison) -> Iterator[str]:
-    """Yield how tiles were used, the RMSE of control and check points of each candidate that has some, and samples."""
+    """Yield how tiles were used, residuals of control points, motions that the answer does not state, and samples."""
     if comparison.tiling is not None:
         yield tiling_sentence(comparison, comparison.tiling)
     if samples := list(_map_samples(comparison)):
@@ -63,7 +63,8 @@ def remarks(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         if lines := list(candidate.registration.residuals.rmse_lines(unit)):
             yield f"{candidate.name}: {'; '.join(lines)}"
-        if (motion := candidate.registration.motion) is not None:
+        motion = candidate.registration.motion
+        if motion is not None and motion.size > 0 and not place_sentence(comparison, candidate, candidate.name):
             yield f"{motion_clause(candidate.registration, motion, candidate.name, unit)}."
     if comparison.settings.tolerance is None:
         return

@@ -5,7 +5,7 @@ import pytest
 from changed_scenes import NOISE, SIZE, box, disc, ground
 from data_folder import data_folder
 
-from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, Changes, find_changes
+from pcbench.changes import ADDED, MOVED, REMOVED, STABLE, UNMATCHED, find_changes
 from pcbench.changes.description import convex_outline
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
@@ -15,8 +15,7 @@ CAR, HOUSE = (2.0, 4.5, 1.5), (10.0, 10.0, 6.0)
 
 
 def search(reference, candidate):
-    sampled = find_changes(Surface(Index(reference)), Surface(Index(candidate)))
-    return Changes(sampled.found, sampled.of_points(0, reference), sampled.of_points(1, candidate))
+    return find_changes(Surface(Index(reference)), Surface(Index(candidate))).of_clouds(reference, candidate)
 
 
 def raised(points, radius, offset):

@@ -151,5 +151,5 @@ def test_annotations_name_all_types_of_results(function, names):
 
 def test_shared_values_are_of_known_types():
     names = {name.rpartition(".")[2] for name in types_in(directions.TiledPair)}
-    own = {"TiledPair", "TiledCloud", "CorrelationGrid", "PixelGrid", "Frame", "PointLabels", "Displacement"}
+    own = {"TiledPair", "TiledCloud", "CorrelationGrid", "PixelGrid", "FitFrame", "PointLabels", "Displacement"}
     assert names == own

@@ -269,9 +269,9 @@ class _Run(Steps):
             peak_rss_bytes=peak_memory(),
             steps=tuple(cloud.quantisation.steps.tolist()),
             warnings=tuple(warnings),
-            offset=sample.offset,
             budget=split,
             changes=Changes(changes.sampled.found, *changes.sampled.labels).shifted(origin),
+            offset=sample.offset,
             censored={} if self.tiling.max_distance is None else censored,
         )
         return _ComparedCandidate(candidate, measurement, sample.reference, len(summaries))

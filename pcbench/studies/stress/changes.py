@@ -43,7 +43,7 @@ class ChangeMethod:
 
 def name_changes(reference: FloatArray, aligned: FloatArray) -> list[NamedChange]:
     """Return the changes from a reference (N, 3) to an aligned candidate (M, 3), the most important one first."""
-    result = find_changes(Surface(Index(reference)), Surface(Index(aligned)))
+    result = find_changes(Surface(Index(reference)), Surface(Index(aligned))).of_clouds(reference, aligned)
     named = []
     for number, change in enumerate(result.found):
         points = np.concatenate([reference[result.of_reference == number], aligned[result.of_candidate == number]])
