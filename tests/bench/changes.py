@@ -92,7 +92,7 @@ def answer_now(reference: Points, candidate: Points) -> list[Found]:
     from pcbench.geometry.neighbors import Index
     from pcbench.geometry.normals import Surface
 
-    result = find_changes(Surface(Index(reference)), Surface(Index(candidate)))
+    result = find_changes(Surface(Index(reference)), Surface(Index(candidate))).of_clouds(reference, candidate)
     answer = []
     for number, change in enumerate(result.found):
         points = np.concatenate([reference[result.of_reference == number], candidate[result.of_candidate == number]])
