@@ -15,7 +15,7 @@ from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
 
 _LINK = 4.0  # largest gap between points of one part, in voxels of the samples
-_MIN_POINTS = 10  # sampled points of each cloud that lie off the other's surface in one part
+_MIN_POINTS = 12  # sampled points of each cloud that lie off the other's surface in one part
 _MAX_RATIO = 2.0  # of the offsets that both clouds show
 
 
