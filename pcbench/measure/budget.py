@@ -277,7 +277,7 @@ def _explained_squares(sums: BudgetSums, frame: FitFrame, power: float) -> tuple
     if affordable < PARAMETERS["rigid"]:
         return 0.0, 0.0, 0.0
     moments, scores = sums.moments, sums.scores
-    if moments.dtype == object:
+    if moments.ndim == 3:  # in whole numbers
         moments, scores = value_of_digits(moments), value_of_digits(scores)
     scores = frame.radius * scores.ravel() / count
     matrix = normal_matrix(moments) / count
