@@ -22,6 +22,7 @@ _SURROUNDINGS = 2.0  # radius of a part's surroundings, in radii of the part
 _CELL = 3.0  # side of the cells of a footprint, in voxels
 _MIN_COVERED_SHARE = 0.5
 _MIN_FOOTPRINT_SHARE = 0.4  # of the occupied cells: those of narrow parts lie along the outline
+_PEAK_SHARE = 0.999
 _MIN_RELIEF = 4.0  # height of an object above its surroundings, in voxels
 
 
@@ -203,8 +204,7 @@ def _moved(ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, s
     peak = mean
     if np.linalg.norm(sideways) <= max(scene.side, 0.25 * abs(mean)):  # a surface shows no motion along itself
         motion = mean * normal
-        # The largest offset of a smoothed surface: that of single points would be their noise.
-        peak = _largest(scene.samples[1].smooth(scene.evidence[1].signed)[part.candidate])
+        peak = _peak(theirs.signed)
         if abs(peak) < abs(mean):
             peak = mean
     area = 0.5 * (ours.area + theirs.area)
@@ -283,15 +283,10 @@ def _change(
     )
 
 
-def _largest(values: FloatArray) -> float:
-    """Return the value that is largest in size."""
-    return float(values[np.argmax(np.abs(values))])
-
-
 def _peak(values: FloatArray) -> float:
-    """Return the value that is largest in size, at the 99th percentile of sizes."""
+    """Return the value that is exceeded in size by a thousandth of the values, and at least by one of several."""
     order = np.argsort(np.abs(values))
-    return float(values[order[int(0.99 * (len(values) - 1))]])
+    return float(values[order[int(_PEAK_SHARE * (len(values) - 1))]])
 
 
 def _upward(part: Part, scene: Scene) -> FloatArray:
