@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.changes.parts import Evidence, Part
+from pcbench.changes.parts import ChangedPart, PointTests
 from pcbench.changes.result import ADDED, MOVED, REMOVED, Change
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray
@@ -54,11 +54,11 @@ class Shown(NamedTuple):
         return found
 
 
-class Scene(NamedTuple):
+class SampledPair(NamedTuple):
     """What both clouds show: samples of the reference and the candidate, tests, and the reference's normals there."""
 
     samples: Sequence[Sample]
-    evidence: Sequence[Evidence]
+    evidence: Sequence[PointTests]
     normals: Sequence[FloatArray]
 
     @property
@@ -66,7 +66,7 @@ class Scene(NamedTuple):
         """Side of the voxels of both samples."""
         return self.samples[0].side
 
-    def shown(self, part: Part) -> tuple[Shown, Shown]:
+    def shown(self, part: ChangedPart) -> tuple[Shown, Shown]:
         """Return the points of a part in the reference and in the candidate."""
         ours, theirs = (
             Shown(sample.points[rows], sample.areas[rows], tests.signed[rows])
@@ -74,24 +74,24 @@ class Scene(NamedTuple):
         )
         return ours, theirs
 
-    def normal(self, part: Part) -> FloatArray:
+    def normal(self, part: ChangedPart) -> FloatArray:
         """Return the mean normal (3,) of the reference at a part; upwards if there is none."""
         total: FloatArray = np.sum([n[rows].sum(axis=0) for n, rows in zip(self.normals, part, strict=True)], axis=0)
         length = float(np.linalg.norm(total))
         return total / length if length > 0 else np.array([0.0, 0.0, 1.0])
 
-    def p_value(self, part: Part) -> float:
+    def p_value(self, part: ChangedPart) -> float:
         """Return the probability that sampling and noise produce points as significant as these anywhere."""
         least = min(tests.p_value(rows) for tests, rows in zip(self.evidence, part, strict=True))
         return min(1.0, least * sum(map(len, self.samples)))
 
 
-def describe(parts: Sequence[Part], scene: Scene) -> list[tuple[Part, Change | None]]:
+def describe(parts: Sequence[ChangedPart], scene: SampledPair) -> list[tuple[ChangedPart, Change | None]]:
     """Return the change that each part shows; None if one cloud does not cover the place or hides it.
 
     A removed and an added part of the same shape become one part, which moved.
     """
-    found: list[tuple[Part, Change | None]] = []
+    found: list[tuple[ChangedPart, Change | None]] = []
     left = []
     for part in parts:
         ours, theirs = scene.shown(part)
@@ -106,7 +106,7 @@ def describe(parts: Sequence[Part], scene: Scene) -> list[tuple[Part, Change | N
     added = [part for part in left if not _is_removed(part, scene)]
     up = np.array([0.0, 0.0, 1.0])
     for i, j, motion in _same_shapes(removed, added, scene):
-        whole = Part(removed[i].reference, added[j].candidate)
+        whole = ChangedPart(removed[i].reference, added[j].candidate)
         ours, theirs = scene.shown(whole)
         found.append((whole, _moved(ours, theirs, motion, up, scene, whole)))
         left = [part for part in left if part is not removed[i] and part is not added[j]]
@@ -118,12 +118,12 @@ def describe(parts: Sequence[Part], scene: Scene) -> list[tuple[Part, Change | N
     return found
 
 
-def _is_removed(part: Part, scene: Scene) -> bool:
+def _is_removed(part: ChangedPart, scene: SampledPair) -> bool:
     ours, theirs = scene.shown(part)
     return ours.area > theirs.area
 
 
-def _motion(ours: Shown, theirs: Shown, scene: Scene, normal: FloatArray) -> FloatArray | None:
+def _motion(ours: Shown, theirs: Shown, scene: SampledPair, normal: FloatArray) -> FloatArray | None:
     """Return the displacement (3,) that carries a part of the reference onto that of the candidate, if there is one.
 
     Each part, displaced, has to lie on the other cloud: its former or its new place.
@@ -132,7 +132,7 @@ def _motion(ours: Shown, theirs: Shown, scene: Scene, normal: FloatArray) -> Flo
     return _best_motion(ours, theirs, scene, [theirs.center - ours.center, along])
 
 
-def _best_motion(ours: Shown, theirs: Shown, scene: Scene, starts: Sequence[FloatArray]) -> FloatArray | None:
+def _best_motion(ours: Shown, theirs: Shown, scene: SampledPair, starts: Sequence[FloatArray]) -> FloatArray | None:
     """Return the motion (3,) with the smallest misfit, refined from several starts; None if none fits."""
     best, least = None, _MAX_MISFIT * scene.side
     for start in starts:
@@ -157,7 +157,9 @@ def _upper_misfit(index: Index, points: FloatArray) -> float:
     return float(np.percentile(index.query(points).distances, _FITTING_PERCENT))
 
 
-def _same_shapes(removed: Sequence[Part], added: Sequence[Part], scene: Scene) -> list[tuple[int, int, FloatArray]]:
+def _same_shapes(
+    removed: Sequence[ChangedPart], added: Sequence[ChangedPart], scene: SampledPair
+) -> list[tuple[int, int, FloatArray]]:
     """Return pairs of a removed and an added part of the same shape, with the motion; the nearest ones first."""
     pairs = []
     before = [scene.shown(part)[0] for part in removed]
@@ -176,7 +178,7 @@ def _same_shapes(removed: Sequence[Part], added: Sequence[Part], scene: Scene) -
     return found
 
 
-def _shortest_motion(ours: Shown, theirs: Shown, scene: Scene) -> FloatArray | None:
+def _shortest_motion(ours: Shown, theirs: Shown, scene: SampledPair) -> FloatArray | None:
     """Return the shortest motion (3,) that fits.
 
     Of an object that moved by less than its size, only the ends differ, and they lie farther apart than it moved.
@@ -197,7 +199,9 @@ def _have_same_shape(ours: Shown, theirs: Shown, side: float) -> bool:
     )
 
 
-def _moved(ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, scene: Scene, part: Part) -> Change:
+def _moved(
+    ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, scene: SampledPair, part: ChangedPart
+) -> Change:
     """Return the change of a part that both clouds show, apart from each other by a motion (3,)."""
     mean = float(motion @ normal)
     sideways = motion - mean * normal
@@ -212,7 +216,7 @@ def _moved(ours: Shown, theirs: Shown, motion: FloatArray, normal: FloatArray, s
     return _change(MOVED, place, [ours, theirs], area, area * mean, mean, peak, motion, part, scene)
 
 
-def _grown(part: Part, which: int, up: FloatArray, scene: Scene) -> Change:
+def _grown(part: ChangedPart, which: int, up: FloatArray, scene: SampledPair) -> Change:
     """Return the change of a part that one cloud shows (0: the reference), by its height above the other cloud."""
     shown, other, step = scene.shown(part)[which], scene.samples[1 - which], _CELL * scene.side
     heights = (1.0 if which else -1.0) * _heights(shown.points, other, up, scene.side)
@@ -262,8 +266,8 @@ def _change(
     mean: float,
     peak: float,
     motion: FloatArray | None,
-    part: Part,
-    scene: Scene,
+    part: ChangedPart,
+    scene: SampledPair,
 ) -> Change:
     x, y, z = map(float, place)
     outline = convex_outline(np.concatenate([each.points[:, :2] for each in shown]))
@@ -289,7 +293,7 @@ def _peak(values: FloatArray) -> float:
     return float(values[order[int(_PEAK_SHARE * (len(values) - 1))]])
 
 
-def _upward(part: Part, scene: Scene) -> FloatArray:
+def _upward(part: ChangedPart, scene: SampledPair) -> FloatArray:
     """Return the direction (3,) across the surface on which a part stands, upwards or along the reference's normals."""
     sample = scene.samples[0]
     points = np.concatenate([shown.points for shown in scene.shown(part)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -72,8 +73,6 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
     The standard error of a cell's median is that of independent noise in its region, or the scatter of the stable
     cells, whichever is larger: errors may be correlated within a cell.
     """
-    from scipy.special import erfc
-
     points = sample.points
     is_off, p = np.zeros(len(points), bool), np.ones(len(points))
     noise, level = _regional_noise(sample, offsets), sample.smooth(offsets.signed)
@@ -96,9 +95,14 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
         off = tested & (size >= _MIN_Z * error) & (size >= np.maximum(_MIN_SIGMAS * sigma, _MIN_OWN_RATIO * own))
         hit = off[of] & (level * np.sign(median[of]) >= _MIN_LEVEL_SHARE * size[of])
         is_off |= hit
-        p[hit] = np.minimum(p[hit], erfc((size / error)[of[hit]] / np.sqrt(2)))
+        p[hit] = np.minimum(p[hit], _two_sided_p((size / error)[of[hit]]))
         side *= 2
     return OffsetTest(is_off, p)
+
+
+def _two_sided_p(deviates: FloatArray) -> FloatArray:
+    """Return the probabilities (N,) that a normal variable exceeds deviates (N,) in size."""
+    return np.array([math.erfc(each / math.sqrt(2)) for each in deviates.tolist()])
 
 
 def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:

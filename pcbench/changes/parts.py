@@ -19,7 +19,7 @@ _MIN_POINTS = 12  # sampled points of each cloud that lie off the other's surfac
 _MAX_RATIO = 2.0  # of the offsets that both clouds show
 
 
-class Evidence(NamedTuple):
+class PointTests(NamedTuple):
     """Tests at the points of a sample, N points.
 
     Attributes:
@@ -49,22 +49,19 @@ class Evidence(NamedTuple):
         return min(float(self.offsets.p[rows].min()), float(np.exp(max(log_p, -690.0))))
 
 
-class Part(NamedTuple):
+class ChangedPart(NamedTuple):
     """Rows of both samples that form a connected part."""
 
     reference: IntArray
     candidate: IntArray
 
 
-def connected_parts(samples: Sequence[Sample], evidence: Sequence[Evidence]) -> Iterator[Part]:
+def connected_parts(samples: Sequence[Sample], evidence: Sequence[PointTests]) -> Iterator[ChangedPart]:
     """Yield the significant parts of the flagged points of both samples, reference first.
 
     Points of one cloud belong together if they are near each other; points of both, if one is the other's nearest.
     A part is significant if enough of its points have no counterparts, or if both clouds show about the same offset.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     rows = [np.flatnonzero(each.is_flagged) for each in evidence]
     starts, total = (0, len(rows[0])), sum(map(len, rows))
     if total == 0:
@@ -74,14 +71,28 @@ def connected_parts(samples: Sequence[Sample], evidence: Sequence[Evidence]) -> 
         link = _links_across(samples[own], samples[other], rows[own], rows[other])
         links.append(link + np.array([[starts[own]], [starts[other]]]))
     edges = np.concatenate(links, axis=1)
-    graph = coo_array((np.ones(edges.shape[1], np.int8), (edges[0], edges[1])), shape=(total, total))
-    labels = connected_components(graph, directed=False)[1]
+    labels = _components(edges, total)
     order = np.argsort(labels, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         split = int(np.searchsorted(members, starts[1]))
-        part = Part(rows[0][members[:split]], rows[1][members[split:] - starts[1]])
+        part = ChangedPart(rows[0][members[:split]], rows[1][members[split:] - starts[1]])
         if _is_significant(part, evidence):
             yield part
+
+
+def _components(edges: IntArray, count: int) -> IntArray:
+    """Return labels (N,) of the connected components of a graph of N nodes with edges (2, E): their lowest node."""
+    labels = np.arange(count)
+    while True:
+        low = np.minimum(labels[edges[0]], labels[edges[1]])
+        before = labels.copy()
+        for ends in edges:
+            np.minimum.at(labels, before[ends], low)  # of the node that stands for a component so far
+            np.minimum.at(labels, ends, low)
+        while not np.array_equal(labels, labels[labels]):
+            labels = labels[labels]
+        if np.array_equal(labels, before):
+            return labels
 
 
 def _links_within(sample: Sample, rows: IntArray) -> IntArray:
@@ -104,7 +115,7 @@ def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArr
     return np.stack([some, facing[some]])
 
 
-def _is_significant(part: Part, evidence: Sequence[Evidence]) -> bool:
+def _is_significant(part: ChangedPart, evidence: Sequence[PointTests]) -> bool:
     if any(each.absence.is_significant(rows) for rows, each in zip(part, evidence, strict=True)):
         return True
     off = [rows[each.offsets.is_off[rows]] for rows, each in zip(part, evidence, strict=True)]

@@ -69,8 +69,6 @@ def find_absence(sample: Sample, other: Index) -> Absence:
         sample: sample of one cloud.
         other: sample of the other cloud, without a displacement of the scene.
     """
-    from scipy.special import bdtr
-
     own = sample.near.distances
     distances = other.query(sample.points, min(own.shape[1], len(other))).distances.reshape(len(sample), -1)
 
@@ -80,8 +78,8 @@ def find_absence(sample: Sample, other: Index) -> Absence:
 
     density = _density_ratios(sample, count(own.shape[1]) / own.shape[1])
     share = density / (1 + density)
-    p = np.stack([bdtr(count(ball.points), ball.points + count(ball.points), share) for ball in BALLS])
-    return Absence(p[0].astype(np.float64), p < np.array([[ball.max_p] for ball in BALLS]))
+    p = np.stack([_at_most(count(ball.points), ball.points, share) for ball in BALLS])
+    return Absence(p[0], p < np.array([[ball.max_p] for ball in BALLS]))
 
 
 def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
@@ -92,3 +90,17 @@ def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
     region = Index(sample.points[anchors]).query(sample.points).indices
     found: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
     return found
+
+
+def _at_most(counts: IntArray, points: int, share: FloatArray) -> FloatArray:
+    """Return the probabilities (N,) that of k + n points at most n (N,) are the other cloud's, each with a share (N,).
+
+    It is the probability that k points of the sample are drawn before n + 1 of the other cloud: the sum over j up to n
+    of C(k - 1 + j, j) (1 - share)^k share^j.
+    """
+    term = (1 - share) ** points
+    total = term.copy()
+    for j in range(1, int(counts.max(initial=0)) + 1):
+        term *= share * (points - 1 + j) / j
+        total += np.where(counts >= j, term, 0.0)
+    return total

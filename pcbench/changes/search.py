@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.changes.description import Scene, describe
+from pcbench.changes.description import SampledPair, describe
 from pcbench.changes.offsets import Offsets, find_offsets, shortest_width
-from pcbench.changes.parts import Evidence, connected_parts
+from pcbench.changes.parts import PointTests, connected_parts
 from pcbench.changes.presence import find_absence
 from pcbench.changes.result import STABLE, UNMATCHED, Change, Changes
 from pcbench.changes.samples import Sample, common_side
@@ -84,8 +84,8 @@ def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
     offsets = _offsets(reference, candidate, samples)
     evidence = []
     for sample, other, found in zip(samples, samples[::-1], offsets, strict=True):
-        evidence.append(Evidence(find_offsets(sample, found), found.signed, find_absence(sample, other.index)))
-    scene = Scene(samples, evidence, [found.normals for found in offsets])
+        evidence.append(PointTests(find_offsets(sample, found), found.signed, find_absence(sample, other.index)))
+    scene = SampledPair(samples, evidence, [found.normals for found in offsets])
     described = describe(list(connected_parts(samples, evidence)), scene)
     changed = [(part, change) for part, change in described if change is not None]
     changed.sort(key=lambda each: -each[1].importance)

@@ -276,6 +276,7 @@ def deform(
     from pcbench.io.files import file_in_setting
     from pcbench.report.budget import changes_sentence
     from pcbench.report.deform_files import deform_files
+    from pcbench.report.document import deformation_values
     from pcbench.report.figures import Figures
 
     style = Figures().with_changes(background, None, figure_format)
@@ -294,7 +295,7 @@ def deform(
             step=step,
         )
     result = outcome.deformation
-    output.write(result)
+    output.write(deformation_values(result))
     say = warn_unless(quiet)
     for warning in outcome.warnings:
         say(warning)

@@ -165,7 +165,7 @@ class DetectableSize:
 
 
 @dataclass(frozen=True)
-class Figure:
+class ShapeFigure:
     """Mean displacement of the candidate at one place of a shape, positive upwards or outwards, in the clouds' unit."""
 
     where: str
@@ -184,7 +184,7 @@ class Shape:
 
     name: str
     share: float
-    figures: tuple[Figure, ...]
+    figures: tuple[ShapeFigure, ...]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcbench.deformation.parts import Field, Figure, Shape
+from pcbench.deformation.parts import Field, Shape, ShapeFigure
 from pcbench.geometry.arrays import FloatArray
 
 _MIN_SHARE = 0.7  # share of the mean squared displacement that a shape explains; below it, the field has no simple one
@@ -80,7 +80,7 @@ def _shapes(places: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def _figures(name: str, places: FloatArray, moved: FloatArray, weights: FloatArray) -> tuple[Figure, Figure]:
+def _figures(name: str, places: FloatArray, moved: FloatArray, weights: FloatArray) -> tuple[ShapeFigure, ShapeFigure]:
     """Return mean displacements at both ends of a shape: vertical ones of domes, else of the axis that moved most."""
     axis = 2 if name in ("dome", "saddle", "S-bend") else int(np.argmax(weights @ np.square(moved)))
     if name in ("dome", "growth with distance"):
@@ -97,4 +97,4 @@ def _figures(name: str, places: FloatArray, moved: FloatArray, weights: FloatArr
     share = np.cumsum(weights[order]) / weights.sum()
     inner, outer = order[share <= max(_END_SHARE, share[0])], order[share >= 1 - _END_SHARE]
     first, last = (float(np.average(values[rows], weights=weights[rows])) for rows in (inner, outer))
-    return Figure(ends[0], first), Figure(ends[1], last)
+    return ShapeFigure(ends[0], first), ShapeFigure(ends[1], last)
