@@ -60,7 +60,7 @@ class Found(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """What an answer says about a true change.
+    """Judgement of an answer about a true change.
 
     Args:
         reported: whether a change at its place is reported.

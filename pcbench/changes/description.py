@@ -55,7 +55,7 @@ class Shown(NamedTuple):
 
 
 class SampledPair(NamedTuple):
-    """What both clouds show: samples of the reference and the candidate, tests, and the reference's normals there."""
+    """Samples of the reference and the candidate, their tests, and the reference's normals at their points."""
 
     samples: Sequence[Sample]
     evidence: Sequence[PointTests]

@@ -34,7 +34,7 @@ _MIN_THINNED_POINTS = 64  # so that a random share of few points has neighbours
 
 @dataclass(frozen=True, eq=False)
 class FloorSurface:
-    """What floors need to know of a reference.
+    """Surface of a reference, and its properties on which floors depend.
 
     Attributes:
         surface: its points and normals, in local coordinates.

@@ -1,4 +1,4 @@
-"""What moved, was added or was removed, where and how much; nothing changed between samples of the same scene."""
+"""Parts that moved, were added or were removed are found, and samples of the same scene have no changes."""
 
 import numpy as np
 import pytest

@@ -32,8 +32,8 @@ from pcbench.tasks import Task, TaskRunner
 from pcbench.tasks.codec import fingerprint
 from pcbench.tasks.results import read_shared, write_result
 
-# Around a place, so many points are kept, and so many times as many as asked for: closest points move while a
-# deformation is followed.
+# Smallest number of points kept around a place, and their ratio to those asked for: closest points move while a
+# deformation is followed. And the number of points kept in all, for the estimate of memory.
 _MIN_NEAR_POINTS, _NEAR_GROWTH = 16, 2
 MAX_NEAR_POINTS = 2_000_000
 """Points of a cloud that its assessment may have in memory, unless it follows a large deformation."""

@@ -1,4 +1,4 @@
-"""What all steps of a comparison in tiles share: where tasks run, where files lie, and the settings."""
+"""Settings, workers and files that all steps of a comparison in tiles share."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ REFERENCE = "reference"
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """What the steps of one comparison share.
+    """Settings, workers and files that the steps of one comparison share.
 
     Attributes:
         runner: runs the tasks of all steps.

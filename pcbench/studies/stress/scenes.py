@@ -37,7 +37,7 @@ _MAX_GIVEN_POINTS = 60_000  # of each cloud of a given pair
 
 @dataclass(frozen=True, eq=False)
 class TrueChange:
-    """What changed between the clouds of a pair.
+    """A change between the clouds of a pair.
 
     Attributes:
         kinds: kinds of changes that are right; see `pcbench.changes.result`.
