@@ -34,7 +34,8 @@ class Change:
         area: area of its surface, in squared units.
         volume: volume between the surfaces of both clouds, in cubed units: positive where the candidate lies above the
             reference. None if one cloud shows no surface there.
-        mean: mean signed distance of the candidate from the reference along the reference's normals. None as above.
+        mean: mean signed distance of the candidate from the reference along the reference's normals, which point
+            upwards, and on walls along the larger one of x and y. None as above.
         peak: signed distance that is largest in size (a thousandth of the points exceeds it). None as above.
         motion: mean displacement of the part from the reference to the candidate; None for added and removed parts.
         points_reference, points_candidate: number of points of each cloud that belong to it.

@@ -28,6 +28,7 @@ from pcbench.geometry.normals import Surface
 _MIN_POINTS = 100
 _MAX_NOISE_SAMPLE = 10_000
 _MAX_SHEET_VARIATION = 0.03  # surface variation, or four times its lower quartile: a smooth surface
+_MIN_UPWARD = 0.5  # vertical component of a normal, from which a surface is no wall
 _MAX_TANGENTIAL = 3.0  # tangential distance of closest points on the same surface, in voxels of the sample
 
 
@@ -120,7 +121,7 @@ def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) 
         (ours, ours.rows, back, apart[0], own),
         (theirs, forth.indices, forth, apart[1], own[ours.index.query(theirs.points).indices]),
     ):
-        normals, variation = reference.normals(rows), reference.variation(rows)
+        normals, variation = _oriented(reference.normals(rows)), reference.variation(rows)
         signed = np.einsum("ni,ni->n", between, normals)
         tangential = np.sqrt(np.maximum(np.square(matches.distances) - np.square(signed), 0))
         smooth = variation <= max(_MAX_SHEET_VARIATION, 4 * float(np.percentile(variation, 25)))
@@ -129,8 +130,18 @@ def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) 
     return found
 
 
+def _oriented(normals: FloatArray) -> FloatArray:
+    """Return normals (N, 3) that point upwards, and on walls along the larger one of x and y.
+
+    The sign of estimated normals is arbitrary on walls, where offsets of one cell would cancel.
+    """
+    axis = np.where(np.abs(normals[:, 2]) >= _MIN_UPWARD, 2, np.argmax(np.abs(normals[:, :2]), axis=1))
+    signs = np.sign(np.take_along_axis(normals, axis[:, None], axis=1))
+    return np.where(signs == 0, 1.0, signs) * normals
+
+
 def _own_offsets(reference: Surface, sample: Sample) -> FloatArray:
     """Return (N,) absolute distances of a sample of the reference from planes at the nearest other points, smoothed."""
     nearest = reference.index.query(sample.points, 2).indices[:, 1]
-    signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], reference.normals(nearest))
+    signed = np.einsum("ni,ni->n", sample.points - reference.points[nearest], _oriented(reference.normals(nearest)))
     return np.abs(sample.smooth(signed))

@@ -103,6 +103,17 @@ def test_an_object_elsewhere_moved():
     assert change.motion[0] == pytest.approx(15, rel=0.1)
 
 
+def test_walls_of_a_house_that_shifted_moved():
+    """Normals of walls have arbitrary signs; the ground around the house did not move."""
+    reference = np.concatenate([ground(1), box((10, 5), HOUSE, 3)])
+    candidate = np.concatenate([ground(2), box((10, 5), HOUSE, 4) + [0.3, 0, 0]])
+    found = search(reference, candidate).found
+    assert {change.kind for change in found} == {MOVED}
+    for change in found:
+        assert change.mean == pytest.approx(0.3, rel=0.25)
+        assert abs(abs(change.place[0] - 10) - 5) < 1.5
+
+
 def test_what_one_cloud_does_not_cover_is_no_change():
     reference, candidate = ground(1), ground(2)
     for kept in (candidate[:, 0] > 0, ~disc(candidate, 6.0)):
