@@ -25,7 +25,6 @@ Everything is computed from `TileSums`, which are additive over pairs. Lengths a
 
 from pcbench.deformation.answer import assess
 from pcbench.deformation.clouds import deform
-from pcbench.deformation.pairs import Side
 from pcbench.deformation.parts import (
     Amplitude,
     Bin,
@@ -45,6 +44,7 @@ from pcbench.deformation.parts import (
 )
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
+from pcbench.deformation.sides import Side
 from pcbench.deformation.stable import SeparatedChanges, separate_changes
 from pcbench.deformation.sums import TileSums
 

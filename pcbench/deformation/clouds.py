@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcbench.deformation.pairs import Side
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.result import Deformation
+from pcbench.deformation.sides import Side
 from pcbench.deformation.stable import separate_changes
 from pcbench.errors import InputError
 from pcbench.geometry.crop import points_inside

@@ -8,23 +8,21 @@ without one: in a volume such as a forest, closest points seem to confirm any as
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcbench.changes import STABLE
 from pcbench.deformation.blocks import noise_sizes, share_with_weight, smooth
 from pcbench.deformation.displacement import Displacement
 from pcbench.deformation.result import RESOLUTION_SHARE
+from pcbench.deformation.sides import MIN_PAIRS, Side
 from pcbench.deformation.sums import TileSums
-from pcbench.geometry.arrays import FloatArray, IntArray, bounds
-from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
 from pcbench.geometry.sampling import line_gaps, median_spacing
-from pcbench.geometry.voxels import cells, robust_bounds, voxel_downsample_to
+from pcbench.geometry.voxels import cells
 
 _MAX_PAIRS = 20_000
 _MAX_COARSE_PAIRS = 5_000  # in all but the last rounds
@@ -33,8 +31,6 @@ _FIELD_REACH = 0.7  # maximum correspondence distance, in the 95th percentile of
 _MAX_WIDENINGS = 5  # searches for pairs under the field found so far
 _MAX_GAP_SAMPLE = 1_000  # pairs at which the gap between scan lines is measured; at most twice as many are used
 _MIN_FIELD_CHANGE = 1.0  # RMS change of the field, in spacings, below which no further search is needed
-MIN_PAIRS = 300
-SPREAD_SIDE = 1e-3  # side of the smallest cells with one query point each, in the extent
 _MAX_FINAL_FITS, _FINAL_HALF_DAMPED_INFORMATION = 12, 1e-4  # usually far fewer fits
 _CONVERGENCE_TOLERANCE = 0.01  # in standard deviations of the noise
 _TUKEY_CONSTANT = 4.685  # standard deviations: 95 % efficiency for normal residuals
@@ -46,76 +42,6 @@ _POSITION_NEIGHBORS = 8  # points averaged for a position
 _ROUGHNESS_RATIO = 4.0  # times the lower quartile of the variation: such a pair has a quarter of the weight
 _EXACT_VARIATION = 1e-6  # surface variation up to which a plane is exact: no scan is that smooth at its spacing
 _MAX_VARIATION = 0.005  # surface variation at which a pair has at most a quarter of the weight: not a plane
-# What reconstructors write for each point: images that show it, length of its track, opacity of a Gaussian.
-_PHOTOGRAMMETRIC_ATTRIBUTES = frozenset(("views", "track_length", "opacity"))
-_CLASS_WEIGHTS = {3: 0.1, 4: 0.1, 5: 0.1, 7: 0.0, 9: 0.1, 18: 0.0}  # ASPRS: vegetation, noise, water
-
-
-@dataclass(frozen=True, eq=False)
-class Side:
-    """One cloud of the pair, in the reference's coordinates minus the local origin.
-
-    Attributes:
-        surface: points and normals.
-        inside: (N,) points that may be queries; all points are searched.
-        cloud: the cloud as it was read: classes, coordinate system, unit.
-    """
-
-    surface: Surface
-    inside: NDArray[np.bool_]
-    cloud: Cloud
-
-    def displaced(self, displacement: Displacement) -> Surface:
-        """Return the points after a displacement was removed."""
-        points = self.surface.points
-        return Surface(Index(points - displacement(points)), is_even=False)
-
-    def lies_on(self, other: Side, within: float) -> bool:
-        """Return whether every point that may be a query lies within a distance of a point of another cloud."""
-        return bool(other.surface.index.query(self.surface.points[self.inside]).distances.max() <= within)
-
-    def without(self, labels: NDArray[np.int32]) -> Side:
-        """Return the cloud without the points (N,) of changes, and without those that have no counterpart."""
-        return replace(self, inside=self.inside & (labels == STABLE))
-
-    @property
-    def is_metric(self) -> bool:
-        """Return whether the scale is known, from a unit or a coordinate system."""
-        return self.cloud.unit is not None or self.cloud.crs is not None
-
-    @property
-    def is_from_photographs(self) -> bool:
-        """Return whether attributes show that the cloud was reconstructed from photographs."""
-        return not _PHOTOGRAMMETRIC_ATTRIBUTES.isdisjoint(self.cloud.attributes)
-
-    @property
-    def corners(self) -> FloatArray:
-        """Lowest and highest corner (2, 3) of the points."""
-        return np.array(bounds(self.surface.points))
-
-    def classes(self, rows: IntArray) -> NDArray[Any] | None:
-        """Return the LAS classes (M,) of points; None without classes."""
-        classes = self.cloud.attributes.get("classification")
-        return None if classes is None else classes[rows]
-
-    def class_weights(self, rows: IntArray) -> FloatArray:
-        """Return (M,) weights of points by LAS class; 1 without classes."""
-        classes = self.classes(rows)
-        if classes is None:
-            return np.ones(len(rows))
-        table = np.ones(256)
-        table[list(_CLASS_WEIGHTS)] = list(_CLASS_WEIGHTS.values())
-        weights: FloatArray = table[np.clip(classes.astype(np.int64), 0, 255)]
-        return weights
-
-    def spread_rows(self, count: int) -> IntArray | None:
-        """Return rows of about `count` evenly spread points that may be queries; None if there are too few."""
-        rows = np.flatnonzero(self.inside)
-        if len(rows) < MIN_PAIRS:
-            return None
-        points = self.surface.points[rows]
-        side = SPREAD_SIDE * extent(points)
-        return rows[voxel_downsample_to(points, count, side)] if side > 0 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,9 +439,3 @@ def _areas(points: FloatArray) -> FloatArray:
         return np.ones(len(points))
     voxels = cells(points, side)
     return 1 / voxels.counts[voxels.of_point]
-
-
-def extent(points: FloatArray) -> float:
-    """Return the longest side of the robust bounds of points (N, 3)."""
-    lower, upper = robust_bounds(points)
-    return float((upper - lower).max())

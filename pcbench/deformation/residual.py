@@ -12,9 +12,10 @@ from pcbench.deformation.breaks import find_break
 from pcbench.deformation.displacement import Displacement, projected_share
 from pcbench.deformation.field import local_changes
 from pcbench.deformation.model import Noise
-from pcbench.deformation.pairs import MIN_PAIRS, Pairs, PairSearch, Side, extent, tile_sums
+from pcbench.deformation.pairs import Pairs, PairSearch, tile_sums
 from pcbench.deformation.parts import Wave
 from pcbench.deformation.result import BOTH_FROM_PHOTOGRAPHS, POSE_NOT_FIXED, RESOLUTION_SHARE, Deformation
+from pcbench.deformation.sides import MIN_PAIRS, Side, extent
 from pcbench.deformation.size import widened
 from pcbench.deformation.verdict import Finding, PairEvidence, decide, negligible_rms
 from pcbench.deformation.waves import find_waves

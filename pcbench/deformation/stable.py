@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from pcbench.changes import Changes, SampledChanges, find_changes
 from pcbench.deformation.displacement import Displacement
-from pcbench.deformation.pairs import PairSearch, Side
+from pcbench.deformation.pairs import PairSearch
+from pcbench.deformation.sides import Side
 from pcbench.geometry.arrays import FloatArray
 
 _MIN_SHARE = 0.02  # of the points, above which a deformation may look like changes

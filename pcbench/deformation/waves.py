@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.deformation.pairs import Pairs, extent
+from pcbench.deformation.pairs import Pairs
 from pcbench.deformation.parts import Wave, WaveLimit
+from pcbench.deformation.sides import extent
 from pcbench.deformation.size import MAX_P_SIGNIFICANT
 from pcbench.geometry.arrays import FloatArray
 

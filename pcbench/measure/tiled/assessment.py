@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, SeparatedChanges, Side, residual_deformation, separate_changes
 from pcbench.deformation.displacement import Displacement
-from pcbench.deformation.pairs import MIN_PAIRS, SPREAD_SIDE, extent
+from pcbench.deformation.sides import MIN_PAIRS, SPREAD_SIDE, extent
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.geometry.regions import Region
