@@ -22,6 +22,7 @@ _SURROUNDINGS = 2.0  # radius of a part's surroundings, in radii of the part
 _CELL = 3.0  # side of the cells of a footprint, in voxels
 _MIN_COVERED_SHARE = 0.5
 _MIN_FOOTPRINT_SHARE = 0.4  # of the occupied cells: those of narrow parts lie along the outline
+_MIN_FACING = 0.8  # of the distance to the nearest point, along the normal: it lies straight below or above
 _PEAK_SHARE = 0.999
 _MIN_RELIEF = 4.0  # height of an object above its surroundings, in voxels
 
@@ -220,6 +221,9 @@ def _grown(part: ChangedPart, which: int, up: FloatArray, scene: SampledPair) ->
     """Return the change of a part that one cloud shows (0: the reference), by its height above the other cloud."""
     shown, other, step = scene.shown(part)[which], scene.samples[1 - which], _CELL * scene.side
     heights = (1.0 if which else -1.0) * _heights(shown.points, other, up, scene.side)
+    faces = np.abs(shown.signed) >= _MIN_FACING * other.index.query(shown.points).distances
+    if which and faces.mean() >= _MIN_COVERED_SHARE:  # the nearest surface is straight below, and no other one counts
+        heights = shown.signed
     flat = np.column_stack([_in_plane(shown.points, up), np.zeros(len(shown))])
     grid = cells(flat, step)
     largest = np.zeros(len(grid.first))
@@ -298,9 +302,11 @@ def _upward(part: ChangedPart, scene: SampledPair) -> FloatArray:
     sample = scene.samples[0]
     points = np.concatenate([shown.points for shown in scene.shown(part)])
     center = np.median(points, axis=0)
-    radius = _SURROUNDINGS * float(np.percentile(np.linalg.norm(points - center, axis=1), 90))
-    near = sample.index.query_radius(center[None], max(radius, 8 * sample.side)).indices
-    if len(near) < 3:
+    radius = max(_SURROUNDINGS * float(np.percentile(np.linalg.norm(points - center, axis=1), 90)), 8 * sample.side)
+    near = sample.index.query_radius(center[None], radius).indices
+    theirs = scene.shown(part)[1]
+    is_beside = len(theirs) > 0 and abs(float(np.median(theirs.signed))) > 0.5 * radius  # other surfaces may be nearer
+    if len(near) < 3 or is_beside:
         return scene.normal(part)
     around = sample.points[near]
     across = np.linalg.eigh(np.cov(around.T))[1][:, 0]

@@ -16,6 +16,9 @@ from pcbench.geometry.neighbors import Index
 
 _LINK = 4.0  # largest gap between points of one part, in voxels of the samples
 _MIN_POINTS = 12  # sampled points of each cloud that lie off the other's surface in one part
+# Points of a small part that lie off the surface and that have no counterparts: if it moved farther than its size, only
+# one cloud shows its offset.
+_MIN_OF_EACH = 6
 _MAX_RATIO = 2.0  # of the offsets that both clouds show
 
 
@@ -116,8 +119,11 @@ def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArr
 
 
 def _is_significant(part: ChangedPart, evidence: Sequence[PointTests]) -> bool:
-    if any(each.absence.is_significant(rows) for rows, each in zip(part, evidence, strict=True)):
-        return True
+    for rows, each in zip(part, evidence, strict=True):
+        is_absent, is_off = each.absence.is_absent[rows], each.offsets.is_off[rows]
+        both = min(np.count_nonzero(is_absent), np.count_nonzero(is_off)) >= _MIN_OF_EACH
+        if each.absence.is_significant(rows) or (both and np.count_nonzero(is_absent | is_off) >= _MIN_POINTS):
+            return True
     off = [rows[each.offsets.is_off[rows]] for rows, each in zip(part, evidence, strict=True)]
     if min(map(len, off)) < _MIN_POINTS:
         return False
