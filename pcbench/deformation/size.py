@@ -96,7 +96,7 @@ def _root_mean_square(modes: FloatArray, covariance: FloatArray, form: FloatArra
     estimated from the modes in the same way.
     """
     noise = form @ covariance
-    scatter = float((noise * noise.T).sum())
+    scatter = max(0.0, float((noise * noise.T).sum()))  # rounding may make a form of zeros negative
     size = float(modes @ form @ modes) - float(np.trace(noise))
     along = max(0.0, float(modes @ noise @ form @ modes) - float(np.trace(noise @ noise)))
     spread = 1.96 * math.sqrt(2 * scatter + 4 * along)

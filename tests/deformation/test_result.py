@@ -9,6 +9,7 @@ from wording import check_error, check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.deformation import Deformation, deform
+from pcbench.deformation.size import _root_mean_square
 from pcbench.errors import Notice
 from pcbench.geometry.regions import Box
 from pcbench.geometry.transform import Similarity
@@ -155,3 +156,11 @@ def test_deform_writes_a_folder(clouds, bent_result, tmp_path, capsys):
     # A second run replaces the first.
     cli.app([*arguments, "--no-figures", "-q"], standalone_mode=False)
     assert json.loads((tmp_path / "bend/deformation.json").read_text()) == values
+
+
+def test_a_form_of_rounding_errors_has_no_size():
+    """A surface that no affine field leaves gives a form of zeros, up to rounding, whose scatter may be negative."""
+    covariance = np.array([[0.0010167, 0.00011566], [0.00011566, 0.0007632]])
+    form = np.array([[-7.76460693e-19, 1.02029085e-18], [-8.38494706e-19, 2.36178781e-19]])
+    value, (low, high) = _root_mean_square(np.array([0.07965301, -0.08159726]), covariance, form)
+    assert low <= value <= high < 1e-6

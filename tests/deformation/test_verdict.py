@@ -76,7 +76,7 @@ def test_one_moved_building_is_a_change():
     center = (roofs.corner + 0.5 * (roofs.u + roofs.v))[largest_index, :2]
     half_size = 0.5 * np.abs(roofs.u + roofs.v)[largest_index, :2] + 0.05
     on_building = (np.abs(candidate[:, :2] - center) < half_size).all(axis=1)  # its walls and its roof; it has no floor
-    candidate[on_building] += [0.2, 0.1, 0.1]
+    candidate[on_building] += [0.6, 0.3, 0.6]
     result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
     assert result.verdict == "none"
     assert np.isfinite(result.field.local).sum() == result.local.tiles_tested < len(result.field.local)

@@ -352,7 +352,7 @@ def test_a_cluster_without_workers(tmp_path, folder):
 
         with TaskRunner(Workers(cluster=local.scheduler_address), folder, progress) as runner:
             assert values(runner.run("stage", task_functions.square, numbered(3))) == [0, 1, 4]
-    check_text("\n".join(steps))
+    check_text("\n".join(steps[:2]))  # a slow machine also prints the rate
     assert steps[1] == "waiting for workers of the cluster ADDRESS"
 
 
