@@ -119,7 +119,7 @@ class D2Budget:
 
     @property
     def is_noise(self) -> bool:
-        """Whether noise explains the distances: each other part is small beside D2 or its floor, as are all together.
+        """Return whether noise explains the distances: all other parts, each and together, are small beside D2 or its floor.
 
         Only then may a text say that the candidate lies as far away as error-free points, or that it is not deformed.
         """

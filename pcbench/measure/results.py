@@ -298,7 +298,7 @@ class Candidate:
 
     @property
     def is_noise(self) -> bool:
-        """Whether no part changed and noise explains the distances to the surface, as far as both are known."""
+        """Return whether no part changed and noise explains the distances to the surface, as far as both are known."""
         changed = self.changes is not None and bool(self.changes.found)
         return not changed and (self.budget is None or self.budget.accuracy.is_noise)
 

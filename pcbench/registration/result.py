@@ -120,7 +120,7 @@ class Registration:
 
     @property
     def keeps_pose(self) -> bool:
-        """Whether the pose is the given one (`none` or `matrix`), so that a remaining motion is the candidate's own."""
+        """Return whether the pose is the given one (`none`, `matrix`): a remaining motion is then the candidate's."""
         return self.method.partition(":")[0] in ("none", "matrix")
 
     @property

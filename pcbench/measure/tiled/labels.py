@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -62,20 +62,23 @@ class StableRegion:
         region: another region, to which it is limited; None: it is not.
         labels: labels of the cloud.
         text: text of the region in settings and errors.
+        origin: (3,) origin that was subtracted from the points; None: zero.
     """
 
     region: Region | None
     labels: PointLabels
     text: str = "stable"
+    origin: FloatArray | None = None
 
     def contains(self, points: FloatArray) -> Mask:
         """Return the mask (N,) of the points inside."""
+        points = points if self.origin is None else points + self.origin
         found: Mask = self.labels.of_points(points) == STABLE
         return found if self.region is None else found & self.region.contains(points)
 
     def shifted(self, origin: FloatArray) -> StableRegion:
-        """Return the region in coordinates minus `origin`: it is used in local coordinates alone."""
-        raise NotImplementedError
+        """Return the region in coordinates minus `origin` (3,)."""
+        return replace(self, origin=origin if self.origin is None else self.origin + origin)
 
     def describe(self) -> str:
         """Return a readable name."""
