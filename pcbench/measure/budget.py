@@ -119,8 +119,9 @@ class D2Budget:
 
     @property
     def is_noise(self) -> bool:
-        """Return whether noise explains the distances: all other parts, each and together, are small beside D2 or its floor.
+        """Return whether noise explains the distances.
 
+        Each of the other parts, and all together, are then small beside D2 or its floor.
         Only then may a text say that the candidate lies as far away as error-free points, or that it is not deformed.
         """
         scale = max(self.mean_square, self.floor or 0.0)
