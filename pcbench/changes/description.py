@@ -18,6 +18,7 @@ _MAX_SIZE_RATIO = 2.0  # of the areas of a part before and after it moved
 # Distance of a moved part from its former or new place, in voxels, for most of its points.
 _MAX_MISFIT, _FITTING_PERCENT, _COMMON_PERCENT = 1.5, 80, 60
 _REFINEMENTS = 3  # of a motion by closest points
+_MAX_COMPARED_PAIRS = 50  # of removed and added parts: among more, some have the same shape by chance
 _SURROUNDINGS = 2.0  # radius of a part's surroundings, in radii of the part
 _CELL = 3.0  # side of the cells of a footprint, in voxels
 _MIN_COVERED_SHARE = 0.5
@@ -163,6 +164,8 @@ def _same_shapes(
 ) -> list[tuple[int, int, FloatArray]]:
     """Return pairs of a removed and an added part of the same shape, with the motion; the nearest ones first."""
     pairs = []
+    if len(removed) * len(added) > _MAX_COMPARED_PAIRS:
+        return []
     before = [scene.shown(part)[0] for part in removed]
     after = [scene.shown(part)[1] for part in added]
     for i, ours in enumerate(before):
