@@ -88,7 +88,7 @@ def evidence(
     figure = Figure(figsize=(width, height), dpi=110)
     FigureCanvasAgg(figure)
     figure.suptitle(printable(title), fontsize=13, y=1 - 0.22 / height, va="center")
-    figure.subplots_adjust(left=0.85 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
+    figure.subplots_adjust(left=1.02 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
                            bottom=(1.0 if growth_panels else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
     plots = [figure.add_subplot(rows, columns, number + 1) for number in range(len(panels))]
     for axis, panel in zip(plots, panels, strict=True):
@@ -222,7 +222,7 @@ def _changes(
         return
     changes = bend.local
     axis.set_title(
-        f"changed tiles: {changes.tiles_changed} of {changes.tiles_tested} (orange; false discovery rate"
+        f"tiles off the model: {changes.tiles_changed} of {changes.tiles_tested} (orange; false discovery rate"
         f" {100 * changes.fdr:g} %)",
         fontsize=10,
         loc="left",
