@@ -94,6 +94,11 @@ class Surface:
         """Return whether the normals of all points are available."""
         return self._is_complete
 
+    @property
+    def has_normals(self) -> bool:
+        """Return whether the points have normals or there are enough to estimate them."""
+        return len(self) >= 3 or self.is_complete
+
     def normals(self, rows: IntArray) -> FloatArray:
         """Return unit normals (M, 3) at the indices `rows` (M,).
 

@@ -63,7 +63,7 @@ class FloorSurface:
     @property
     def has_normals(self) -> bool:
         """Return whether the points have normals or there are enough to estimate them."""
-        return len(self.surface) >= 3 or self.surface.is_complete
+        return self.surface.has_normals
 
 
 def even_sample(count: int) -> IntArray:

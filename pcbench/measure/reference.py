@@ -153,7 +153,7 @@ class Reference:
     @property
     def has_normals(self) -> bool:
         """Return whether the points have normals or there are enough to estimate them."""
-        return len(self.points) >= 3 or self.surface.is_complete
+        return self.surface.has_normals
 
     def summary(self) -> ReferenceSummary:
         """Summarise the reference for the result."""
