@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from pcbench.geometry.arrays import bounds
 from pcbench.measure.quantities import quantities
-from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import (
     ARROWS,
     CANDIDATE_TO_REFERENCE,
@@ -20,6 +19,7 @@ from pcbench.measure.results import (
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.layout import label_of
 from pcbench.report.moved import motion_clause, place_sentence
 from pcbench.report.words import join_words, length, one_line, percentage, sample_count
 
@@ -97,9 +97,12 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         yield bend_sentence(comparison, candidate, candidate.name)
     doubtful = {c.name for c in comparison if c.registration.doubtful}
-    labels = {q.difference: _label(q) for q in quantities(comparison.candidates[0])}
+    labels = {}
+    for quantity in quantities(comparison.candidates[0]):
+        if quantity.difference in _REPORTED_DIFFERENCES and (label := label_of(quantity)) is not None:
+            labels[quantity.difference] = f"{label.text} {ARROWS.get(quantity.direction, '')}".rstrip()
     for difference in comparison.differences:
-        if difference.metric in _REPORTED_DIFFERENCES and not {difference.a, difference.b} & doubtful:
+        if difference.metric in labels and not {difference.a, difference.b} & doubtful:
             yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
@@ -214,11 +217,6 @@ def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:
         f"{' and '.join(parts)}. The median and the NMAD of distances to planes come from the same sample. Distances to"
         " points are exact. Area-weighted D2 and the presets' D2 need all points and are left out"
     )
-
-
-def _label(quantity: Quantity) -> str:
-    arrow = ARROWS.get(quantity.direction)
-    return f"{quantity.label} {arrow}" if arrow else quantity.label
 
 
 def _difference_words(found: Difference, label: str, unit: str | None) -> str:

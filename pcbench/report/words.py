@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 from pcbench.measure.deviation import DeviationMap
-from pcbench.measure.intervals import Interval
 from pcbench.measure.wording import pluralize
 from pcbench.report.inputs import SourcedComparison
 
@@ -15,12 +14,9 @@ UNKNOWN = "–"
 _ROUNDING_SHARE = 1e-9  # of the scene's extent
 
 
-def number(value: float | None, ci: Interval | None = None) -> str:
-    """Return a number with four significant digits and its interval; a dash for None."""
-    if value is None:
-        return UNKNOWN
-    text = f"{value:.4g}"
-    return f"{text} [{ci.low:.4g}, {ci.high:.4g}]" if ci else text
+def number(value: float | None) -> str:
+    """Return a number with four significant digits; a dash for None."""
+    return UNKNOWN if value is None else f"{value:.4g}"
 
 
 def length(value: float | None, unit: str | None) -> str:
