@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pcbench.deformation import Deformation
+from pcbench.measure.wording import with_unit
 from pcbench.report.budget import changes_sentence
 
 
@@ -23,17 +24,19 @@ def deformation_lines(
     yield deformation.sentence(name, unit or "", is_noise=not deformation.changes)
     if deformation.changes:
         yield changes_sentence(deformation.changes, unit)
-    unit_text = f" {unit}" if unit else ""
     for score in deformation.rungs:
         mark = "*" if score.model == deformation.model else " "
         residual = score.cv_score**0.5
         error = score.cv_se / (2 * residual or 1.0)
-        yield f" {mark} {score.model:10} cross-validated residual {residual:.4g} ± {error:.2g}{unit_text}"
+        yield f" {mark} {score.model:10} cross-validated residual {with_unit(f'{residual:.4g} ± {error:.2g}', unit)}"
     if noise := deformation.noise:
+        white, correlated, correlation_length = (
+            with_unit(f"{value:.3g}", unit)
+            for value in (noise.sigma_white, noise.sigma_correlated, noise.correlation_length)
+        )
         yield (
-            f"noise: white {noise.sigma_white:.3g}{unit_text}, correlated {noise.sigma_correlated:.3g}{unit_text}"
-            f" (correlation length {noise.correlation_length:.3g}{unit_text}); {deformation.pairs:,} pairs,"
-            f" effectively {noise.n_eff:,.0f} independent ones"
+            f"noise: white {white}, correlated {correlated} (correlation length {correlation_length});"
+            f" {deformation.pairs:,} pairs, effectively {noise.n_eff:,.0f} independent ones"
         )
     if folder is not None:
         yield f"report: {folder}"
