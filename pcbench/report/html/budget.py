@@ -110,7 +110,6 @@ def _segments(budget: D2Budget, unit: str | None) -> list[BudgetSegment]:
         title = (
             f"{label}: {percentage(share)}, {length(part.rms, unit)} RMS of {percentage(part.point_share)} of points"
         )
-        segments.append(
-            BudgetSegment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title)
-        )
+        ink = "#fff" if name in _DARK else "#1c1e22"
+        segments.append(BudgetSegment(round(100 * share, 2), color, ink, text, title))
     return segments

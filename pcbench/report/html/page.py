@@ -21,7 +21,7 @@ from pcbench.report.html.places import Place, worst_places
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.notes import bend_sentence, details, remarks, warnings
+from pcbench.report.notes import deformation_sentence, details, remarks, warnings
 from pcbench.report.plot.views import SceneAxes, scene_axes
 from pcbench.report.scalars import scalar_of
 from pcbench.report.table import lines
@@ -194,7 +194,7 @@ def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
         }  # fmt: skip
         return {
             "name": printable(candidate.name),
-            "sentence": f"{bend_sentence(comparison, candidate, printable(candidate.name))}.",
+            "sentence": f"{deformation_sentence(comparison, candidate, printable(candidate.name))}.",
             "facts": facts,
         }
 
