@@ -13,8 +13,10 @@ from pcbench.geometry.arrays import FloatArray
 MAX_SHARED_RATIO = 5.0
 """Largest ratio of the 95th percentiles of candidates that share a colour range."""
 
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
-"""Colours of curves and markers: the colour-blind safe palette of Okabe and Ito, and grey."""
+# The colour-blind safe palette of Okabe and Ito.
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, "#7f7f7f")
+"""Colours of curves and markers."""
 
 # viridis (van der Walt and Smith 2015), sampled evenly over its upper 87 %, which contrasts with a dark background. Its
 # lightness grows evenly, so it is readable in grey and with any colour blindness.

@@ -12,13 +12,15 @@ from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
+from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.plot.outputs import METADATA, check_picture
+from pcbench.report.plot.panels import new_figure
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
-_CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
+_CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = BLUE, VERMILION, "#8a8a8a"
 _MAX_POINTS = 20_000
 
 
@@ -36,13 +38,10 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     check_picture(path)
     picture = camera_drawing(scene)
     require("matplotlib.figure")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     positions, points, axes = picture.positions, picture.points, picture.axes
-    figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(14, 6.4, layout="constrained")
     side: Any = figure.add_subplot(1, 2, 1, projection="3d")
     above = figure.add_subplot(1, 2, 2)
     if len(points):

@@ -10,7 +10,7 @@ from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import ranges_of
 from pcbench.report.figures import Figures
-from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.panels import new_figure, save
 
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 11.0, 4.0, 11.0  # of the picture, in inches
 _MIN_PIXEL_POINTS = 8.0  # points per pixel on average: most pixels between the points of a sparse cloud would be empty
@@ -35,10 +35,8 @@ def draw_overview(
     Returns:
         False if no pixel has points.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
-    from matplotlib.figure import Figure
 
     if not overview.count.any():
         return False
@@ -55,8 +53,7 @@ def draw_overview(
     image[known[window]] = np.column_stack([scale.colors(values[known[window]]), np.full(known[window].sum(), 255)])
 
     inches = np.clip((_WIDTH - _BAR_WIDTH) * height / width + 1.2, _MIN_HEIGHT, _MAX_HEIGHT)
-    figure = Figure(figsize=(_WIDTH, float(inches)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(_WIDTH, float(inches), layout="constrained")
     axes = figure.subplots()
     axes.imshow(image, extent=(west, west + pixel * width, north - pixel * height, north), interpolation="antialiased")
     axes.set_aspect("equal")

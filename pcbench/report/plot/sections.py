@@ -18,7 +18,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cells
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
-from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.panels import new_figure, save
 from pcbench.report.plot.views import AxisBox, scene_axes, thin_out
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import printable
@@ -28,10 +28,7 @@ _MIN_CELL_POINTS = 8
 _REACH_SHARE = 0.05  # of the diagonal: points farther outside the reference's box are not a place of the scene
 _LENGTH_SHARE = 0.25  # of the scene's diagonal, for the length of the section
 _MIN_SPACINGS, _MAX_THICKNESS_SHARE = 2.0, 0.02  # bounds of the slice's thickness; the latter of the diagonal
-_MIN_SLICE_POINTS, _MIN_OWN_POINTS = (
-    400,
-    40,
-)  # of both clouds and of the candidate; with fewer the slice is made thicker
+_MIN_SLICE_POINTS, _MIN_OWN_POINTS = 400, 40  # of both clouds and of the candidate; a slice with fewer is made thicker
 _DIRECTIONS_DEG = (0, 45, 90, 135)
 _WALL_DIRECTIONS_DEG = (0, 90)  # horizontal and vertical
 _EXAGGERATIONS = (1, 2, 5, 10, 20)
@@ -180,10 +177,8 @@ def draw_section(
     Returns:
         Whether there was enough to draw.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.figure import Figure
 
     axes = scene_axes(reference, cameras)
     turned = axes.rows if axes.is_wall else np.eye(3)
@@ -204,8 +199,7 @@ def draw_section(
     ground = look.ground("dark")
     color = ink(ground)
     height = float(np.clip(_SECTION_INCHES * factor * (high - low) / found.length, 1.6, 6.0)) + _MARGIN_INCHES
-    figure = Figure(figsize=(13.6, height), dpi=DPI, facecolor=ground, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.6, height, facecolor=ground, layout="constrained")
     grid = figure.add_gridspec(1, 2, width_ratios=(4.2, 1))
     along, above = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     along.scatter(theirs[:, 0], theirs[:, 1], s=7, c=_REFERENCE_GREY, linewidths=0)

@@ -20,7 +20,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import has_colors, height_range, ranges_of
+from pcbench.report.colors import ORANGE, SKY, has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.cameras import camera_drawing, rings_of
@@ -35,7 +35,7 @@ from pcbench.report.viewing import ViewingCameras, up_of
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
-_CAMERA_COLOR, _PATH_COLOR = "#56b4e9", "#e69f00"  # Okabe and Ito; readable on dark and light backgrounds
+_CAMERA_COLOR, _PATH_COLOR = SKY, ORANGE  # readable on dark and light backgrounds
 
 
 def cloud(
