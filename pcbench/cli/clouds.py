@@ -16,14 +16,13 @@ from pcbench.cli.options import (
     FILE,
     color_depth_option,
     las_options,
-    las_returns,
-    numbers,
     quiet_option,
     register_option,
     required_crop_option,
     splat_options,
     vertices_option,
 )
+from pcbench.options import parse_integers, parse_returns
 
 if TYPE_CHECKING:
     from pcbench.geometry.arrays import FloatArray
@@ -233,8 +232,8 @@ def convert(
     check_output(out, (cloud,))
     check_cloud_output(out)
     filters: dict[str, Any] = {
-        "classes": numbers("--classes", classes, int),
-        "returns": las_returns(returns),
+        "classes": None if classes is None else parse_integers("--classes", classes),
+        "returns": None if returns is None else parse_returns("--returns", returns),
         "min_opacity": min_opacity,
         "max_axis": max_axis,
         "color_depth": color_depth,

@@ -59,8 +59,8 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     SfM and dense MVS at two image scales each, and by Gaussian splatting, as centres and as surface (extras plot, sfm,
     mvs, splat).
     """
+    from pcbench.comparison.request import Request
     from pcbench.measure.settings import Settings
-    from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
     from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
     from pcbench.scratch import lock_output
@@ -72,8 +72,8 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
         step("building the city")
         scene = make_demo(points, seed)
         files = write_demo(out, scene)
-    job = ComparisonJob(files.reference, files.candidates, Settings(seed=seed), {})
-    comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
+    request = Request.of(files.reference, files.candidates, Settings(seed=seed))
+    comparison = compare_and_print(request, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
         for candidate in comparison.candidates:
             error = scene.registration_error(candidate.name, candidate.registration.T_reference_candidate)

@@ -19,14 +19,13 @@ from pcbench.io.meshes import holds_mesh, read_mesh
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
-from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.maps import frame, label_of
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.plotters.controls import add_exaggeration, add_hint, add_slider, enable_picking
 from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import damage_in_one_line, read_deformation, read_report
-from pcbench.report.reading import viewing_cameras
+from pcbench.report.viewing import SceneFolder, viewing_cameras
 from pcbench.scenes import read_scene
 
 NO_DISPLACEMENTS = "no deformation was found, so there are no displacements"
