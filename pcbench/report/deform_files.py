@@ -11,8 +11,8 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh_samples import sample_candidate
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
-from pcbench.io.files import estimate_reading_seconds, file_in_setting
-from pcbench.io.meshes import read_shape
+from pcbench.io.files import file_in_setting
+from pcbench.io.source import Source
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.report.figures import Figures, record_figures
@@ -63,14 +63,15 @@ def deform_files(
     """
     warnings: list[str] = []
     shapes = []
-    reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
+    sources = Source.open(reference), Source.open(candidate, vertices=vertices)
+    reading = [source.reading_seconds for source in sources]
     plan = ProgressPlan(
         step, [*reading, 1.0 + 20 * sum(reading), *([sum(reading), drawing_seconds(1)] if out is not None else [])]
     )
-    for path, as_vertices in ((reference, False), (candidate, vertices)):
-        plan(f"reading {path}")
-        shapes.append(read_shape(path, on_warning=warnings.append, vertices=as_vertices))
-        check_lengths(shapes[-1], str(path))
+    for source in sources:
+        plan(f"reading {source.path}")
+        shapes.append(source.read(warnings.append))
+        check_lengths(shapes[-1], str(source.path))
     given, moved = shapes
     without_figures = None
 

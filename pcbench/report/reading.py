@@ -11,13 +11,13 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.contents import changed_error, digest, read_with_digest
-from pcbench.io.files import file_in_setting
-from pcbench.io.meshes import read_shape
+from pcbench.io.contents import changed_error, digest
+from pcbench.io.files import errors_named, file_in_setting
+from pcbench.io.las_records import parse_filters
+from pcbench.io.source import Source
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.report.inputs import InputFile, SceneFolder
-from pcbench.report.on_disk import filters_for
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
@@ -41,12 +41,11 @@ def read_input(path: Path, settings: Settings, *, vertices: bool = False) -> tup
         PcbenchError: the file changed while it was read.
     """
     warnings: list[str] = []
-    filters = filters_for(path, settings)
-    shape, found = read_with_digest(
-        path, lambda: read_shape(path, on_warning=warnings.append, vertices=vertices, **filters)
-    )
+    with errors_named(path):
+        filters = parse_filters(settings.classes, settings.returns)
+    shape, sha256 = Source.open(path, vertices=vertices).filtered(filters).read_with_digest(warnings.append)
     check_lengths(shape, str(path))
-    return shape, InputFile(str(path), found, tuple(warnings))
+    return shape, InputFile(str(path), sha256, tuple(warnings))
 
 
 def paths_in(settings: Settings) -> list[Path]:
