@@ -204,7 +204,7 @@ def deform(
     from pcbench.report.figures import Figures
 
     style = Figures().with_changes(background, None, figure_format)
-    settings = Settings(register=register, crop=crop, seed=seed)
+    settings = Settings(register=register, crop=crop, seed=seed).with_files_read()
     clouds = Source.open(reference), Source.open(candidate, vertices=vertices)
     output = JsonOutput(json_file)
     output.check([*(file for source in clouds for file in source.files), *settings.files], folder=out)
@@ -353,9 +353,8 @@ def _plot_cloud(
     path: Path, out: Path, look: Figures, scalar: str | None, scene: SceneFolder | None, *, quiet: bool
 ) -> None:
     """Draw the cloud or the mesh in a file."""
-    from pcbench.io import read_cloud
-    from pcbench.io.files import check_output, estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh, read_vertices
+    from pcbench.io.files import check_output
+    from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.colors import has_colors
@@ -365,18 +364,19 @@ def _plot_cloud(
     from pcbench.report.read import MESH_SAMPLES
     from pcbench.report.viewing import viewing_cameras
 
-    check_output(out, [path, *(() if scene is None else scene.paths())])
+    source = Source.open(path)
+    check_output(out, [*source.files, *(() if scene is None else scene.paths())])
     check_picture(out, FORMATS)
     warn_reader = warn_unless(quiet)
     with steps(quiet) as show:
-        step = ProgressPlan(show, [estimate_reading_seconds(path), *([0.5] if scene is not None else []), 2.0])
+        step = ProgressPlan(show, [source.reading_seconds, *([0.5] if scene is not None else []), 2.0])
         step(f"reading {path}")
-        read = read_vertices if holds_mesh(path) else read_cloud
-        name, cloud = path.stem, None if is_mesh_only(path) else read(path, on_warning=warn_reader)
+        read_points = source.read_vertices if source.holds_mesh else source.read_cloud
+        name, cloud = path.stem, None if source.is_mesh_only else read_points(warn_reader)
         if cloud is None and scalar is not None:
             raise InputError(f"{path}: --scalar needs a cloud with attributes, got a mesh")
-        if cloud is None or (holds_mesh(path) and scalar is None and not has_colors(cloud.colors)):
-            mesh = read_mesh(path, on_warning=warn_reader)
+        if cloud is None or (source.holds_mesh and scalar is None and not has_colors(cloud.colors)):
+            mesh = source.read_mesh(warn_reader)
             name, cloud = f"{name}, {pluralize(len(mesh), 'face')}", mesh.sample(MESH_SAMPLES)
         viewing = None
         if scene is not None:

@@ -115,7 +115,7 @@ class Request:
         Raises:
             InputError: a file cannot be opened, a setting or its file is invalid, or LAS filters fit no input.
         """
-        settings = settings.with_absolute_paths()
+        settings = settings.with_files_read()
         opened, named = _open(reference, settings), _by_name(candidates)
         inputs = {name: _open(given, settings, vertices=settings.vertices) for name, given in named.items()}
         request = cls(opened, inputs, settings, figures or Figures(), as_scene(scene), tiles)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.polygon_files import read_polygon
+from pcbench.geometry.region_text import region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import file_in_setting
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.options import (
@@ -30,7 +31,6 @@ from pcbench.options import (
 from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
-_Setting = TypeVar("_Setting")
 _THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
 
 
@@ -171,16 +171,27 @@ class Settings:
             maps = (*maps, "m3c2")
         object.__setattr__(self, "maps", maps)
 
+    def with_files_read(self) -> Settings:
+        """Return the settings with the method and the region that files describe; paths become absolute.
+
+        Raises:
+            InputError: there is no such method, or a file cannot be read.
+        """
+        register, crop, m3c2 = self.register, self.crop, self.m3c2
+        if isinstance(register, str) and (file := as_method(register).file) is not None:
+            register = as_method(f"{register.partition(':')[0]}:{file.absolute()}")
+        if isinstance(crop, str) and (file := region_file(crop)) is not None:
+            crop = read_polygon(file.absolute())
+        if isinstance(m3c2, M3C2Settings):
+            m3c2 = m3c2.absolute()
+        return replace(self, register=register, crop=crop, m3c2=m3c2)
+
     @property
     def files(self) -> list[Path]:
         """Files that the settings name: those of the registration, the region and the core points of M3C2."""
+        method = None if isinstance(self.register, str) else as_method(self.register).file
         cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
-        return [*filter(None, (file_in_setting(self.register), file_in_setting(self.crop), cores))]
-
-    def with_absolute_paths(self) -> Settings:
-        """Return the settings with absolute paths of the files that they name."""
-        m3c2 = self.m3c2.absolute() if isinstance(self.m3c2, M3C2Settings) else self.m3c2
-        return replace(self, register=_absolute(self.register), crop=_absolute(self.crop), m3c2=m3c2)
+        return [*filter(None, (method, region_file(self.crop), cores))]
 
     @property
     def measured_presets(self) -> tuple[str, ...]:
@@ -229,14 +240,6 @@ def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Setti
     if unknown := [name for name in changed if name not in names]:
         raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(names)}")
     return replace(settings, **changed)
-
-
-def _absolute(setting: _Setting) -> _Setting | str:
-    """Make the path in a text such as `matrix:FILE` absolute."""
-    file = file_in_setting(setting)
-    if file is None or not isinstance(setting, str):
-        return setting
-    return f"{setting.partition(':')[0]}:{file.absolute()}"
 
 
 def _check_tolerance(value: Any) -> float:

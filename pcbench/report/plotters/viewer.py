@@ -12,10 +12,9 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.source import Source
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
@@ -228,7 +227,7 @@ def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = No
         scene: a scene with cameras in the file's coordinates, which select the view.
         off_screen: whether to render without a window.
     """
-    shown: Cloud | Mesh = read_mesh(path, on_warning=warn) if holds_mesh(path) else read_cloud(path, on_warning=warn)
+    shown = Source.open(path).read(warn)
     given = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
     plotter = plotters.cloud(shown, scene=given, off_screen=off_screen)
     if isinstance(shown, Cloud) and not off_screen:
