@@ -76,6 +76,7 @@ if TYPE_CHECKING:
 @click.pass_context
 def compare(
     context: click.Context,
+    /,
     reference: Path | None,
     candidates: tuple[Path, ...],
     out: Path | None,

@@ -14,7 +14,7 @@ from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 from pcbench.errors import InputError
-from pcbench.report import workspace
+from pcbench.comparison import workspace
 
 
 @pytest.fixture(autouse=True)

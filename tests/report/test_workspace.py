@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import pytest
 
 from pcbench.comparison.workspace import default_workspaces, first_free_workspace
-from pcbench.report import workspace
+from pcbench.comparison import workspace
 from pcbench.scratch import OutputInUse
 
 KEY = "0123456789abcdef" * 4
