@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import cells, robust_extent
 
 _FIRST_SIDE = 4.0  # side of the smallest cells, in voxels of the sample; the others are twice as large, and so on
@@ -26,7 +27,6 @@ _NULL_Z = 0.5244  # half width of the inner 40 % of a normal distribution, in st
 _REGION_CELLS = 25
 # Smallest noise of a region, in the upper quartile of all regions and in voxels: planes do not resolve less.
 _MIN_NOISE_SHARE, _MIN_NOISE_SPACINGS = 0.3, 0.0075
-_MAD = 1.4826
 _MEDIAN_ERROR = 1.2533  # standard error of a median over that of a mean, for normal values
 
 
@@ -117,7 +117,7 @@ def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
         return np.full(len(sample), shortest_width(offsets.signed))
     places = np.stack([grid.means(sample.points[:, axis]) for axis in range(3)], axis=1)
     around = Index(places[known]).query(places, min(_REGION_CELLS, len(known))).indices.reshape(count, -1)
-    found: FloatArray = _MAD * np.median(spread[known][around], axis=1)[grid.of_point]
+    found: FloatArray = NORMAL_MAD * np.median(spread[known][around], axis=1)[grid.of_point]
     # Where planes are exact, the noise of a region is zero, but not that of the scene.
     least = max(_MIN_NOISE_SHARE * float(np.percentile(found[sheet], 75)), _MIN_NOISE_SPACINGS * sample.side)
     return np.maximum(found, least)

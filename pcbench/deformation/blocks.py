@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import Cells, cells
 
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
@@ -38,8 +39,8 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, 
     total = np.bincount(blocks.of_point, weights * is_noisy, count).astype(np.float64)
     known = (total > _MIN_NOISY_WEIGHT * everything) & (total > 0)
     if np.count_nonzero(known) < _MIN_NOISY_BLOCKS * np.count_nonzero(everything):
-        return np.full(len(places), 1.4826 * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
-    sizes = 1.4826 * _medians(lengths, weights * is_noisy, blocks.of_point)
+        return np.full(len(places), NORMAL_MAD * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
+    sizes = NORMAL_MAD * _medians(lengths, weights * is_noisy, blocks.of_point)
     known &= sizes > 0
     if not known.any():
         return np.zeros(len(places))

@@ -21,6 +21,7 @@ from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.sampling import line_gaps, median_spacing
 from pcbench.geometry.voxels import cells
 
@@ -282,7 +283,7 @@ def _weighted_planes(
     if final:
         sizes = noise_sizes(points, left, quality, exact=RESOLUTION_SHARE * surface.surface.spacing)
     else:
-        sizes = np.full(len(left), 1.4826 * float(np.median(np.abs(left))))
+        sizes = np.full(len(left), robust_sigma(left))
     width = np.maximum(_TUKEY_CONSTANT * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,

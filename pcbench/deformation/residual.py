@@ -22,6 +22,7 @@ from pcbench.deformation.waves import find_waves
 from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.geometry.crs import euclidean_offsets
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import Registration, Target
 from pcbench.registration.quality import assess_given
@@ -207,7 +208,7 @@ def _without_map_projection(
     cm at 500 m).
     """
     ours, theirs = reference.cloud.crs, candidate.cloud.crs
-    noise = 1.4826 * float(np.median(np.abs(pairs.left)))
+    noise = robust_sigma(pairs.left)
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise and noise > rounding_bound(reference.corners, origin):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD, robust_sigma
 
 _DYADIC_LEVELS = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
 KERNEL_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
@@ -121,7 +122,7 @@ class TileSums:
         surface, _ = normal_equations(x, n, areas[order], r)
         lengths = side * np.array(KERNEL_LENGTHS)
         v, measured = quality[order], apart[order]
-        sigma = 1.4826 * float(np.median(np.abs(measured[v >= np.median(v)])))
+        sigma = robust_sigma(measured[v >= np.median(v)])
         changed = (v * np.clip(measured, -3 * sigma, 3 * sigma))[:, None] * n
         far = (v * _clipped_within(measured, starts, sigma))[:, None] * n
         expected, powers = dyadic_moments(places, normals, left, weights, scales, lower, side)
@@ -220,7 +221,7 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
         return middle[group]
 
     middle = medians(values)
-    reach = 3 * np.maximum(sigma, 1.4826 * medians(np.abs(values - middle)))
+    reach = 3 * np.maximum(sigma, NORMAL_MAD * medians(np.abs(values - middle)))
     return np.clip(values, middle - reach, middle + reach)
 
 

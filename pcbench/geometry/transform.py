@@ -239,6 +239,20 @@ def _multiply_rows(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     return products
 
 
+def rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
+    """Return the rotation matrix (3, 3) of a unit axis (3,) and an angle (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation: FloatArray = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * (cross @ cross)
+    return rotation
+
+
+def rotation_from_vector(vector: FloatArray) -> FloatArray:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,), whose length is the angle in radians."""
+    angle_rad = float(np.linalg.norm(vector))
+    return np.eye(3) if angle_rad < 1e-300 else rotation_about(vector / angle_rad, angle_rad)
+
+
 def fit_similarity(
     candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True, weights: FloatArray | None = None
 ) -> Similarity:
