@@ -90,12 +90,6 @@ class Pairs:
     field: Displacement
 
 
-def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pair points of the sparser cloud with tangent planes of the denser one; see `PairSearch`."""
-    search = PairSearch.of(reference, candidate)
-    return None if search is None else search.find(follow)
-
-
 @dataclass(frozen=True, eq=False)
 class PairSearch:
     """Search for pairs of evenly spread points of the sparser cloud and tangent planes of the denser one.

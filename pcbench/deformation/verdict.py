@@ -227,7 +227,11 @@ def _affine_rms(view: PairEvidence) -> float:
 def prediction_gain(view: PairEvidence, smaller: str, larger: str) -> float:
     """Return how much better a larger model predicts tiles left out of its fit, in standard errors over the tiles."""
     losses = [_left_out_losses(view.geometry, view.scores, model, seed=0) for model in (smaller, larger)]
-    gains = losses[0] - losses[1]
+    return in_standard_errors(losses[0] - losses[1])
+
+
+def in_standard_errors(gains: FloatArray) -> float:
+    """Return the sum of gains (N,) in standard errors of a sum of N; 0 if all are equal."""
     error = float(np.std(gains)) * math.sqrt(len(gains))
     return float(gains.sum()) / error if error > 0 else 0.0
 

@@ -20,6 +20,7 @@ from pcbench.deformation.pairs import Pairs
 from pcbench.deformation.parts import Wave, WaveLimit
 from pcbench.deformation.sides import extent
 from pcbench.deformation.size import MAX_P_SIGNIFICANT
+from pcbench.deformation.verdict import in_standard_errors
 from pcbench.geometry.arrays import FloatArray
 
 _STEP = (
@@ -171,5 +172,4 @@ def _prediction_gain(across: FloatArray, columns: FloatArray, left: FloatArray, 
         predicted = columns[tested] @ np.linalg.lstsq(normal, scores, rcond=None)[0]
         gain = weights[tested] * (np.square(left[tested]) - np.square(left[tested] - predicted))
         gains += np.bincount(tile[tested].ravel(), gain, len(gains))
-    error = float(np.std(gains)) * math.sqrt(len(gains))
-    return float(gains.sum()) / error if error > 0 else 0.0
+    return in_standard_errors(gains)
