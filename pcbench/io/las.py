@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,13 +93,13 @@ def read_las(
     filters = parse_filters(classes, returns)
     with path.open("rb") as file:
         header = read_header(file, warn, allow_empty)
-        extras = read_extras(header, warn)
-        records = read_all_records(file, header, extras, warn)
+    extras = read_extras(header, warn)
+    records = read_all_records(path, header, extras, warn)
     fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
     return fields | brightest_of(records)
 
 
-def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
+def read_all_records(path: Path, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
     """Read all point records of a LAS, LAZ or COPC file, and compare them with the header.
 
     Raises:
@@ -107,9 +107,9 @@ def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimens
         MissingExtra: the file is compressed, and lazrs is not installed.
     """
     if header.compressed:
-        records = read_compressed_records(file, header, extras, warn)
+        records = read_compressed_records(path, header, extras)
     else:
-        records = read_records(file, header, extras)
+        records = read_records(path, header, extras)
         warn_of_rest(header, warn)
     for line in count_records(records, header).warnings(header):
         warn(line)
