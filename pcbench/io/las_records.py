@@ -135,6 +135,9 @@ class LasFilters(NamedTuple):
         return " and ".join(f"{name} {_listed(value)}" for name, value in named if value is not None)
 
 
+NO_FILTERS = LasFilters()
+
+
 def parse_filters(classes: Collection[int] | None, returns: str | Collection[int] | None) -> LasFilters:
     """Check and convert the arguments of `read_cloud`.
 

@@ -110,6 +110,7 @@ class PlyHeader:
     byte_order: Literal["<", ">"] | None  # None: ascii
     elements: list[Element]
     comments: list[str]
+    nbytes: int  # up to the first element
 
     def element(self, name: str) -> Element | None:
         """Return the element of a name, or None."""
@@ -228,7 +229,7 @@ def read_header(file: BinaryIO) -> PlyHeader:
     if (vertex := elements.get("vertex")) is not None:
         elements["vertex"] = _with_standard_names(vertex)
     ordered = [_with_byte_order(element, byte_order or "=") for element in elements.values()]
-    return PlyHeader(byte_order, ordered, comments)
+    return PlyHeader(byte_order, ordered, comments, used)
 
 
 def excerpt(line: bytes) -> str:

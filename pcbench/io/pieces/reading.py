@@ -14,11 +14,11 @@ from pcbench.io.formats import format_of
 from pcbench.io.las_checks import LasCounts
 from pcbench.io.las_header import LasHeader, read_header
 from pcbench.io.las_records import LasFilters
+from pcbench.io.merging import merge_warnings
 from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning
 from pcbench.io.paths import EPT
 from pcbench.io.pieces.formats import piece_format
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes, PiecePoints
-from pcbench.io.tiles import merge_warnings
 
 
 def read_piece(cloud: CloudOnDisk, piece: Piece) -> PiecePoints:

@@ -13,10 +13,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from pcbench.comparison.run import compare
 from pcbench.deformation import deform
 from pcbench.errors import MissingExtra
 from pcbench.extras import require
-from pcbench.measure.comparison import compare
 from pcbench.studies.folder import write_record
 from pcbench.studies.stress.cells import RunPlan, build_pair, load_pair, run_cell
 from pcbench.studies.stress.changes import name_changes

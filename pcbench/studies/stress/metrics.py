@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pcbench.comparison.run import compare
 from pcbench.extras import installed_versions, require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.measure.comparison import compare
 from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
 from pcbench.studies.stress.methods import missing_method
