@@ -17,6 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io import laz
 from pcbench.io.color_depth import brightest
+from pcbench.io.columns import plain_type
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_checks import count_records, warn_of_rest
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
@@ -266,13 +267,7 @@ def _assign_attributes(cloud: Cloud, warn: Warn) -> tuple[dict[str, NDArray[Any]
         forbidden=r"[^\w !-~]",
         most_bytes=32,
     )
-    for name, values in others.items():
-        if values.dtype.kind == "b":
-            values = values.astype(np.uint8)
-        elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
-            values = values.astype(np.float32 if values.dtype.itemsize < 4 else np.float64)
-        extras[name] = values.astype(values.dtype.newbyteorder("<"))
-    return standard, extras
+    return standard, extras | {name: plain_type(values) for name, values in others.items()}
 
 
 def _fits(name: str, values: NDArray[Any]) -> bool:
