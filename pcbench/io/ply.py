@@ -18,6 +18,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
+from pcbench.io.columns import packed_rows, plain_type
 from pcbench.io.files import MAX_PADDING, Fields, Look, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
@@ -274,14 +275,10 @@ def write_ply_mesh(path: Path, mesh: Mesh) -> None:
 
 
 def _write(path: Path, columns: Columns, tags: Mapping[str, str], triangles: NDArray[Any] | None) -> None:
-    types = {name: column.dtype.newbyteorder("=").str[1:] for name, column in columns.items()}
-    count = len(next(iter(columns.values())))
-    vertices = np.empty(count, dtype=[(name, f"<{code}") for name, code in types.items()])
-    for name, column in columns.items():
-        vertices[name] = column
+    vertices = packed_rows(columns)
     comments = [f"comment {tag} {_one_line(text)}" for tag, text in tags.items()]
-    properties = [f"property {TYPE_NAMES[code]} {name}" for name, code in types.items()]
-    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {count}", *properties]
+    properties = [f"property {TYPE_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(vertices)}", *properties]
     faces = np.empty(0 if triangles is None else len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     if triangles is not None:
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
@@ -297,16 +294,12 @@ def _one_line(text: str) -> str:
 
 
 def _as_ply_type(values: NDArray[Any]) -> NDArray[Any]:
-    if values.dtype.newbyteorder("=").str[1:] in TYPE_NAMES:
+    values = plain_type(values)
+    if values.dtype.str[1:] in TYPE_NAMES:
         return values
-    if values.dtype.kind == "b":
-        return values.astype(np.uint8)
-    if values.dtype == np.float16:
-        return values.astype(np.float32)
     if values.dtype.kind in "iu":
         low, high = int(values.min()), int(values.max())
         for dtype in (np.int32, np.uint32):
             if np.iinfo(dtype).min <= low and high <= np.iinfo(dtype).max:
                 return values.astype(dtype)
-    with np.errstate(over="ignore"):
-        return values.astype(np.float64)
+    return values.astype(np.float64)

@@ -316,28 +316,24 @@ def test_damaged_node_of_ept_is_named(tmp_path):
         read_cloud(folder)
 
 
-def test_damaged_bytes_of_a_node_are_found_by_the_other_nodes(tmp_path):
+def test_damaged_bytes_of_a_node_are_reported_with_its_name(tmp_path):
     import_or_skip("lazrs")
     folder = ept_bytes.write(tmp_path / "ept", 600)
     node = folder / "ept-data/1-0-0-0.laz"
-    data = node.read_bytes()
+    data = bytearray(node.read_bytes())
+    sizes = int.from_bytes(data[96:100], "little") + 38  # of the layers, after the first point
+    data[sizes : sizes + 40] = b"\xff" * 40
+    node.write_bytes(data)
     disk = open_cloud(folder)
-    messages = set()
-    for offset in range(len(data) - 400, len(data) - 100, 20):
-        damaged = bytearray(data)
-        damaged[offset] ^= 4
-        node.write_bytes(damaged)
-        with pytest.raises(ValueError, match=r"1-0-0-0\.laz: damaged LAZ data") as caught:
-            read_piece(disk, disk.pieces[0])
-        messages.add(str(caught.value).removeprefix(str(folder)))
-    assert any("1-0-0-0.laz: damaged LAZ data: failed verification" in message for message in messages), messages
+    with check_error():
+        read_piece(disk, disk.pieces[0])
 
 
 def test_many_nodes_are_decompressed_in_batches(tmp_path, monkeypatch):
     import_or_skip("lazrs")
     folder = ept_bytes.write(tmp_path / "ept")
     expected = read_cloud(folder)
-    monkeypatch.setattr("pcbench.io.laz._MAX_JOBS", 4)
+    monkeypatch.setattr("pcbench.io.laz._MAX_RUNS", 4)
     assert read_cloud(folder).points.tobytes() == expected.points.tobytes()
 
 
