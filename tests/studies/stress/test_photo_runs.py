@@ -17,14 +17,9 @@ from pcbench.plugins.run import Description, Run
 from pcbench.scenes.synthetic.files import write_mesh_ply
 from pcbench.studies.stress.reconstructors import runs
 from pcbench.studies.stress.reconstructors import study as studies
-from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED, Photographs
-from pcbench.studies.stress.reconstructors.runs import (
-    PhotoRuns,
-    ReconstructorMethod,
-    plan_photo_runs,
-    run_photo_plans,
-    settle,
-)
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, Photographs
+from pcbench.studies.stress.reconstructors.reconstruction import UNPERTURBED, ReconstructionCell, settle
+from pcbench.studies.stress.reconstructors.runs import PhotoRuns, ReconstructorMethod, plan_photo_runs, run_photo_plans
 from pcbench.studies.stress.reconstructors.scenes import (
     base_settings,
     read_photographs,
@@ -33,17 +28,8 @@ from pcbench.studies.stress.reconstructors.scenes import (
     write_photographs,
 )
 from pcbench.studies.stress.reconstructors.study import PhotoPlan, run_reconstructor_stress
-from pcbench.studies.stress.results import (
-    CRASH,
-    DEGRADED,
-    REFUSED,
-    RIGHT,
-    TIME_OUT,
-    WARNED,
-    ReconstructionCell,
-    StressSettings,
-    read_study,
-)
+from pcbench.studies.stress.results import KIND, StressSettings
+from pcbench.studies.stress.subject import CRASH, DEGRADED, REFUSED, RIGHT, TIME_OUT, WARNED
 from pcbench.studies.stress.words import warnings
 
 # A reconstructor whose cloud depends on the number of images.
@@ -133,7 +119,7 @@ def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, tmp_path
     assert not (out / "work").exists() and not (out / "figures").exists()
     for sentence in outcome.study.sentences:
         check_text(sentence)
-    assert read_study(out) == replace(outcome.study, provenance=None)
+    assert KIND.read(out) == replace(outcome.study, provenance=None)
 
     def fail(*_, **__):
         raise AssertionError("a reconstructor was started although its run has a record")
@@ -156,7 +142,7 @@ def test_workers_give_the_same_results(plugin, tmp_path, tasks_in_process):  # n
         return [replace(cell, cpu_s=None, wall_s=None, memory_bytes=None) for cell in study.reconstructions]
 
     assert results(shared) == results(alone)
-    assert read_study(tmp_path / "shared").settings.workers == 2
+    assert KIND.read(tmp_path / "shared").settings.workers == 2
     (warning,) = set(warnings(shared)) - set(warnings(alone))
     check_text(warning)
     assert not (tmp_path / "shared" / "work").exists()
@@ -263,7 +249,7 @@ def test_command_on_a_rendered_city(run, tmp_path, renderer):
     arguments = ("--quick", "--only", "positions", "--methods", "mvs", "--out", out)
     code, printed, _ = run("stress", "--reconstructors", *arguments)
     assert code == 0 and "errors of camera positions [m]" in printed
-    study = read_study(out)
+    study = KIND.read(out)
     clean, small, large = study.reconstructions
     assert (clean.ladder, small.level, large.level) == (UNPERTURBED, 0.3, 3)
     assert clean.outcome == small.outcome == RIGHT and clean.fscore > 0.9 and clean.rms < 1

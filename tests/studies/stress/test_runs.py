@@ -10,7 +10,7 @@ from wording import check_error
 
 from pcbench.studies.stress import runs
 from pcbench.studies.stress.cells import RunPlan
-from pcbench.studies.stress.results import CRASH, METRICS, REGISTRATION, RIGHT, TIME_OUT, VERDICTS
+from pcbench.studies.stress.subject import CRASH, RIGHT, TIME_OUT
 from pcbench.systems import cpu_count
 from pcbench.tasks import Workers, runner
 
@@ -37,7 +37,7 @@ def misbehave(reference, candidate, seed):
 METHODS["icp"] = replace(METHODS["icp"], run=misbehave)
 child.main(sys.argv[1])
 """
-PLANS = [RunPlan(REGISTRATION, "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
+PLANS = [RunPlan("registration", "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
 
 
 @pytest.fixture
@@ -123,8 +123,8 @@ def test_a_library_that_cannot_be_loaded_ends_the_study(settings):
 def test_metrics_and_verdicts_have_records_too(tmp_path):
     settings = runs.RunSettings(tmp_path, time_limit_s=60.0)
     plans = [
-        RunPlan(METRICS, "object", "density", 1.0, None, "pcbench", 0, 3000),
-        RunPlan(VERDICTS, "object", "density", 1.0, None, "deform", 0, 3000),
+        RunPlan("metrics", "object", "density", 1.0, None, "pcbench", 0, 3000),
+        RunPlan("verdicts", "object", "density", 1.0, None, "deform", 0, 3000),
     ]
     metrics, verdicts = runs.run_all(plans, settings)
     assert len(metrics.cells) == 2 and len(verdicts.cells) == 3
@@ -134,7 +134,7 @@ def test_metrics_and_verdicts_have_records_too(tmp_path):
 
 @pytest.mark.long
 def test_any_number_of_workers_gives_the_same_results(tmp_path):
-    plans = [RunPlan(REGISTRATION, "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
+    plans = [RunPlan("registration", "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
     found = []
     for count in (1, 2):
         out = tmp_path / str(count)

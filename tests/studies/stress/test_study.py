@@ -16,9 +16,13 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.studies.stress.ladders import displaced
 from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
-from pcbench.studies.stress.results import REGISTRATION, SILENT, SUBJECTS, VERDICTS, StressSettings, read_study
+from pcbench.studies.stress.registration import REGISTRATION
+from pcbench.studies.stress.results import KIND, StressSettings
 from pcbench.studies.stress.scenes import given_pair, scene_pair
 from pcbench.studies.stress.study import GivenClouds, StressPlan, run_stress
+from pcbench.studies.stress.subject import SILENT
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
+from pcbench.studies.stress.verdicts import VERDICTS
 
 SETTINGS = StressSettings(
     quick=True, only="start-rotation,density,raised-part,degenerate", methods=("icp", "pcbench", "deform", "changes")
@@ -43,8 +47,8 @@ def outcome(folder):
 def test_quick_study_answers_each_subject(outcome):
     study = outcome.study
     assert {ladder.name for ladder in study.ladders} == {"start-rotation", "density", "raised-part", "degenerate"}
-    for subject in SUBJECTS:
-        assert study.cells(subject), subject
+    for subject in PAIR_SUBJECTS.values():
+        assert study.cells(subject), subject.name
     cells = {(cell.ladder, cell.level): cell for cell in study.registrations}
     assert cells["start-rotation", 5].pose_is_right and not cells["start-rotation", 90].pose_is_right
     assert cells["density", 1].pose_is_right
@@ -58,10 +62,10 @@ def test_quick_study_answers_each_subject(outcome):
 
 
 def test_files_of_a_study(outcome, folder):
-    assert read_study(folder) == replace(outcome.study, provenance=None)
+    assert KIND.read(folder) == replace(outcome.study, provenance=None)
     rows = list(csv.DictReader((folder / "stress.csv").read_text().splitlines()))
-    assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in SUBJECTS)
-    assert {row["subject"] for row in rows} == set(SUBJECTS) and rows[0]["outcome"]
+    assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in PAIR_SUBJECTS.values())
+    assert {row["subject"] for row in rows} == set(PAIR_SUBJECTS) and rows[0]["outcome"]
     page = (folder / "stress.md").read_text()
     parsed = check_page_of_study((folder / "report.html").read_text(encoding="utf-8"))
     assert parsed.tables == markdown_tables(page)
@@ -140,9 +144,9 @@ def test_settings_that_leave_nothing_to_run(settings, tmp_path):
 
 
 def test_methods_of_missing_libraries_are_named(monkeypatch):
-    monkeypatch.setattr("pcbench.studies.stress.methods.find_spec", lambda _: None)
+    monkeypatch.setattr("pcbench.studies.stress.subject.find_spec", lambda _: None)
     plan = StressPlan.of(StressSettings(methods=("icp", "small_gicp GICP", "global")))
-    assert plan.methods[REGISTRATION] == ("icp",)
+    assert plan.methods["registration"] == ("icp",)
     for method in plan.missing:
         check_text(f"{method.name}: {method.reason}")
     assert [method.name for method in plan.missing] == ["global", "small_gicp GICP"]
@@ -151,10 +155,10 @@ def test_methods_of_missing_libraries_are_named(monkeypatch):
 
 
 def test_quick_plan_leaves_out_slow_methods():
-    names = StressPlan.of(StressSettings(quick=True)).methods[REGISTRATION]
+    names = StressPlan.of(StressSettings(quick=True)).methods["registration"]
     assert "icp" in names and "global-similarity" not in names
     asked = StressPlan.of(StressSettings(quick=True, methods=("icp-point",)))
-    assert asked.methods[REGISTRATION] == ("icp-point",) and asked.methods[VERDICTS] == ()
+    assert asked.methods["registration"] == ("icp-point",) and asked.methods["verdicts"] == ()
 
 
 def test_command(run, tmp_path):

@@ -5,19 +5,14 @@ from dataclasses import replace
 import pytest
 from stress_studies import CASES, OVERLAP, registrations, study
 
-from pcbench.studies.stress.results import (
-    FALSE_ALARM,
-    FALSE_BEND,
-    RIGHT,
-    SILENT,
-    MissingMethod,
-    Rate,
-    StressSettings,
-)
+from pcbench.studies.frame.rates import Rate, percent
+from pcbench.studies.stress.descriptions import MissingMethod
+from pcbench.studies.stress.results import StressSettings
+from pcbench.studies.stress.subject import FALSE_ALARM, RIGHT, SILENT
+from pcbench.studies.stress.verdicts import FALSE_BEND
 from pcbench.studies.stress.words import (
     answer,
     metric_sentences,
-    percent,
     rate_text,
     registration_sentences,
     sentences,
