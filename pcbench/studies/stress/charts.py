@@ -9,7 +9,7 @@ from typing import Any
 from pcbench.extras import require
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
-from pcbench.studies.folder import FIGURES, chart_pictures, delete_former_charts, save_charts
+from pcbench.studies.frame.canvas import FIGURES, chart_pictures, delete_former_charts, save_charts
 from pcbench.studies.stress.curves import (
     coverage_chart,
     profile_chart,
@@ -20,7 +20,7 @@ from pcbench.studies.stress.curves import (
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart
 from pcbench.studies.stress.reconstructors.charts import score_charts
-from pcbench.studies.stress.results import ALL_SUBJECTS, DOCUMENT, StressStudy, read_study
+from pcbench.studies.stress.results import ALL_SUBJECTS, DOCUMENT, KIND, StressStudy
 from pcbench.studies.stress.worst import draw_worst
 
 # Draws the charts of a study's folder.
@@ -29,7 +29,7 @@ PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the charts of a folder that `pcbench stress` wrote."""
-    study = read_study(folder)
+    study = KIND.read(folder)
     return chart_pictures(lambda: _charts(study), look)
 
 

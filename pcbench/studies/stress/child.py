@@ -17,7 +17,7 @@ from pcbench.deformation import deform
 from pcbench.errors import MissingExtra
 from pcbench.extras import require
 from pcbench.measure.comparison import compare
-from pcbench.studies.folder import write_record
+from pcbench.studies.frame.records import write_record
 from pcbench.studies.stress.cells import RunPlan, build_pair, load_pair, run_cell
 from pcbench.studies.stress.changes import name_changes
 from pcbench.studies.stress.methods import METHODS

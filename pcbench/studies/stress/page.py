@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 from pcbench.measure.wording import pluralize
 from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Heading, Paragraph
-from pcbench.studies.folder import FIGURES
+from pcbench.studies.frame.canvas import FIGURES
 from pcbench.studies.stress.results import (
     ALL_SUBJECTS,
     CHANGES,

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 from statistics import NormalDist, median
 from typing import Any, TypeVar
 
-from pcbench.studies.folder import study_document
+from pcbench.studies.frame.folder import StudyKind
 from pcbench.tasks import Workers
 
 SCHEMA = "pcbench.stress/1"
@@ -659,35 +658,7 @@ class StressStudy:
         return {key: Tally.of(cells) for key, cells in groups.items()}
 
 
-def document(study: StressStudy) -> dict[str, Any]:
-    """Return a study as the document of stress.json."""
-    return {"schema": SCHEMA, **asdict(study)}
-
-
-def read_study(folder: Path) -> StressStudy:
-    """Read stress.json of a folder.
-
-    Raises:
-        InputError: the file has another schema or is damaged.
-        OSError: the file cannot be read.
-    """
-    with study_document(folder / DOCUMENT, SCHEMA) as values:
-        return StressStudy(
-            settings=StressSettings(**_tuples(values["settings"])),
-            scenes=tuple(SceneInfo(**_tuples(row)) for row in values["scenes"]),
-            ladders=tuple(LadderInfo(**_tuples(row)) for row in values["ladders"]),
-            methods=tuple(MethodInfo(**row) for row in values["methods"]),
-            missing=tuple(MissingMethod(**row) for row in values["missing"]),
-            registrations=tuple(registration_cell(row) for row in values["registrations"]),
-            metrics=tuple(metric_cell(row) for row in values["metrics"]),
-            verdicts=tuple(verdict_cell(row) for row in values["verdicts"]),
-            changes=tuple(change_cell(row) for row in values.get("changes", ())),
-            reconstructions=tuple(reconstruction_cell(row) for row in values.get("reconstructions", ())),
-            photographs=_photographs(values.get("photographs")),
-            worst=tuple(SilentFailure(registration_cell(row["cell"]), row["file"]) for row in values["worst"]),
-            sentences=tuple(values["sentences"]),
-            provenance=values["provenance"],
-        )
+KIND = StudyKind("stress", DOCUMENT, SCHEMA, StressStudy, "stress.md")
 
 
 def registration_cell(values: Mapping[str, Any]) -> RegistrationCell:
@@ -713,10 +684,6 @@ def change_cell(values: Mapping[str, Any]) -> ChangeCell:
 def reconstruction_cell(values: Mapping[str, Any]) -> ReconstructionCell:
     """Return the cell of a row of stress.json."""
     return ReconstructionCell(**_tuples(values))
-
-
-def _photographs(values: Mapping[str, Any] | None) -> PhotographInfo | None:
-    return None if values is None else PhotographInfo(**_tuples(values))
 
 
 def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:

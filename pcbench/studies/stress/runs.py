@@ -17,8 +17,8 @@ from pcbench.children import run_module
 from pcbench.errors import InputError
 from pcbench.extras import installed_versions
 from pcbench.plugins.code import digest_files, plugin_files
-from pcbench.studies.cells import MEMORY_ADVICE
-from pcbench.studies.folder import read_record, write_record
+from pcbench.studies.frame.cells import MEMORY_ADVICE
+from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.stress.cells import RunPlan, RunResult, failed_run
 from pcbench.studies.stress.child import MISSING_LIBRARY
 from pcbench.studies.stress.methods import METHODS
@@ -207,7 +207,7 @@ def _run_batch(
 
 def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult | None:
     """Return the result that was recorded for the same inputs; None if there is none or it is damaged."""
-    values = read_record(path, key)
+    values = read_record(path, key, dict[str, Any])
     convert: Callable[[Mapping[str, Any]], Cell] = {
         REGISTRATION: registration_cell,
         METRICS: metric_cell,

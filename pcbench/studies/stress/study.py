@@ -19,18 +19,12 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io.contents import digest
 from pcbench.io.files import atomic_write
-from pcbench.report import to_json
+from pcbench.io.json_values import to_json
 from pcbench.report.document import provenance
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.plot import Drawn
-from pcbench.studies.folder import (
-    StudyKind,
-    check_folder,
-    draw_here,
-    study_folder,
-    write_report,
-    write_results,
-)
+from pcbench.studies.frame.folder import check_folder, study_folder
+from pcbench.studies.frame.publish import draw_here, write_report, write_results
 from pcbench.studies.stress.cells import (
     RunPlan,
     RunResult,
@@ -49,10 +43,10 @@ from pcbench.studies.stress.page import article
 from pcbench.studies.stress.results import (
     CHANGES,
     DOCUMENT,
+    KIND,
     METRICS,
     RECONSTRUCTION,
     REGISTRATION,
-    SCHEMA,
     SILENT,
     VERDICTS,
     ChangeCell,
@@ -66,7 +60,6 @@ from pcbench.studies.stress.results import (
     StressSettings,
     StressStudy,
     VerdictCell,
-    document,
 )
 from pcbench.studies.stress.runs import RunSettings, run_all
 from pcbench.studies.stress.scenes import (
@@ -84,7 +77,6 @@ from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
 from pcbench.studies.stress.words import sentences
 from pcbench.tasks import Workers
 
-KIND = StudyKind("stress", DOCUMENT, SCHEMA, "stress.md")
 CSV, TABLE = "stress.csv", "stress.txt"
 RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
 _GIVEN_FILE = "given.npz"
@@ -260,7 +252,7 @@ def write_study(
     """
     study = replace(study, sentences=sentences(study))
     table = stress_table(study)
-    write_results(out, KIND, {CSV: csv_text(study), TABLE: f"{table}\n", DOCUMENT: to_json(document(study))})
+    write_results(out, KIND, {CSV: csv_text(study), TABLE: f"{table}\n", DOCUMENT: to_json(KIND.values(study))})
     drawn = Drawn([])
     if figures:
         step("drawing charts")

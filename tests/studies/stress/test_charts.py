@@ -22,7 +22,7 @@ from pcbench.studies.stress.curves import (  # noqa: E402
     speed_chart,
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart  # noqa: E402
-from pcbench.studies.stress.results import REGISTRATION, SILENT, SilentFailure, document  # noqa: E402
+from pcbench.studies.stress.results import KIND, REGISTRATION, SILENT, SilentFailure  # noqa: E402
 from pcbench.studies.stress.worst import failure_title  # noqa: E402
 
 
@@ -57,7 +57,7 @@ def test_all_charts_and_pictures_are_written_and_former_ones_are_deleted(tmp_pat
 
 def test_plot_draws_charts_again(run, tmp_path):
     few = study(metrics=(), verdicts=())
-    (tmp_path / "stress.json").write_text(to_json(document(few)))
+    (tmp_path / "stress.json").write_text(to_json(KIND.values(few)))
     code, out, err = run("plot", tmp_path, "recall.svg", "outcomes_registration")
     assert (code, err) == (0, "")
     drawn = [tmp_path / "figures" / name for name in ("recall.svg", "outcomes_registration.png")]

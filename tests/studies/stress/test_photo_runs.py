@@ -36,13 +36,13 @@ from pcbench.studies.stress.reconstructors.study import PhotoPlan, run_reconstru
 from pcbench.studies.stress.results import (
     CRASH,
     DEGRADED,
+    KIND,
     REFUSED,
     RIGHT,
     TIME_OUT,
     WARNED,
     ReconstructionCell,
     StressSettings,
-    read_study,
 )
 from pcbench.studies.stress.words import warnings
 
@@ -133,7 +133,7 @@ def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, tmp_path
     assert not (out / "work").exists() and not (out / "figures").exists()
     for sentence in outcome.study.sentences:
         check_text(sentence)
-    assert read_study(out) == replace(outcome.study, provenance=None)
+    assert KIND.read(out) == replace(outcome.study, provenance=None)
 
     def fail(*_, **__):
         raise AssertionError("a reconstructor was started although its run has a record")
@@ -156,7 +156,7 @@ def test_workers_give_the_same_results(plugin, tmp_path, tasks_in_process):  # n
         return [replace(cell, cpu_s=None, wall_s=None, memory_bytes=None) for cell in study.reconstructions]
 
     assert results(shared) == results(alone)
-    assert read_study(tmp_path / "shared").settings.workers == 2
+    assert KIND.read(tmp_path / "shared").settings.workers == 2
     (warning,) = set(warnings(shared)) - set(warnings(alone))
     check_text(warning)
     assert not (tmp_path / "shared" / "work").exists()
@@ -263,7 +263,7 @@ def test_command_on_a_rendered_city(run, tmp_path, renderer):
     arguments = ("--quick", "--only", "positions", "--methods", "mvs", "--out", out)
     code, printed, _ = run("stress", "--reconstructors", *arguments)
     assert code == 0 and "errors of camera positions [m]" in printed
-    study = read_study(out)
+    study = KIND.read(out)
     clean, small, large = study.reconstructions
     assert (clean.ladder, small.level, large.level) == (UNPERTURBED, 0.3, 3)
     assert clean.outcome == small.outcome == RIGHT and clean.fscore > 0.9 and clean.rms < 1

@@ -14,7 +14,7 @@ from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.page import article
 from pcbench.studies.stress.reconstructors.charts import score_charts
 from pcbench.studies.stress.reconstructors.ladders import UNPERTURBED
-from pcbench.studies.stress.results import RECONSTRUCTION, REFUSED, document, read_study
+from pcbench.studies.stress.results import KIND, RECONSTRUCTION, REFUSED
 from pcbench.studies.stress.study import csv_text
 from pcbench.studies.stress.table import limits_table, outcome_table, stress_table
 from pcbench.studies.stress.words import answer, reconstruction_sentences, sentences
@@ -91,8 +91,8 @@ def test_tables():
 
 def test_document_and_csv_hold_all_cells(tmp_path):
     study = photo_study()
-    (tmp_path / "stress.json").write_text(to_json(document(study)))
-    assert read_study(tmp_path) == study
+    (tmp_path / "stress.json").write_text(to_json(KIND.values(study)))
+    assert KIND.read(tmp_path) == study
     rows = list(csv.DictReader(csv_text(study).splitlines()))
     assert len(rows) == 32 and {row["subject"] for row in rows} == {RECONSTRUCTION}
     (found,) = [r for r in rows if (r["method"], r["ladder"], r["level"]) == ("mvs", "blur", "2")]
@@ -102,10 +102,10 @@ def test_document_and_csv_hold_all_cells(tmp_path):
 
 
 def test_documents_without_reconstructions_are_read(tmp_path):
-    values = document(photo_study(reconstructions=(), photographs=None))
+    values = KIND.values(photo_study(reconstructions=(), photographs=None))
     del values["reconstructions"], values["photographs"]
     (tmp_path / "stress.json").write_text(json.dumps(values))
-    assert read_study(tmp_path).reconstructions == ()
+    assert KIND.read(tmp_path).reconstructions == ()
 
 
 def test_page_names_scene_threshold_and_figures():

@@ -11,6 +11,7 @@ from pcbench.studies.stress.results import (
     CRASH,
     FALSE_ALARM,
     GLOBAL,
+    KIND,
     LOCAL,
     METRICS,
     OUTCOMES,
@@ -34,8 +35,6 @@ from pcbench.studies.stress.results import (
     StressStudy,
     Tally,
     VerdictCell,
-    document,
-    read_study,
 )
 
 
@@ -136,9 +135,9 @@ def test_study_returns_its_cells_in_groups():
 
 
 def test_document_is_read_back(tmp_path):
-    (tmp_path / "stress.json").write_text(to_json(document(study())))
-    found = read_study(tmp_path)
-    assert to_json(document(found)) == to_json(document(study()))
+    (tmp_path / "stress.json").write_text(to_json(KIND.values(study())))
+    found = KIND.read(tmp_path)
+    assert to_json(KIND.values(found)) == to_json(KIND.values(study()))
     assert math.isnan(found.registrations[2].tolerance) and found.registrations[:2] == study().registrations[:2]
     assert found.scenes == study().scenes and found.settings == study().settings
 
@@ -147,4 +146,4 @@ def test_document_is_read_back(tmp_path):
 def test_other_documents_are_refused(text, tmp_path):
     (tmp_path / "stress.json").write_text(text)
     with check_error():
-        read_study(tmp_path)
+        KIND.read(tmp_path)

@@ -16,7 +16,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.studies.stress.ladders import displaced
 from pcbench.studies.stress.reconstructors.study import run_reconstructor_stress
-from pcbench.studies.stress.results import REGISTRATION, SILENT, SUBJECTS, VERDICTS, StressSettings, read_study
+from pcbench.studies.stress.results import KIND, REGISTRATION, SILENT, SUBJECTS, VERDICTS, StressSettings
 from pcbench.studies.stress.scenes import given_pair, scene_pair
 from pcbench.studies.stress.study import GivenClouds, StressPlan, run_stress
 
@@ -58,7 +58,7 @@ def test_quick_study_answers_each_subject(outcome):
 
 
 def test_files_of_a_study(outcome, folder):
-    assert read_study(folder) == replace(outcome.study, provenance=None)
+    assert KIND.read(folder) == replace(outcome.study, provenance=None)
     rows = list(csv.DictReader((folder / "stress.csv").read_text().splitlines()))
     assert len(rows) == sum(len(outcome.study.cells(subject)) for subject in SUBJECTS)
     assert {row["subject"] for row in rows} == set(SUBJECTS) and rows[0]["outcome"]

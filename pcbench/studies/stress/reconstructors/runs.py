@@ -24,8 +24,8 @@ from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.scenes.synthetic.files import SceneSettings
 from pcbench.studies.bench.score import EvaluationProtocol, score
-from pcbench.studies.cells import map_cells
-from pcbench.studies.folder import read_record, write_record
+from pcbench.studies.frame.cells import map_cells
+from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.stress.cells import RunPlan
 from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED, PhotoLadder
 from pcbench.studies.stress.reconstructors.scenes import (
@@ -172,7 +172,7 @@ def run_photo_plans(
     (settings.out / RECORDS).mkdir(exist_ok=True)
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
     keys = {plan: settings.key(plan, methods[plan.method]) for plan in plans}
-    found = {plan: read_record(settings.record(plan), keys[plan]) for plan in plans}
+    found = {plan: read_record(settings.record(plan), keys[plan], dict[str, Any]) for plan in plans}
     missing = [(plan, methods[plan.method], keys[plan]) for plan in plans if found[plan] is None]
     if workers is not None:  # each scene is rendered once, before several runs need it
         for seed in {plan.seed for plan, _, _ in missing}:

@@ -12,7 +12,7 @@ from pcbench.plugins.run import Description, absolute, describe
 from pcbench.report.document import provenance
 from pcbench.scenes.synthetic.render import check_renderer
 from pcbench.studies.bench.plan import labels
-from pcbench.studies.folder import study_folder
+from pcbench.studies.frame.folder import study_folder
 from pcbench.studies.stress.reconstructors.ladders import UNPERTURBED, PhotoLadder, selected
 from pcbench.studies.stress.reconstructors.runs import (
     PhotoRuns,
@@ -21,6 +21,7 @@ from pcbench.studies.stress.reconstructors.runs import (
     run_photo_plans,
 )
 from pcbench.studies.stress.results import (
+    KIND,
     RECONSTRUCTION,
     LadderInfo,
     MethodInfo,
@@ -28,7 +29,7 @@ from pcbench.studies.stress.results import (
     StressSettings,
     StressStudy,
 )
-from pcbench.studies.stress.study import KIND, PHOTOGRAPHS, StressOutcome, check_study, write_study
+from pcbench.studies.stress.study import PHOTOGRAPHS, StressOutcome, check_study, write_study
 
 DEFAULT_METHODS = ("sfm", "mvs", "splat")
 QUICK_METHODS = ("sfm", "mvs")
