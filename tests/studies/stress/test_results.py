@@ -13,7 +13,7 @@ from pcbench.studies.stress.limits import Tally
 from pcbench.studies.stress.metrics import MetricCell
 from pcbench.studies.stress.registration import PRESETS, REGISTRATION, RegistrationCell
 from pcbench.studies.stress.results import KIND, SilentFailure, StressSettings, StressStudy
-from pcbench.studies.stress.subject import CRASH, FALSE_ALARM, GLOBAL, LOCAL, RIGHT, SAID, SILENT, WRONG
+from pcbench.studies.stress.subject import CRASH, FALSE_ALARM, GLOBAL, LOCAL, RIGHT, SAID, SILENT, SUCCESS, WRONG
 from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 from pcbench.studies.stress.verdicts import VERDICTS, VerdictCell
 
