@@ -1,8 +1,6 @@
-"""Sentences, tables, pages and charts of reconstructors, from studies with known scores."""
+"""Tables, pages and charts of reconstructors, from studies with known scores."""
 
 import csv
-import json
-from dataclasses import replace
 
 import pytest
 from optional import import_or_skip
@@ -13,65 +11,11 @@ from pcbench.report.article import markdown
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.page import article
 from pcbench.studies.stress.reconstructors.charts import score_charts
-from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION, UNPERTURBED
+from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION
 from pcbench.studies.stress.results import KIND
 from pcbench.studies.stress.study import csv_text
-from pcbench.studies.stress.subject import REFUSED
 from pcbench.studies.stress.table import limits_table, outcome_table, stress_table
-from pcbench.studies.stress.words import answer, reconstruction_sentences, sentences
-
-
-def test_limits_and_failures_of_reconstructors():
-    assert list(reconstruction_sentences(photo_study())) == [
-        "sfm: F-score 0.2 at 2.4 m on the unperturbed scene, in 4 CPU s.",
-        "sfm keeps at least half of its F-score down to 60 % (images kept) and up to 1 px (blur).",
-        "sfm delivers a cloud with less than half of its F-score, without a warning, in 2 of 15 perturbed runs:"
-        " blur (1) and hard city (1).",
-        "sfm, images kept: at 40 %, 30 % and 20 % it refuses (too few features).",
-        "sfm, blur: at 2 px it delivers a cloud with F-score 0.05, without a warning; at 4 px it crashes (SIGABRT); at"
-        " 8 px it refuses (too few features).",
-        "sfm: for half-turn symmetry it refuses (too few features); for hard city it delivers a"
-        " cloud with F-score 0.02, without a warning.",
-        "sfm, difficult surface: F-score 0.1 for repeated facades, 0.15 for lakes, 0.15 for lakes that reflect and 0.02"
-        " for hard city.",
-        "mvs: F-score 0.96 at 2.4 m on the unperturbed scene, in 4 CPU s.",
-        "mvs keeps at least half of its F-score down to 20 % (images kept, the last level); it does not keep half at"
-        " any tested level of blur.",
-        "mvs delivers a cloud with less than half of its F-score, without a warning, in 2 of 15 perturbed runs:"
-        " blur (1) and hard city (1).",
-        "mvs warns about 1 of 10 clouds that keep half of its F-score.",
-        "mvs, blur: at 0.5 px it delivers a cloud with F-score 0.4, and warns; at 2 px it delivers a cloud with F-score"
-        " 0.3, without a warning; at 4 px it runs out of time; at 8 px it refuses (too few features)"
-        ".",
-        "mvs: for half-turn symmetry it delivers a cloud with F-score 0.1, and warns; for hard city it delivers a cloud"
-        " with F-score 0.3, without a warning.",
-        "mvs, difficult surface: F-score 0.9 for repeated facades, 0.8 for lakes, 0.7 for lakes that reflect, 0.1 for"
-        " half-turn symmetry and 0.3 for hard city.",
-    ]
-
-
-def test_several_seeds_are_counted():
-    study = photo_study({"mvs": {UNPERTURBED: [0.9], "blur": [0.9, 0.9, 0.2, 0.2, 0.1]}})
-    better = tuple(replace(c, seed=1, fscore=0.8, outcome="right") for c in study.reconstructions)
-    found = list(reconstruction_sentences(replace(study, reconstructions=(*study.reconstructions, *better))))
-    assert found[1] == "mvs keeps at least half of its F-score up to 1 px (blur)."
-    assert found[-1].startswith(
-        "mvs, blur: at 2 px and 4 px it delivers a cloud with F-score 0.2, without a warning in 1 of 2 runs;"
-    )
-
-
-def test_a_cloud_that_cannot_be_measured():
-    study = photo_study({"mvs": {UNPERTURBED: [0.9], "blur": [0.9, 0.9, 0.9, 0.9, 0.1]}})
-    lost = (*study.reconstructions[:-1], replace(study.reconstructions[-1], fscore=None, message="no overlap"))
-    found = list(reconstruction_sentences(replace(study, reconstructions=lost)))
-    assert found[-1] == "mvs, blur: at 8 px it delivers a cloud that cannot be measured, without a warning."
-
-
-def test_a_method_without_an_unperturbed_score_cannot_be_judged():
-    study = photo_study({"sfm": {UNPERTURBED: [REFUSED], "blur": [0.2, 0.2, 0.2, 0.2, 0.2]}})
-    assert list(answer(study)) == [
-        "sfm: no cloud of the unperturbed scene can be measured, so its other clouds cannot be judged."
-    ]
+from pcbench.studies.stress.words import sentences
 
 
 def test_tables():
@@ -100,13 +44,6 @@ def test_document_and_csv_hold_all_cells(tmp_path):
     assert (found["outcome"], found["fscore"], found["standard"], found["cpu_s"]) == ("degraded", "0.3", "0.96", "4.0")
     (warned,) = [r for r in rows if (r["method"], r["ladder"], r["level"]) == ("mvs", "blur", "1")]
     assert warned["notes"] == f"10 images matched; {WARNING}"
-
-
-def test_documents_without_reconstructions_are_read(tmp_path):
-    values = KIND.values(photo_study(reconstructions=(), photographs=None))
-    del values["reconstructions"], values["photographs"]
-    (tmp_path / "stress.json").write_text(json.dumps(values))
-    assert KIND.read(tmp_path).reconstructions == ()
 
 
 def test_page_names_scene_threshold_and_figures():
