@@ -160,5 +160,6 @@ CHANGES = PairSubject(
     methods=CHANGE_METHODS,
     ask=_ask,
     judge=_judge,
+    warm_up=_register_and_name,
     start=(1.0, 0.005),
 )

@@ -59,7 +59,7 @@ def _warm_up(plans: list[RunPlan]) -> None:
         for name in {plan.method for plan in plans if plan.subject == subject.name}:
             for module in subject.methods[name].modules:
                 require(module)
-        subject.ask(next(iter(subject.methods)), tiny, 0)  # our own methods import in functions
+        subject.warm_up(tiny)
 
 
 if __name__ == "__main__":

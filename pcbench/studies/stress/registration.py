@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
+from pcbench.registration import register
 from pcbench.registration.result import SCALE_MISSING, UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.studies.stress.methods import METHODS, PoseResult
 from pcbench.studies.stress.scenes import StressPair
@@ -184,6 +185,7 @@ REGISTRATION = PairSubject(
     methods=METHODS,
     ask=_ask,
     judge=_judge,
+    warm_up=lambda pair: register(pair.reference, pair.points),
     needs_scene=False,
     start=(5.0, 0.02),
     settle=settle_refusals,

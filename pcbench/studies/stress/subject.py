@@ -196,6 +196,7 @@ class PairSubject(Subject[C]):
         methods: methods by name, the one that is ours first.
         ask: function of the name of a method, a pair and a seed that returns the answer of the method.
         judge: function of the answer, the pair and the values of `Cell` that compares the answer with the truth.
+        warm_up: function of a pair that imports what our own methods import in functions.
         needs_scene: whether the truth is more than a pose, so that a given pair has none.
         start: start of ladders that set none, as an angle in degrees and an offset over the extent; None: the true
             pose.
@@ -207,6 +208,7 @@ class PairSubject(Subject[C]):
     methods: Mapping[str, Method[Any]]
     ask: Callable[[str, StressPair, int], Any]
     judge: Callable[[Any, StressPair, Mapping[str, Any]], RunResult]
+    warm_up: Callable[[StressPair], object]
     needs_scene: bool = True
     start: tuple[float, float] | None = None
     is_joint: bool = False

@@ -248,6 +248,7 @@ VERDICTS = PairSubject(
     methods=VERDICT_METHODS,
     ask=_ask,
     judge=_judge,
+    warm_up=lambda pair: run_deform(pair, 0),
     start=(1.0, 0.005),
     is_joint=True,
     cells_of=lambda _: [{"method": name} for name in VERDICT_METHODS],
