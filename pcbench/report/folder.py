@@ -18,10 +18,11 @@ from pcbench.geometry.crs import is_known_crs
 from pcbench.geometry.transform import Similarity, format_matrix
 from pcbench.io import write_cloud
 from pcbench.io.files import input_files, read_json
+from pcbench.io.json_values import to_json
 from pcbench.measure.deviation import M3C2, DeviationMap
 from pcbench.measure.settings import Settings
 from pcbench.report.colors import Range, ranges, robust_maximum
-from pcbench.report.document import deformation_values, document, to_json
+from pcbench.report.document import deformation_values, document
 from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, page, write_page
 from pcbench.report.inputs import InputFile, Inputs, SourcedComparison

@@ -17,7 +17,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.progress import Step
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.words import join_words
-from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, measured_bends
+from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, MutualVerdict, SolutionResult, measured_bends
 
 FACTORS = {
     "images": (
@@ -118,7 +118,9 @@ def measure_solutions(
                 first = name, placed
             else:
                 # Both are registered to the truth already. A dome of metres leaves sparse points without matches.
-                mutual = BendVerdict.from_deformation(_measure_deformation(first[1], placed, "none", seed)[0], first[0])
+                mutual = MutualVerdict.from_deformation(
+                    _measure_deformation(first[1], placed, "none", seed)[0], against=first[0]
+                )
             errors = cloud.attributes.get("reprojection_error")
             row = replace(
                 row,
@@ -341,7 +343,7 @@ def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]
         for row in named.values()
         if row.mutual is not None
         and row.mutual.is_bent
-        and (first := named.get(row.mutual.against or "")) is not None
+        and (first := named.get(row.mutual.against)) is not None
         and row.factors["images"] == first.factors["images"]
     ]
     if same:

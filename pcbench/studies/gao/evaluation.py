@@ -18,15 +18,15 @@ from pcbench.geometry.regions import Region
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.contents import digest
 from pcbench.io.files import read_json
+from pcbench.io.json_values import from_json, to_json
 from pcbench.measure.presets import Gao2025
 from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.plugins.stages import stage
 from pcbench.registration import Target, local_origin, register
-from pcbench.report import to_json
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
-from pcbench.studies.gao.results import ReferenceEvaluation, evaluation_from_json
+from pcbench.studies.gao.results import ReferenceEvaluation
 
 _RESULTS_FILE = "held.json"
 
@@ -105,7 +105,7 @@ def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> 
 
 def _read(folder: Path) -> CloudEvaluation:
     values = read_json(folder / _RESULTS_FILE)
-    clouds = {cloud: evaluation_from_json(row) for cloud, row in values["clouds"].items()}
+    clouds = {cloud: from_json(ReferenceEvaluation, row) for cloud, row in values["clouds"].items()}
     counts = values["counts"]
     return (
         CloudEvaluation(None, None, clouds)

@@ -10,8 +10,15 @@ from pcbench.extras import require
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
-from pcbench.studies.folder import chart_pictures, delete_former_charts, save_charts
-from pcbench.studies.stress.canvas import GREY, canvas, legend, plain_log_ticks
+from pcbench.studies.frame.canvas import (
+    GREY,
+    canvas,
+    chart_pictures,
+    delete_former_charts,
+    legend,
+    plain_log_ticks,
+    save_charts,
+)
 from pcbench.studies.tradeoff.approximations import (
     BOTH,
     CANDIDATE,
@@ -28,7 +35,7 @@ from pcbench.studies.tradeoff.approximations import (
 )
 from pcbench.studies.tradeoff.errors import front
 from pcbench.studies.tradeoff.metrics import NAMES, TITLES
-from pcbench.studies.tradeoff.results import DOCUMENT, Tradeoff, TradeoffRow, read_study
+from pcbench.studies.tradeoff.results import KIND, Tradeoff, TradeoffRow
 from pcbench.studies.tradeoff.words import SEARCHED
 
 _COLORS = dict(zip((RANDOM, VOXEL, DISK, FLOAT32, SEARCH, NORMALS, ICP, DECIMATION), (*SERIES, "#000000"), strict=True))
@@ -41,12 +48,12 @@ _LEAST_ERROR = 1e-5  # 0.001 %: smaller errors are drawn there
 
 
 # Draws the charts of a study's folder.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,))
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the charts of a folder that `pcbench tradeoff` wrote."""
-    study = read_study(folder)
+    study = KIND.read(folder)
     return chart_pictures(lambda: _charts(study), look)
 
 
@@ -111,8 +118,8 @@ def _error_panel(axis: Any, study: Tradeoff, name: str) -> None:
     low, high = axis.get_ylim()
     axis.set_ylim(max(low, 60 * _LEAST_ERROR), high)
     axis.set_xlabel("CPU seconds", fontsize=9)
-    plain_log_ticks(axis, "x")
-    plain_log_ticks(axis, "y")
+    plain_log_ticks(axis.xaxis)
+    plain_log_ticks(axis.yaxis)
     axis.tick_params(labelsize=8)
 
 

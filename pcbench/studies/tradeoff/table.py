@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pcbench.report.markup import csv_text
 from pcbench.report.words import UNKNOWN, number
-from pcbench.studies.stress.table import text_table
+from pcbench.studies.frame.tables import text_table
 from pcbench.studies.tradeoff.errors import group_front
 from pcbench.studies.tradeoff.metrics import GROUPS, MEANS, NAMES
 from pcbench.studies.tradeoff.results import ErrorEstimate, Tradeoff, TradeoffRow

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pcbench.measure.wording import pluralize
 from pcbench.progress import duration
 from pcbench.report.words import join_words
-from pcbench.studies.stress.results import Rate
+from pcbench.studies.frame.rates import Rate
 from pcbench.studies.tradeoff.approximations import BOTH, CANDIDATE, DISK, RANDOM, REFERENCE, THINNING, VOXEL
 from pcbench.studies.tradeoff.metrics import DEFORMATION, GROUP_NAMES, MEAN_DISTANCES
 from pcbench.studies.tradeoff.recommend import Recommendation, known_groups, recommend, recommendations

@@ -17,7 +17,7 @@ from pcbench.studies.gao import figures
 from pcbench.studies.gao.figures import pictures
 from pcbench.studies.gao.page import article
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import SCHEMA, TRUTH, CloudResult, ReferenceEvaluation, read_study
+from pcbench.studies.gao.results import KIND, TRUTH, CloudResult, ReferenceEvaluation
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import cost_table, csv_text, failures, measures_table
 
@@ -215,15 +215,15 @@ def test_study_round_trip(tmp_path):
     original = study(
         scene(bends={(MEANS, MVS): NON_AFFINE}), scene("b", truth=False, views=None, cameras=None, looked_at=None)
     )
-    restored = read_study(write_study(tmp_path / "a", original))
+    restored = KIND.read(write_study(tmp_path / "a", original))
     assert tuple(sentences(restored)) == original.sentences
     assert restored == original
     (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": "pcbench.experiment.bend/1"}))
     with check_error():
-        read_study(tmp_path / "a")
-    (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": SCHEMA, "scenes": [{}]}))
+        KIND.read(tmp_path / "a")
+    (tmp_path / "a/experiment.json").write_text(json.dumps({"schema": KIND.schema, "scenes": [{}]}))
     with check_error():
-        read_study(tmp_path / "a")
+        KIND.read(tmp_path / "a")
 
 
 def test_figures_are_drawn(tmp_path, run):
