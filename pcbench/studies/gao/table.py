@@ -9,6 +9,7 @@ from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.words import UNKNOWN, length
+from pcbench.studies.frame.tables import mebibytes
 from pcbench.studies.gao.results import (
     CameraErrors,
     CloudResult,
@@ -70,7 +71,8 @@ def cost_table(study: GaoStudy) -> Iterator[list[str]]:
             elif len(scene.positions) < scene.images:  # solved cameras without given ones to compare with
                 images = f"{len(scene.positions)}/{images}"
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
-            yield [cloud.name, points, seconds_text(cloud), _memory(cloud), images]
+            memory = UNKNOWN if cloud.memory_bytes is None else f"{mebibytes(cloud.memory_bytes)} MiB"
+            yield [cloud.name, points, seconds_text(cloud), memory, images]
 
 
 def injection_table(study: GaoStudy) -> Iterator[list[str]]:
@@ -199,10 +201,6 @@ def _bend_values(bend: Deformation | None) -> Sequence[object]:
         return (None,) * 6
     size = (None,) * 3 if bend.amplitude is None else (bend.amplitude.rms, *bend.amplitude.ci)
     return bend.label, bend.model, *size, bend.size_limit
-
-
-def _memory(cloud: CloudResult) -> str:
-    return UNKNOWN if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
 
 
 def notes(study: GaoStudy) -> Iterator[str]:
