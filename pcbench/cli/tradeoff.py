@@ -74,7 +74,7 @@ def tradeoff(
     from pcbench.studies.tradeoff.results import KIND, TradeoffSettings
     from pcbench.studies.tradeoff.study import run_tradeoff
     from pcbench.studies.tradeoff.table import tradeoff_table
-    from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
+    from pcbench.studies.tradeoff.words import warnings
 
     changes = {
         "tolerance": parse_share("--tolerance", tolerance),
@@ -97,15 +97,10 @@ def tradeoff(
     if json_file is not None:
         output.write(KIND.values(outcome.study))
     if not quiet and not output.on_stdout:
-        for sentence in answer(outcome.study):
-            click.echo(sentence)
-        for line in warnings(outcome.study):
+        for line in (*outcome.study.sentences, *warnings(outcome.study)):
             click.echo(line)
         click.echo()
         click.echo(tradeoff_table(outcome.study))
-        click.echo()
-        for sentence in (*bias_sentences(outcome.study), *verdict_sentences(outcome.study)):
-            click.echo(sentence)
         if out is not None:
             click.echo()
             click.echo(name_files("report", out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))
