@@ -268,7 +268,7 @@ def test_full_disk_is_reported_before_matching(completed_run, workspace, photogr
         shutil.rmtree(folder)
     written_bytes = present_bytes + 40 * len(completed_run[1].cloud)
     set_free_space(written_bytes)
-    with check_error(ReconstructionError, masked=True) as error:
+    with check_error(ReconstructionError) as error:
         DenseMvs(backend="bundled").reconstruct(scene, workspace)
     estimate = 2**20 * int(re.search(r"need (\d+) MiB more", str(error.value))[1])
     assert written_bytes < estimate < 1.5 * written_bytes

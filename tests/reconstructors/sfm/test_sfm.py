@@ -175,7 +175,7 @@ def test_points_of_two_images_are_left_out(photographs, workspace):
     assert two_view_points.cloud.attributes["track_length"].min() == 2
     left_out = len(two_view_points.cloud) - len(three_view_points.cloud)
     assert find_note(three_view_points, "points observed by fewer").startswith(f"{left_out} ")
-    with check_error(ReconstructionError, masked=True):
+    with check_error(ReconstructionError):
         ColmapSfm(min_views=8, **QUICK).reconstruct(scene, workspace)
 
 
@@ -308,7 +308,7 @@ def write_scene(folder, images):
 
 def check_failure(scene, workspace, error=ReconstructionError, **settings):
     workspace.mkdir(exist_ok=True)
-    with check_error(error, masked=True):
+    with check_error(error):
         ColmapSfm(**{**QUICK, **settings}).reconstruct(scene, workspace)
 
 
@@ -397,7 +397,7 @@ def test_a_solution_contradicted_by_strong_pairs_is_not_aligned(photographs, tmp
     assert note.startswith("warning: 4 of ")
     find_note(reconstruction, "not aligned")
     assert "000.png" in (tmp_path / "pairs.csv").read_text()
-    with check_error(ReconstructionError, masked=True):
+    with check_error(ReconstructionError):
         ColmapSfm(align="cameras", **settings).reconstruct(scene, tmp_path)
     # Given cameras keep their frame; a note reports that pairs contradict them.
     with_given_poses = ColmapSfm(**QUICK).reconstruct(scene, tmp_path)
@@ -415,7 +415,7 @@ def test_a_solution_contradicted_by_known_cameras_is_not_aligned_to_them(photogr
     reconstruction = ColmapSfm(poses="solve", refine="none", **QUICK).reconstruct(scene, workspace)
     assert reconstruction.gauge == "arbitrary"
     find_note(reconstruction, "not aligned to cameras")
-    with check_error(ReconstructionError, masked=True):
+    with check_error(ReconstructionError):
         ColmapSfm(poses="solve", align="cameras", refine="none", **QUICK).reconstruct(scene, workspace)
 
 
@@ -520,5 +520,5 @@ def test_images_from_one_place_give_no_point(tmp_path):
         cameras.append(replace(camera, name=f"{k}.png", intrinsics=intrinsics))
         Image.fromarray(photograph[:, left : left + 400]).save(folder / "images" / f"{k}.png")
     write_colmap_model(folder / "sparse", cameras)
-    with check_error(ReconstructionError, masked=True):
+    with check_error(ReconstructionError):
         ColmapSfm(**QUICK).reconstruct(read_scene(folder), tmp_path)
