@@ -100,9 +100,11 @@ def from_candidate(
     distances, closest = matches
 
     def measure(rows: IntArray | None) -> FloatArray:
-        at = closest if rows is None else closest[rows]
-        n = reference.surface.compute_normals(at)
-        return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
+        nearest = closest if rows is None else closest[rows]
+        n = reference.surface.compute_normals(nearest)
+        return metrics.plane_distances(
+            queries, reference.points, n, query_rows=rows, closest_rows=nearest, normal_rows=nearest
+        )
 
     planes = _to_planes(reference, distances, measure, seed)
     few = queries[floors.even_sample(len(queries))]
@@ -134,11 +136,11 @@ def from_reference(
     measured, queries = reference.rows, reference.measured_points
 
     def measure(rows: IntArray | None) -> FloatArray:
-        at = measured if rows is None else rows if measured is None else measured[rows]
+        tangents = measured if rows is None else rows if measured is None else measured[rows]
         closest = back.indices if rows is None else back.indices[rows]
-        n = reference.surface.compute_normals(at)
+        n = reference.surface.compute_normals(tangents)
         return metrics.plane_distances(
-            queries, candidate.points, n, query_rows=rows, closest_rows=closest, normal_rows=at
+            queries, candidate.points, n, query_rows=rows, closest_rows=closest, normal_rows=tangents
         )
 
     planes = _to_planes(reference, back.distances, measure, seed)

@@ -22,16 +22,14 @@ from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import ORANGE, SKY, has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
-from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.clouds import attribute_values
 from pcbench.report.plot.maps import frame
 from pcbench.report.plot.views import AxisBox, Frame
 from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
-from pcbench.report.reading import SceneLike, as_scene, viewing_cameras
 from pcbench.report.scalars import scalar_of
-from pcbench.report.viewing import ViewingCameras, up_of
+from pcbench.report.viewing import SceneFolder, SceneLike, ViewingCameras, as_scene, up_of, viewing_cameras
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
