@@ -89,16 +89,16 @@ def attribute_values(cloud: Cloud, name: str) -> FloatArray:
     return values
 
 
-def _range(values: FloatArray, given: float | None) -> Range:
+def _range(values: FloatArray, end: float | None) -> Range:
     """Return the colour range of an attribute: that of distances, or the inner 99 % of values far from zero."""
     finite = values[np.isfinite(values)]
     if not finite.any():
-        return Range(0.0, given or 1.0, "all values are 0", is_closed=True)
+        return Range(0.0, end or 1.0, "all values are 0", is_closed=True)
     low, high = np.percentile(finite, [0.5, 99.5])
-    if given is None and low > _MIN_ZERO_RATIO * high:
+    if end is None and low > _MIN_ZERO_RATIO * high:
         scale = replace(height_range(finite), note="inner 99 %")
     else:
-        scale = ranges_of({"": values}, given=given)[""]
+        scale = ranges_of({"": values}, end=end)[""]
     if scale.low <= finite.min() and finite.max() <= scale.high:
-        scale = replace(scale, note="" if given is None else scale.note, is_closed=True)
+        scale = replace(scale, note="" if end is None else scale.note, is_closed=True)
     return scale

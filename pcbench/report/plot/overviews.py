@@ -47,7 +47,7 @@ def draw_overview(
     window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     values, pixel = overview.mean[window], overview.pixel
     height, width = values.shape
-    scale = ranges_of({"": values[known[window]]}, spacing=spacing, given=look.range)[""]
+    scale = ranges_of({"": values[known[window]]}, spacing=spacing, end=look.range)[""]
     west, north = overview.west + pixel * columns[0], overview.north - pixel * rows[0]
     image = np.zeros((height, width, 4), np.uint8)
     image[known[window]] = np.column_stack([scale.colors(values[known[window]]), np.full(known[window].sum(), 255)])

@@ -105,7 +105,7 @@ def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, scenery: map
         name: scalars if (sample := samples.get(name)) is None else scalars[: sample.even]
         for name, scalars in values.items()
     }
-    scales = ranges_of(even, spacing=report.spacing_median, given=scenery.framing.look.range)
+    scales = ranges_of(even, spacing=report.spacing_median, end=scenery.framing.look.range)
     label = f"{scalar_of(scalar).label} [{report.unit}]"
 
     def picture(name: str, scale: Range) -> Picture:
@@ -152,7 +152,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
     even = {candidate.name: candidate.even_values(scalar) for candidate in report.candidates}
-    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
+    scales = ranges_of(even, spacing=report.spacing_median, end=look.range)
     label = f"{SCALARS[scalar].label} [{report.unit}]"
 
     def picture(name: str) -> Picture:
@@ -171,7 +171,7 @@ def _completeness(report: Report, scenery: maps.Scenery) -> dict[str, Picture]:
     """Return maps of the reference coloured by its distance to each candidate, which show missing parts."""
     mapped = [candidate for candidate in report.candidates if candidate.has_completeness]
     highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in mapped}
-    scales = ranges(highest, spacing=report.spacing_median, given=scenery.framing.look.range)
+    scales = ranges(highest, spacing=report.spacing_median, end=scenery.framing.look.range)
     label = f"{SCALARS[COMPLETENESS].label} [{report.unit}]"
 
     def picture(candidate: ReportedCandidate, scale: Range) -> Picture:

@@ -126,7 +126,7 @@ def deviation(
     """
     shown = to_cloud(cloud)
     known, scalars = _known_values(shown, values)
-    scale = ranges_of({"": scalars}, given=Figures(range=range).range)[""]
+    scale = ranges_of({"": scalars}, end=Figures(range=range).range)[""]
     ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit

@@ -98,7 +98,7 @@ class CandidateMaps:
     def ranges(self, scalar: str) -> dict[str, Range]:
         """Return the colour range of a scalar for each candidate that has it."""
         values = {name: maps[scalar].even_values for name, maps in self.maps.items() if scalar in maps}
-        return ranges_of(values, spacing=self.spacing, given=self.range)
+        return ranges_of(values, spacing=self.spacing, end=self.range)
 
     @cached_property
     def frame(self) -> Frame:
