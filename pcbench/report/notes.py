@@ -87,7 +87,7 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
             f" {pluralize(comparison.reference.points, 'point')}."
         )
     computed = comparison.candidates[0].metrics.presets
-    if missing := [name for name in comparison.settings.presets if name not in computed]:
+    if missing := [name for name in comparison.settings.measured_presets if name not in computed]:
         text += f" Not computed in tiles: {'the preset' if len(missing) == 1 else 'the presets'} {join_words(missing)}."
     return text
 

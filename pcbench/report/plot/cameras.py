@@ -111,14 +111,14 @@ def _cameras(scene: Scene) -> CameraDrawing:
     points = (
         _nearby_points(scene.points.points @ rotation.T, positions) if scene.points is not None else np.zeros((0, 3))
     )
-    known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
+    count = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
     return CameraDrawing(
         positions,
         [_outline(camera, size) @ rotation.T for camera in cameras],
         points,
         ("east", "north", "up") if scene.origin is not None and turn is None else viewing.axis_names,
         "m" if scene.origin is not None else None,
-        known + (f", {len(scene.points):,} points" if scene.points is not None else ""),
+        count + (f", {len(scene.points):,} points" if scene.points is not None else ""),
     )
 
 

@@ -91,8 +91,8 @@ class CandidateMaps:
             InputError: the candidate has no such map.
         """
         if scalar not in self.maps[name]:
-            known = ", ".join(self.maps[name])
-            raise InputError(f"expected a map of {name} ({known}), or deformation; got {scalar!r}")
+            names = ", ".join(self.maps[name])
+            raise InputError(f"expected a map of {name} ({names}), or deformation; got {scalar!r}")
         return self.maps[name][scalar]
 
     def ranges(self, scalar: str) -> dict[str, Range]:
@@ -116,9 +116,9 @@ class CandidateMaps:
         """Show a map on a stage, in place of an earlier one, and return its colour range."""
         shown, scale = self.of(name, scalar), self.ranges(scalar)[name]
         # The reference is the ghost behind a candidate, and the candidate behind the reference.
-        behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
-        if behind in self.maps[name]:
-            stage.add_ghost(self.maps[name][behind].points)
+        ghost = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
+        if ghost in self.maps[name]:
+            stage.add_ghost(self.maps[name][ghost].points)
         stage.add_bar(stage.add_values(shown.points, shown.values, scale), scalar_of(scalar).label)
         count = point_count(len(shown.points), shown.sampled_from, scalar_of(scalar).noun)
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
