@@ -80,9 +80,9 @@ def levels(values: FloatArray, limit: float, *, signed: bool) -> FloatArray:
 def scalar_codes(values: FloatArray, table: FloatArray) -> NDArray[np.uint8]:
     """Return the row of the nearest level of each value (N,), and `UNKNOWN_CODE` for NaN."""
     middles = 0.5 * (table[1:] + table[:-1])
-    known = np.isfinite(values)
-    codes = np.searchsorted(middles, np.where(known, values, 0.0))
-    return np.where(known, codes, UNKNOWN_CODE).astype(np.uint8)
+    is_known = np.isfinite(values)
+    codes = np.searchsorted(middles, np.where(is_known, values, 0.0))
+    return np.where(is_known, codes, UNKNOWN_CODE).astype(np.uint8)
 
 
 def pack(codes: Codes, scalars: Sequence[NDArray[np.uint8]]) -> str:

@@ -123,13 +123,13 @@ def _cameras(scene: Scene) -> CameraDrawing:
 
 
 def _gps_positions(scene: Scene) -> CameraDrawing:
-    found, frame = scene.measured_positions()
-    if not found:
+    measured, frame = scene.measured_positions()
+    if not measured:
         raise InputError(
             f"{scene.folder}: expected cameras (such as a COLMAP model or transforms.json), or GPS positions in the"
             " images' EXIF or in gps.txt, got neither"
         )
-    positions = np.stack([found[name] for name in scene.images if name in found])
+    positions = np.stack([measured[name] for name in scene.images if name in measured])
     axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
     title = f"no cameras, GPS positions of {len(positions)} of {len(scene)} images, {frame}"
     return CameraDrawing(positions, [], np.zeros((0, 3)), axes, "m", title)

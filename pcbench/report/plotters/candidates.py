@@ -161,7 +161,9 @@ def _scalar_map(points: FloatArray, values: NDArray[np.generic], sample: MapSamp
 
 def _known(maps: Mapping[str, ScalarMap]) -> dict[str, ScalarMap]:
     """Return the points of each map whose value is known, without maps that have none."""
-    known = {name: np.isfinite(shown.values) for name, shown in maps.items()}
+    is_known = {name: np.isfinite(scalar_map.values) for name, scalar_map in maps.items()}
     return {
-        name: shown if known[name].all() else shown.at(known[name]) for name, shown in maps.items() if known[name].any()
+        name: scalar_map if is_known[name].all() else scalar_map.at(is_known[name])
+        for name, scalar_map in maps.items()
+        if is_known[name].any()
     }
