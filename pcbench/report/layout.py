@@ -21,7 +21,7 @@ class Label(NamedTuple):
 
     Attributes:
         text: the label; `{0}` stands for the quantity, `{title}` for the title of a map.
-        level: 0 for a line of its own, 1 for a detail of the line above.
+        level: 0 for a separate metric, 1 for a detail of the line above.
     """
 
     text: str
@@ -125,7 +125,7 @@ _LARGER_OF_BOTH = ("symmetric_max", "symmetric")  # directions without a line
 _SAME_LINE = {"recall": "precision"}  # metrics in the line of another one
 
 
-class Cell(NamedTuple):
+class LineCell(NamedTuple):
     """A cell of a table.
 
     Attributes:
@@ -155,7 +155,7 @@ class Line(NamedTuple):
     """
 
     label: str
-    cells: list[tuple[Cell, Cell]]
+    cells: list[tuple[LineCell, LineCell]]
     level: int = 0
     rank: int | None = None
 
@@ -164,7 +164,7 @@ class Line(NamedTuple):
         cls, label: str, texts: Iterable[str], level: int = 0, *, second: str = "", rank: int | None = None
     ) -> Line:
         """Return a line with a text for each candidate, and the same text in the second column of all."""
-        return cls(label, [(Cell(text), Cell(second)) for text in texts], level, rank)
+        return cls(label, [(LineCell(text), LineCell(second)) for text in texts], level, rank)
 
     @property
     def texts(self) -> list[str]:
@@ -182,9 +182,9 @@ class LineQuantities(NamedTuple):
         """The first quantity; all have the same label."""
         return next(quantity for pair in self.pairs for quantity in pair if quantity is not None)
 
-    def cells(self, cell: Callable[[Quantity], Cell]) -> list[tuple[Cell, Cell]]:
+    def cells(self, cell: Callable[[Quantity], LineCell]) -> list[tuple[LineCell, LineCell]]:
         """Return the cells of both columns for each candidate; a column without any quantity is empty."""
-        empty = [Cell("" if all(pair[k] is None for pair in self.pairs) else UNKNOWN) for k in (0, 1)]
+        empty = [LineCell("" if all(pair[k] is None for pair in self.pairs) else UNKNOWN) for k in (0, 1)]
         columns = ([empty[k] if (q := pair[k]) is None else cell(q) for pair in self.pairs] for k in (0, 1))
         return list(zip(*columns, strict=True))
 

@@ -11,9 +11,9 @@ from pcbench.measure.results import ARROWS, Candidate
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.layout import (
     TERMINAL_RANKS,
-    Cell,
     Headline,
     Line,
+    LineCell,
     LineQuantities,
     arrange,
     column_of,
@@ -47,8 +47,8 @@ def main_lines(comparison: SourcedComparison) -> list[Line]:
     candidates, show = list(comparison), _length_formatter(comparison)
     has_details = len(main_thresholds(comparison)) == 1  # of F-scores
 
-    def cell(quantity: Quantity) -> Cell:
-        return Cell(show(quantity.value) if quantity.unit == LENGTH else number(quantity.value))
+    def cell(quantity: Quantity) -> LineCell:
+        return LineCell(show(quantity.value) if quantity.unit == LENGTH else number(quantity.value))
 
     always: list[Line] = []
     optional: list[Line] = []

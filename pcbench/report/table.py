@@ -11,7 +11,7 @@ from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.layout import Cell, Line, arrange, label_of
+from pcbench.report.layout import Line, LineCell, arrange, label_of
 from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.words import number, title
@@ -69,9 +69,9 @@ def lines(comparison: SourcedComparison) -> Iterator[Line | None]:
         yield Line(label.text, line.cells(_cell), label.level)
 
 
-def _cell(quantity: Quantity) -> Cell:
+def _cell(quantity: Quantity) -> LineCell:
     interval = quantity.interval
-    return Cell(number(quantity.value), None if interval is None else (number(interval.low), number(interval.high)))
+    return LineCell(number(quantity.value), None if interval is None else (number(interval.low), number(interval.high)))
 
 
 def markdown(comparison: SourcedComparison) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pcbench.measure.quantity import Quantity
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.layout import PAGE_RANKS, Cell, Headline, Line, LineQuantities
+from pcbench.report.layout import PAGE_RANKS, Headline, Line, LineCell, LineQuantities
 from pcbench.report.ranking import leaders
 from pcbench.report.summary import headline_lines
 from pcbench.report.words import number, rounding_limit
@@ -76,13 +76,13 @@ def _rank(headline: Headline) -> int | None:
     return min((rank for rank in headline.ranks if rank is not None), default=None)
 
 
-def _cell(quantity: Quantity | None, least: float, is_best: bool) -> Cell:
+def _cell(quantity: Quantity | None, least: float, is_best: bool) -> LineCell:
     """Return the cell of a quantity; values up to `least` are 0."""
     if quantity is None:
-        return Cell()
+        return LineCell()
     text = "0" if quantity.value is not None and abs(quantity.value) <= least else number(quantity.value)
     interval = quantity.known_interval
-    return Cell(text, None if interval is None else (f"{interval.low:.3g}", f"{interval.high:.3g}"), is_best)
+    return LineCell(text, None if interval is None else (f"{interval.low:.3g}", f"{interval.high:.3g}"), is_best)
 
 
 class _Best:
