@@ -247,8 +247,8 @@ class ReferenceRasterizer:
             (output.depth, depth),
             (output.normal, normal),
         ]
-        given = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
-        outputs, gradients = zip(*given, strict=True)
+        used = [(image, gradient.double()) for image, gradient in pairs if gradient is not None]
+        outputs, gradients = zip(*used, strict=True)
         *grad_gaussians, grad_xy = torch.autograd.grad(
             outputs,
             (*self._leaves, projection.xy),
