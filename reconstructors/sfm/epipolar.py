@@ -160,8 +160,9 @@ def ambiguity_warning(agreement: Agreement, cameras: str) -> list[str]:
         return []
     return [
         f"warning: {len(agreement.contradicting_pairs)} of {len(agreement.strong_pairs)} pairs of at least"
-        f" {MIN_STRONG_MATCHES} matches contradict the {cameras} cameras: places that look alike were confused, by these"
-        f" pairs or by the cameras, which may be far off: {agreement.describe_graph()} (all pairs: pairs.csv in the workspace)"
+        f" {MIN_STRONG_MATCHES} matches contradict the {cameras} cameras: places that look alike were confused, by"
+        f" these pairs or by the cameras, which may be far off: {agreement.describe_graph()} (all pairs: pairs.csv in"
+        " the workspace)"
     ]
 
 
