@@ -28,12 +28,12 @@ from pcbench.deformation.parts import (
     Tiles,
     Wave,
     WaveLimit,
-    from_json_value,
     round_to_six_digits,
     scale_amplitude,
 )
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.json_values import from_json
 
 BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share, such as those of cameras, cannot show
 NO_SIZE_LIMIT = "no-size-limit"  # no deformation is found, but one of any size may be there
@@ -137,11 +137,7 @@ class Deformation:
         Raises:
             KeyError, TypeError, ValueError: the content is not a deformation.
         """
-        texts = values["warnings"]
-        codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
-        notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        deformation: Deformation = from_json_value(cls, {**values, "warnings": notices})
-        return deformation
+        return from_json(cls, values)
 
     def sentence(self, name: str = "the candidate", unit: str = "", *, is_noise: bool = True) -> str:
         """Return the verdict as a sentence.

@@ -127,8 +127,8 @@ def harmonic_mean(precision: float, recall: float) -> float:
 def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = PERCENTILE_RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
-    found = order_statistics.percentiles(values, ranks)
-    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, found, strict=True)}
+    values_at_ranks = order_statistics.percentiles(values, ranks)
+    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, values_at_ranks, strict=True)}
 
 
 def nmad(values: ArrayLike) -> float:

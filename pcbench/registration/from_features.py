@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,8 @@ class FeatureSettings:
     """
 
     with_scale: bool = False
+
+    file: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.with_scale, bool):

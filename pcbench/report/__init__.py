@@ -1,8 +1,8 @@
 """A comparison as files, tables and pictures."""
 
+from pcbench.io.json_values import to_json
 from pcbench.report.answer import answer
-from pcbench.report.comparison import Comparison, compare
-from pcbench.report.document import document, to_json
+from pcbench.report.document import document
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs
@@ -11,13 +11,11 @@ from pcbench.report.terminal import print_columns, print_comparison
 from pcbench.report.viewing import ViewingCameras
 
 __all__ = [
-    "Comparison",
     "Figures",
     "InputFile",
     "Inputs",
     "ViewingCameras",
     "answer",
-    "compare",
     "document",
     "html",
     "markdown",

@@ -38,6 +38,8 @@ def test_named_objects_exist():
         ("pcbench/io/formats.py", "MESHES"),
         ("pcbench/measure/directions.py", "MEAN_METRICS"),
         ("pcbench/measure/quantities.py", "_PARTS"),
+        ("pcbench/report/layout.py", "LABELS"),
+        ("pcbench/report/layout.py", "HEADLINES"),
         ("pcbench/measure/presets.py", "_DEFINITIONS"),
         ("pcbench/registration/methods.py", "def parse_method("),
         ("pyproject.toml", '[project.entry-points."pcbench.reconstructors"]'),

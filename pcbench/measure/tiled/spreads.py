@@ -45,8 +45,10 @@ class Distribution:
     @classmethod
     def merge(cls, parts: Iterable[Distribution]) -> Distribution:
         """Return the distribution of all values of one or several parts."""
-        found = list(parts)
-        return cls(BitHistogram.merge(p.histogram for p in found), GroupSums.merge([p.moments for p in found]))
+        distributions = list(parts)
+        return cls(
+            BitHistogram.merge(p.histogram for p in distributions), GroupSums.merge([p.moments for p in distributions])
+        )
 
     @property
     def count(self) -> int:

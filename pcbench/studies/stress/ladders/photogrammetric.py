@@ -23,8 +23,10 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
 from pcbench.measure.metrics import nmad
 from pcbench.studies.stress.ladders.ladder import Ladder
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 PATCHES = "photogrammetric_noise.npz"
 PATCH_CELLS = 32  # cells along each side of a patch; a cell is as wide as the point spacing

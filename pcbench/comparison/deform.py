@@ -9,10 +9,12 @@ from pathlib import Path
 from pcbench.deformation import Deformation, deform
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.crs import check_lengths
+from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import sample_candidate
+from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_extent, voxel_downsample_to
-from pcbench.io.files import estimate_reading_seconds, file_in_setting
-from pcbench.io.meshes import read_shape
+from pcbench.io.source import Source
+from pcbench.measure.settings import Settings
 from pcbench.progress import ProgressPlan
 from pcbench.registration import Registration
 from pcbench.report.figures import Figures, record_figures
@@ -34,27 +36,21 @@ class DeformationOutcome:
 
 
 def deform_files(
-    reference: Path,
-    candidate: Path,
-    method: str,
-    crop: str,
-    seed: int,
+    reference: Source,
+    candidate: Source,
+    settings: Settings,
     out: Path | None,
     *,
-    vertices: bool = False,
     figures: Figures | None,
     step: Callable[[str], None],
 ) -> DeformationOutcome:
     """Test a candidate file for deformation and write deformation.json, the field, the aligned candidate and pictures.
 
     Args:
-        reference: path of the reference.
-        candidate: path of the candidate.
-        method: the registration method, as in `--register`.
-        crop: the region, as in `--crop`.
-        seed: random seed.
+        reference: the reference.
+        candidate: the candidate.
+        settings: the registration, the region and the seed; other settings have no effect.
         out: the output folder; None: write nothing.
-        vertices: whether a candidate mesh is measured at its vertices rather than at samples.
         figures: appearance of the pictures, recorded in settings.json; None: draw none.
         step: called with a short text before each step that takes time.
 
@@ -62,35 +58,30 @@ def deform_files(
         PcbenchError, OSError: an input or the output is invalid; nothing was written.
     """
     warnings: list[str] = []
+    reading = [source.reading_seconds for source in (reference, candidate)]
+    writing = [sum(reading), drawing_seconds(1)] if out is not None else []
+    plan = ProgressPlan(step, [*reading, 1.0 + 20 * sum(reading), *writing])
     shapes = []
-    reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
-    plan = ProgressPlan(
-        step, [*reading, 1.0 + 20 * sum(reading), *([sum(reading), drawing_seconds(1)] if out is not None else [])]
-    )
-    for path, as_vertices in ((reference, False), (candidate, vertices)):
-        plan(f"reading {path}")
-        shapes.append(read_shape(path, on_warning=warnings.append, vertices=as_vertices))
-        check_lengths(shapes[-1], str(path))
-    given, moved = shapes
-    without_figures = None
+    for source in (reference, candidate):
+        plan(f"reading {source.path}")
+        shapes.append(source.read(warnings.append))
+        check_lengths(shapes[-1], str(source.path))
+    fixed, moved = shapes
 
     def run() -> tuple[Registration, Deformation]:
         plan("registering, testing for deformation")
-        return deform(given, moved, method, crop, seed)
+        return deform(fixed, moved, settings.register, settings.crop, settings.seed)
 
+    without_figures = None
     if out is None:
         registration, deformation = run()
     else:
-        with report_folder(
-            out, keep=[reference, candidate, *filter(None, map(file_in_setting, (method, crop)))]
-        ) as folder:
+        with report_folder(out, keep=[*reference.files, *candidate.files, *settings.files]) as folder:
             registration, deformation = run()
             plan("writing the report")
-            cloud = sample_candidate(moved, given, seed)
-            rows = voxel_downsample_to(cloud.points, _MAX_ALIGNED_POINTS, start=1e-4 * robust_extent(cloud.points))
             transform = registration.T_reference_candidate
-            aligned = Cloud(transform.apply(cloud.points[rows]), crs=given.crs, unit=given.unit)
-            write_deformation(folder, deformation, aligned, transform, given.crs, given.unit)
+            aligned = _aligned_sample(moved, fixed, transform, settings.seed)
+            write_deformation(folder, deformation, aligned, transform, fixed.crs, fixed.unit)
             if figures is not None:
                 record_figures(folder / "settings.json", figures)
                 plan("drawing the pictures")
@@ -99,6 +90,13 @@ def deform_files(
         registration,
         deformation,
         (*warnings, *(notice.text for notice in registration.warnings)),
-        given.unit,
+        fixed.unit,
         without_figures,
     )
+
+
+def _aligned_sample(candidate: Cloud | Mesh, reference: Cloud | Mesh, transform: Similarity, seed: int) -> Cloud:
+    """Return evenly thinned points of the aligned candidate, the background of the pictures."""
+    points = sample_candidate(candidate, reference, seed).points
+    rows = voxel_downsample_to(points, _MAX_ALIGNED_POINTS, start=1e-4 * robust_extent(points))
+    return Cloud(transform.apply(points[rows]), crs=reference.crs, unit=reference.unit)
