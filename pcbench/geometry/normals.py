@@ -60,16 +60,16 @@ class Surface:
         k: number of neighbours from which a normal is estimated.
         is_even: whether the points are spread evenly. If it is not known, normals are estimated from more neighbours
             where the points have copies or lie in lines.
-        given: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
+        normals: normals (N, 3) supplied with the cloud; normals are estimated only for rows of zero length.
     """
 
-    def __init__(self, index: Index, k: int = 20, given: FloatArray | None = None, *, is_even: bool = True) -> None:
+    def __init__(self, index: Index, k: int = 20, normals: FloatArray | None = None, *, is_even: bool = True) -> None:
         self.index = index
         self._positions, self._is_even = k, is_even
         self._normals: FloatArray | None = None  # NaN where not yet computed
         self._is_known = np.zeros(len(index), dtype=bool)
-        if given is not None:
-            self._normals, self._is_known = unit(given)
+        if normals is not None:
+            self._normals, self._is_known = unit(normals)
             self._normals[~self._is_known] = np.nan
         self._is_complete = bool(self._is_known.all())
         self._variation = np.full(len(index), np.nan, dtype=np.float32)

@@ -186,8 +186,8 @@ def _copy_radius(profile: FloatArray) -> float:
 def _median_first(distances: FloatArray, is_other: NDArray[np.bool_]) -> float:
     """Return the median over rows of the first distance (M, K) that is one to another position."""
     first = np.where(is_other, distances, np.inf).min(axis=1)
-    found = first[np.isfinite(first)]
-    return median(found) if len(found) else 0.0
+    finite = first[np.isfinite(first)]
+    return median(finite) if len(finite) else 0.0
 
 
 def _median_nearest(index: Index, nearest_other: Matches | None) -> float:
@@ -216,12 +216,12 @@ def nearest_elsewhere(index: Index, sampling: Sampling, rows: IntArray, queries:
     """
     own = index.points[rows]
     k = 2 if sampling.copies == 1 else 1 + _MAX_COPIES
-    found = index.query(own if queries is None else queries, min(k, len(index)))
-    apart = np.linalg.norm(index.points[found.indices] - own[:, None], axis=2)
-    is_other = apart > sampling.copy_radius
+    matches = index.query(own if queries is None else queries, min(k, len(index)))
+    separations = np.linalg.norm(index.points[matches.indices] - own[:, None], axis=2)
+    is_other = separations > sampling.copy_radius
     is_other[:, -1] = True  # of too many copies
     first = is_other.argmax(axis=1)[:, None]
-    distances, indices = found
+    distances, indices = matches
     return Matches(np.take_along_axis(distances, first, 1)[:, 0], np.take_along_axis(indices, first, 1)[:, 0])
 
 
