@@ -307,7 +307,7 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     squared = _squared_ratios(remainders, pairs.width)
     slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function remainder * (1 - squared)^2
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
-    limited = remainders * np.square(1 - squared) / mean_slope
+    limited = remainders * np.square(1 - squared) / mean_slope  # Huber 1981, section 7.10
     power = _powers(pairs, np.square(limited))
     weights, areas = quality * mean_slope, _areas(pairs.queries)
     return Pairs(
