@@ -355,8 +355,7 @@ def _local_means(surface: Surface, rows: IntArray) -> tuple[FloatArray, FloatArr
         means: FloatArray = points.mean(axis=1)
         spacings = distances[:, 0]
     else:
-        is_other = distances > sampling.copy_radius
-        is_other[:, -1] = True
+        is_other = sampling.is_elsewhere(distances)
         means = np.einsum("nk,nki->ni", is_other, points) / np.count_nonzero(is_other, axis=1)[:, None]
         spacings = np.take_along_axis(distances, is_other.argmax(axis=1)[:, None], axis=1)[:, 0]
     if sampling.has_lines:  # planes bridge the gap to the next line, and a curved surface leaves them there

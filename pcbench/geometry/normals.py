@@ -107,6 +107,15 @@ class Surface:
         """
         return self.compute_normals(rows)[rows]
 
+    def plane_offsets(self, points: FloatArray, rows: IntArray) -> FloatArray:
+        """Return signed distances (M,) of points (M, 3) from the tangent planes at the indices `rows` (M,).
+
+        Raises:
+            InputError: there are fewer than three points.
+        """
+        offsets: FloatArray = np.einsum("ni,ni->n", points - self.points[rows], self.normals(rows))
+        return offsets
+
     def compute_normals(self, rows: IntArray | None) -> FloatArray:
         """Compute the normals at the indices `rows` (M,), or at all points if None, and return those of all points.
 
