@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 _MAX_HEADER_BYTES = 10_000  # numpy's own limit: Python's parser may crash on longer ones; typical arrays have 118
 _MAX_DIMENSION = 10**18  # more than any file stores; numpy's products of the shape stay within int64
-_BLOCK_BYTES = 1 << 20  # decompressed at a time
 # Bound of the decompressed size: this factor times the file size, plus bytes. Coordinates shrink 2 to 20 times.
 _MAX_GROWTH, _MAX_FREE_GROWTH_BYTES = 200, 16 << 20
 _TEXT_NAMES = ("crs", "unit")
@@ -244,56 +243,36 @@ def _points_fields(array: NDArray[Any]) -> Fields:
 
 
 def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
-    """Read the header of an array in format version 1 or 2. Version 3 is only needed for non-Latin field names."""
-    start = file.read(8)
-    if start[:6] != b"\x93NUMPY":
-        raise InputError(
-            f"expected a NumPy array that starts with b'\\x93NUMPY', got {start[:6]!r}: save it with numpy.save"
-        )
-    if start[6:] not in (b"\x01\x00", b"\x02\x00"):
-        raise InputError(f"expected NumPy format 1.0 or 2.0, got {start[6:]!r}: save it with numpy.save")
-    counter = struct.Struct("<H" if start[6] == 1 else "<I")
-    length_bytes = file.read(counter.size)
-    if len(length_bytes) < counter.size:
-        raise InputError("truncated: the array header is incomplete: copy or export the file again")
-    length = counter.unpack(length_bytes)[0]
-    if length > _MAX_HEADER_BYTES:
-        raise InputError(f"expected an array header of at most {_MAX_HEADER_BYTES} bytes, got {length}: save it again")
-    text = file.read(length)
-    if len(text) < length:
-        raise InputError("truncated: the array header is incomplete: copy or export the file again")
-
-    header = BytesIO(start + length_bytes + text)
-    np.lib.format.read_magic(header)
-    parse = np.lib.format.read_array_header_1_0 if start[6] == 1 else np.lib.format.read_array_header_2_0
-    unreadable = InputError(f"expected a plain array of numbers, got the header {text[:80]!r}: save it with numpy.save")
+    """Parse the header of an array in format version 1 or 2, and leave the file at its data."""
+    head = BytesIO(file.read(_MAX_HEADER_BYTES))  # numpy requests all the bytes that a damaged header states
     try:
-        shape, fortran_order, dtype = parse(header, max_header_size=_MAX_HEADER_BYTES)
+        parse = np.lib.format.read_array_header_1_0
+        if np.lib.format.read_magic(head) != (1, 0):
+            parse = np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = parse(head, max_header_size=_MAX_HEADER_BYTES)
+        if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
+            raise ValueError
     except Exception as error:  # numpy's ValueError, and any error of Python's parser on damaged text
-        raise unreadable from error
+        got = head.getvalue()[:70]
+        raise InputError(f"expected an array of numbers as numpy.save writes it, got {got!r}: save it again") from error
     if dtype.names:
         listed = ", ".join(dtype.names)[:80]
         raise InputError(f"expected a plain array of numbers, got one with the fields {listed}: save it as (N, 3)")
-    if dtype.subdtype or not all(0 <= size < _MAX_DIMENSION for size in shape):
-        raise unreadable
     if dtype.kind not in kinds:
         raise InputError(f"expected {'a text' if kinds == 'U' else 'floats or integers'}, got type {dtype.str!r}")
-    return _Header(dtype, fortran_order, shape, len(start) + len(length_bytes) + length)
+    file.seek(head.tell())
+    return _Header(dtype, fortran_order, shape, head.tell())
 
 
 def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
     """Read the array, C-contiguous and in native byte order. Its size has already been checked."""
-    data = np.empty(header.data_bytes, dtype=np.uint8)
-    filled = 0
-    while filled < len(data):
-        block = file.read(min(_BLOCK_BYTES, len(data) - filled))
-        if not block:
-            raise InputError(f"truncated: got {filled} of {len(data)} bytes: copy or export the file again")
-        data[filled : filled + len(block)] = np.frombuffer(block, dtype=np.uint8)
-        filled += len(block)
-    values = data.view(header.dtype).reshape(header.shape, order="F" if header.fortran_order else "C")
+    data = file.read(header.data_bytes)
+    if len(data) < header.data_bytes:
+        raise InputError(f"truncated: got {len(data)} of {header.data_bytes} bytes: copy or export the file again")
+    values = np.frombuffer(data, np.uint8 if header.dtype.kind == "b" else header.dtype)
+    values = values.reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
-        values = data.reshape(values.shape) != 0  # bytes other than 0 and 1 are not valid bools
+        values = values != 0  # bytes other than 0 and 1 are not valid bools
     return np.ascontiguousarray(values, dtype=header.dtype.newbyteorder("=")).reshape(header.shape)
 
 
