@@ -96,7 +96,7 @@ def pytest_runtest_call(item):
 def pytest_testnodedown(node):
     """Collect the renewed texts of a pytest-xdist worker that has ended."""
     if node.config.stash[RENEWED_TEXTS] is not None:
-        node.config.stash[RENEWED_TEXTS] |= node.workeroutput.get("wording", {})
+        wording.add(node.config.stash[RENEWED_TEXTS], node.workeroutput.get("wording", {}))
 
 
 def pytest_sessionfinish(session):

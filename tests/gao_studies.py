@@ -11,6 +11,7 @@ from pcbench.measure.presets import Gao2025
 from pcbench.report import to_json
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
 from pcbench.studies.gao.results import (
+    KIND,
     TRUTH,
     CameraErrors,
     CloudResult,
@@ -19,7 +20,6 @@ from pcbench.studies.gao.results import (
     ReferenceEvaluation,
     SceneResult,
     SurfaceDeformation,
-    document,
 )
 from pcbench.studies.gao.sentences import sentences
 
@@ -80,5 +80,5 @@ def study(*scenes, poses="solve"):
 def write_study(folder, results):
     """Write the files of a study and return their folder."""
     folder.mkdir(exist_ok=True)
-    (folder / "experiment.json").write_text(to_json(document(results)))
+    (folder / "experiment.json").write_text(to_json(KIND.values(results)))
     return folder

@@ -76,6 +76,7 @@ if TYPE_CHECKING:
 @click.pass_context
 def compare(
     context: click.Context,
+    /,
     reference: Path | None,
     candidates: tuple[Path, ...],
     out: Path | None,
@@ -199,7 +200,7 @@ def deform(
     from pcbench.comparison.deform import deform_files
     from pcbench.io.source import Source
     from pcbench.measure.settings import Settings
-    from pcbench.report.budget import changes_sentence
+    from pcbench.report.deformed import deformation_lines
     from pcbench.report.document import deformation_values
     from pcbench.report.figures import Figures
 
@@ -218,22 +219,8 @@ def deform(
     for notice in result.further_warnings:
         say(str(notice))
     if not quiet and not output.on_stdout:
-        click.echo(result.sentence(candidate.name, outcome.unit or "", is_noise=not result.changes))
-        if result.changes:
-            click.echo(changes_sentence(result.changes, outcome.unit))
-        unit = f" {outcome.unit}" if outcome.unit else ""
-        for row in result.rungs:
-            mark = "*" if row.model == result.model else " "
-            score, error = row.cv_score**0.5, row.cv_se / (2 * row.cv_score**0.5 or 1.0)
-            click.echo(f" {mark} {row.model:10} cross-validated residual {score:.4g} ± {error:.2g}{unit}")
-        if noise := result.noise:
-            click.echo(
-                f"noise: white {noise.sigma_white:.3g}{unit}, correlated {noise.sigma_correlated:.3g}{unit}"
-                f" (correlation length {noise.correlation_length:.3g}{unit}); {result.pairs:,} pairs,"
-                f" effectively {noise.n_eff:,.0f} independent ones"
-            )
-        if out is not None:
-            click.echo(f"report: {out}")
+        for line in deformation_lines(result, candidate.name, outcome.unit, out):
+            click.echo(line)
     if outcome.without_figures:
         warn(outcome.without_figures)
 

@@ -71,9 +71,10 @@ def tradeoff(
     Example: pcbench tradeoff ref.ply cloud.ply --tolerance 1% --out tradeoff/
     """
     from pcbench.errors import InputError
-    from pcbench.studies.tradeoff.results import TradeoffSettings, document
+    from pcbench.studies.tradeoff.results import KIND, TradeoffSettings
     from pcbench.studies.tradeoff.study import run_tradeoff
-    from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
+    from pcbench.studies.tradeoff.table import tradeoff_table
+    from pcbench.studies.tradeoff.words import warnings
 
     changes = {
         "tolerance": parse_share("--tolerance", tolerance),
@@ -94,17 +95,12 @@ def tradeoff(
         first, second = read_pair(reference, candidate, seed, quiet=quiet)
         outcome = run_tradeoff(first, second, settings, out=out, figures=not no_figures, step=step)
     if json_file is not None:
-        output.write(document(outcome.study))
+        output.write(KIND.values(outcome.study))
     if not quiet and not output.on_stdout:
-        for sentence in answer(outcome.study):
-            click.echo(sentence)
-        for line in warnings(outcome.study):
+        for line in (*outcome.study.sentences, *warnings(outcome.study)):
             click.echo(line)
         click.echo()
-        click.echo(outcome.table)
-        click.echo()
-        for sentence in (*bias_sentences(outcome.study), *verdict_sentences(outcome.study)):
-            click.echo(sentence)
+        click.echo(tradeoff_table(outcome.study))
         if out is not None:
             click.echo()
             click.echo(name_files("report", out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))

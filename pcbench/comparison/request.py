@@ -118,7 +118,7 @@ class Request:
         settings = settings.with_files_read()
         opened, named = _open(reference, settings), _by_name(candidates)
         inputs = {name: _open(given, settings, vertices=settings.vertices) for name, given in named.items()}
-        request = cls(opened, inputs, settings, figures or Figures(), as_scene(scene), tiles)
+        request = cls(opened, inputs, settings, figures or Figures(), None if scene is None else as_scene(scene), tiles)
         wants_classes = settings.classes is not None or settings.returns is not None
         if wants_classes and request.sources and not any(source.has_classes for source in request.sources):
             raise InputError("--classes and --returns filter LAS files, but none of the clouds is a LAS file")
@@ -186,7 +186,7 @@ class Request:
         return [*clouds, *self.settings.files, *scene]
 
 
-def _open(given: Mesh | CloudLike, settings: Settings, *, vertices: bool = False) -> Input:
+def _open(given: Any, settings: Settings, *, vertices: bool = False) -> Input:
     """Open a file, or return a shape in memory."""
     if is_path(given):
         source = Source.open(given, vertices=vertices)

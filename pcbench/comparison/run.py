@@ -199,8 +199,8 @@ def _compute_in_memory(
         step("reading the cameras")
         cameras = viewing_cameras(request.scene, reference, texts.append)
     candidates = {name: _read(given, name, records, step) for name, given in request.candidates.items()}
-    reference, candidates = _without_transparent_splats(reference, candidates, request.settings)
-    comparison = compare_in_memory(reference, candidates, request.settings, step.within())
+    visible = _without_transparent_splats(reference, candidates, request.settings)
+    comparison = compare_in_memory(*visible, request.settings, step.within())
     if not request.are_files:
         return replace(comparison, cameras=cameras), tuple(texts)
     first = records.pop("")

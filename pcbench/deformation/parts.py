@@ -8,8 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, replace
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -287,19 +286,4 @@ def round_to_six_digits(value: Any) -> Any:
         return replace(
             value, **{item.name: round_to_six_digits(getattr(value, item.name)) for item in dataclasses.fields(value)}
         )
-    return value
-
-
-def from_json_value(kind: Any, value: Any) -> Any:
-    """Convert a JSON value to its type (a dataclass, a tuple, a plain type, or one of them or None)."""
-    if value is None:
-        return None
-    kind = next((part for part in get_args(kind) if NoneType in get_args(kind) and part is not NoneType), kind)
-    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-        hints = get_type_hints(kind)
-        names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("json", True)]
-        # Older reports lack some fields: they take their defaults, and missing required ones are errors.
-        return kind(**{name: from_json_value(hints[name], value[name]) for name in names if name in value})
-    if get_args(kind):  # tuple[X, ...] or tuple[X, X]
-        return tuple(from_json_value(get_args(kind)[0], part) for part in value)
     return value

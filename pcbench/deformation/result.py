@@ -28,12 +28,12 @@ from pcbench.deformation.parts import (
     Tiles,
     Wave,
     WaveLimit,
-    from_json_value,
     round_to_six_digits,
     scale_amplitude,
 )
 from pcbench.errors import Notice
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.json_values import from_json
 
 BOTH_FROM_PHOTOGRAPHS = "both-from-photographs"  # errors that the clouds share, such as those of cameras, cannot show
 NO_SIZE_LIMIT = "no-size-limit"  # no deformation is found, but one of any size may be there
@@ -137,11 +137,7 @@ class Deformation:
         Raises:
             KeyError, TypeError, ValueError: the content is not a deformation.
         """
-        texts = values["warnings"]
-        codes = values.get("warning_codes") or [""] * len(texts)  # older reports have none
-        notices = [{"code": code, "text": text} for code, text in zip(codes, texts, strict=True)]
-        found: Deformation = from_json_value(cls, {**values, "warnings": notices})
-        return found
+        return from_json(cls, values)
 
     def sentence(self, name: str = "the candidate", unit: str = "", *, is_noise: bool = True) -> str:
         """Return the verdict as a sentence.
@@ -172,8 +168,8 @@ class Deformation:
     @property
     def size_limit(self) -> float | None:
         """RMS above which a dome is detected, and its interval above the negligible size."""
-        known = (self.minimum_detectable_rms, self.negligible_rms, self.stated_rms)
-        return None if self.minimum_detectable_rms is None else max(limit for limit in known if limit is not None)
+        limits = (self.minimum_detectable_rms, self.negligible_rms, self.stated_rms)
+        return None if self.minimum_detectable_rms is None else max(limit for limit in limits if limit is not None)
 
     @property
     def limit_problem(self) -> str:
@@ -287,8 +283,8 @@ class Deformation:
         text = (
             f"; a smooth deformation (dome, saddle, S-bend) above {limit:.3g}{unit} RMS{share} would have been detected"
         )
-        known = [size for size in self.detectable if size.displacement is not None]
-        large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
+        measurable = [size for size in self.detectable if size.displacement is not None]
+        large = [size for size in measurable if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
         if large:
             parts = [f"{_in_words(size.kind)} above {size.displacement:.3g}{unit}" for size in large]
             text += f", and so would {' or '.join(parts)}"
@@ -363,8 +359,8 @@ class Deformation:
             low, high = (math.hypot(*ends) for ends in zip(wave.ci, amplitude.ci, strict=True))
             most = math.sqrt(2) * wave.rms
             amplitude = Amplitude(rms, max(amplitude.p95, most), max(amplitude.max, most), (low, high))
-        found: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
-        return found
+        rounded: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
+        return rounded
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         """Return the same result with further warnings."""

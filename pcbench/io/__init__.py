@@ -23,7 +23,6 @@ __all__ = [
     "FILTERABLE_EXTENSIONS",
     "CloudLike",
     "check_cloud_output",
-    "has_filters",
     "is_path",
     "read_cloud",
     "to_cloud",
@@ -77,14 +76,6 @@ def read_cloud(
     )
     report_warnings(lines, on_warning)
     return cloud
-
-
-def has_filters(path: str | os.PathLike[str]) -> bool:
-    """Return `Source.has_classes` of a path."""
-    try:
-        return Source.open(path).has_classes
-    except (InputError, OSError):
-        return False
 
 
 def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:

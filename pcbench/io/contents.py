@@ -80,25 +80,6 @@ def file_states(files: Iterable[Path]) -> dict[Path, FileState]:
         return {state.path: state for state in pool.map(FileState.of, sorted({f for f in files if f.is_file()}))}
 
 
-def cloud_files(path: Path) -> list[Path]:
-    """Return `Source.content_files` of a path."""
-    from pcbench.io.source import Source
-
-    return Source.open(path).content_files()
-
-
-def cloud_contents(paths: Iterable[Path]) -> dict[Path, FileState]:
-    """Return the state of each existing file of clouds."""
-    return file_states(file for path in paths for file in cloud_files(path))
-
-
-def cloud_digest(path: Path, contents: Mapping[Path, FileState]) -> str:
-    """Return `Source.digest` of a path."""
-    from pcbench.io.source import Source
-
-    return Source.open(path).digest(contents)
-
-
 def changed_error(path: Path) -> PcbenchError:
     """Return the error that a file changed while it was read."""
     return PcbenchError(f"{path}: the file changed while it was read: run the same command again when it is complete")

@@ -80,9 +80,9 @@ def merge_warnings(warnings: Iterable[tuple[Path, str]]) -> list[str]:
     for path, line in warnings:
         kinds.setdefault(_NUMBER.sub("#", line), {}).setdefault(path, line)
     lines = []
-    for found in kinds.values():
-        path, line = next(iter(found.items()))
-        rest = f"; likewise {len(found) - 1} other file{'s' * (len(found) > 2)}" if len(found) > 1 else ""
+    for files in kinds.values():
+        path, line = next(iter(files.items()))
+        rest = f"; likewise {len(files) - 1} other file{'s' * (len(files) > 2)}" if len(files) > 1 else ""
         lines.append(f"{path}: {line}{rest}")
     return lines
 
@@ -109,10 +109,9 @@ def concatenate(parts: Sequence[Fields], warn: Warn) -> Fields:
 
 def _common_storage(parts: Sequence[Fields]) -> Storage | None:
     """Return the storage of all files if they have equal steps, with the offsets of the first file."""
-    found = [part.get("stored") for part in parts]
-    first = found[0]
-    same = first is not None and all(each is not None and each.steps == first.steps for each in found)
-    return first if same else None
+    storage, *others = (part.get("stored") for part in parts)
+    same = storage is not None and all(other is not None and other.steps == storage.steps for other in others)
+    return storage if same else None
 
 
 def normals_warning(count: int, files: int) -> str:

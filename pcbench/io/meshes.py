@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, is_path, to_cloud
@@ -49,11 +48,3 @@ def to_shape(value: Mesh | CloudLike) -> Cloud | Mesh:
     shape = Source.open(value).read(lines.append)
     report_warnings(lines, None)
     return shape
-
-
-def holds_mesh(path: str | os.PathLike[str]) -> bool:
-    """Return `Source.holds_mesh` of a path."""
-    try:
-        return Source.open(path).holds_mesh
-    except (InputError, OSError):
-        return False

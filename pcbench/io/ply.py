@@ -261,14 +261,32 @@ def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> Non
     Raises:
         OSError: the file cannot be written; an existing file is then unchanged.
     """
-    rows = packed_rows(columns)
+    _write(path, columns, tags, None)
+
+
+def write_ply_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int, the unit as a comment line.
+
+    Raises:
+        OSError: the file cannot be written; an existing file is then unchanged.
+    """
+    columns: Columns = {name: mesh.vertices[:, axis] for axis, name in enumerate(XYZ)}
+    _write(path, columns, {"unit": mesh.unit} if mesh.unit else {}, mesh.faces)
+
+
+def _write(path: Path, columns: Columns, tags: Mapping[str, str], triangles: NDArray[Any] | None) -> None:
+    vertices = packed_rows(columns)
     comments = [f"comment {tag} {_one_line(text)}" for tag, text in tags.items()]
     properties = [f"property {TYPE_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
-    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(rows)}", *properties]
-    lines.append("end_header")
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(vertices)}", *properties]
+    faces = np.empty(0 if triangles is None else len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    if triangles is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        faces["count"], faces["corners"] = 3, triangles
     with atomic_write(path) as file:
-        file.write(("\n".join(lines) + "\n").encode())
-        file.write(rows.view(np.uint8).data)
+        file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+        for rows in (vertices, faces):
+            file.write(rows.view(np.uint8).data)
 
 
 def _one_line(text: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ _SIGMA_PX = 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-class ViewScores(NamedTuple):
+@dataclass(frozen=True)
+class ViewScores:
     """Scores of one rendering against its photograph.
 
     Attributes:

@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, unit
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure.deviation import M3C2, m3c2
 from pcbench.measure.m3c2_settings import M3C2Settings
@@ -22,7 +23,6 @@ _MAX_CORES = 50_000  # default core points: the reference, voxel-downsampled
 _CYLINDER_RADIUS_SPACINGS = 6  # in median spacings of the sparser cloud: about 30 of its points per cylinder
 _CYLINDER_HALF_LENGTH_RADII = 1  # half length in radii: longer cylinders reach the opposite wall of a house
 _QUARTER_QUANTILE = 0.3186  # distance from zero within which a quarter of a normal distribution lies, in its sigma
-_NMAD_FACTOR = 1.4826  # sigma of a normal distribution, in its median absolute deviations
 _MAX_CLIPPINGS = 20  # iterations of the estimate of the stable area; a handful suffice
 _MIN_PLANE_POINTS = 3  # points needed for a normal
 
@@ -103,7 +103,7 @@ def _stable_error(found: M3C2) -> float:
     deviation = max(float(np.quantile(offsets, 0.25)) / _QUARTER_QUANTILE, float(np.sqrt(np.median(variances))))
     for _ in range(_MAX_CLIPPINGS):
         stable = offsets <= 3 * deviation
-        clipped = _NMAD_FACTOR * float(np.median(offsets[stable]))
+        clipped = NORMAL_MAD * float(np.median(offsets[stable]))
         if clipped == deviation:
             break
         deviation = clipped

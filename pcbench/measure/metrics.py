@@ -25,8 +25,6 @@ from pcbench.geometry.voxels import Cells
 from pcbench.measure.plane_sample import PlaneSample
 from pcbench.native import _core
 
-NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
-
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
 PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
@@ -141,7 +139,7 @@ def nmad(values: ArrayLike) -> float:
     beside the standard deviation.
     """
     numbers = _distances(values, None)
-    return NORMAL_MAD * order_statistics.median_distance(numbers, order_statistics.median(numbers))
+    return order_statistics.NORMAL_MAD * order_statistics.median_distance(numbers, order_statistics.median(numbers))
 
 
 def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:

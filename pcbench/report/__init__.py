@@ -1,7 +1,8 @@
 """A comparison as files, tables and pictures."""
 
+from pcbench.io.json_values import to_json
 from pcbench.report.answer import answer
-from pcbench.report.document import document, to_json
+from pcbench.report.document import document
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
 from pcbench.report.inputs import InputFile, Inputs

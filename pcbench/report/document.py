@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import math
 import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from pcbench.deformation import Deformation
-from pcbench.errors import Notice
 from pcbench.extras import package_version
 from pcbench.geometry.arrays import FloatArray
+from pcbench.io.json_values import json_values
 from pcbench.measure.deviation import M3C2
 from pcbench.measure.presets import Preset
 from pcbench.measure.quantities import quantities
@@ -54,7 +51,7 @@ def document(comparison: SourcedComparison) -> dict[str, Any]:
             for d in comparison.differences
         ],
     }
-    plain: dict[str, Any] = _plain(values)
+    plain: dict[str, Any] = json_values(values)
     return plain
 
 
@@ -80,19 +77,14 @@ def registration_document(
         "motion": {"at": centroid, **motion._asdict()},
         "provenance": provenance(None),
     }
-    plain: dict[str, Any] = _plain(values)
+    plain: dict[str, Any] = json_values(values)
     return plain
 
 
 def deformation_values(deformation: Deformation) -> dict[str, Any]:
     """Return the values of `deformation.json`: those that a comparison has, and the changes."""
-    values: dict[str, Any] = _plain(deformation)
+    values: dict[str, Any] = json_values(deformation)
     return {**values, "changes": deformation.changes}
-
-
-def to_json(values: Any) -> str:
-    """Return a dictionary or a dataclass as JSON text; missing and non-finite values are null."""
-    return json.dumps(_plain(values), indent=2, allow_nan=False) + "\n"
 
 
 def _file(file: InputFile | None) -> dict[str, Any]:
@@ -302,26 +294,3 @@ def _commit(root: Path = Path(__file__).parents[2]) -> str | None:
 def _git(root: Path, *words: str) -> str:
     command = ["git", "--no-optional-locks", "-C", str(root), *words]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
-
-
-def _plain(value: Any) -> Any:
-    """Convert numpy values, tuples and dataclasses to JSON values; non-finite numbers become null.
-
-    Fields with the metadata `json=False` are omitted. The codes of warnings are written beside their texts.
-    """
-    if isinstance(value, Notice):
-        return value.text
-    if is_dataclass(value) and not isinstance(value, type):
-        items: dict[str, Any] = {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("json", True)}
-        if "warnings" in items:
-            items["warning_codes"] = [notice.code for notice in items["warnings"]]
-        return _plain(items)
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -15,7 +15,7 @@ from pcbench.report.viewing import SceneFolder, ViewingCameras
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file: its path as given, its digest (`pcbench.io.contents.cloud_digest`), and warnings of its reader."""
+    """An input file: its path as given, its digest (`pcbench.io.source.Source.digest`), and warnings of its reader."""
 
     path: str
     sha256: str

@@ -12,7 +12,6 @@ import numpy as np
 
 from pcbench.changes import Change
 from pcbench.deformation import Deformation
-from pcbench.deformation.parts import from_json_value
 from pcbench.errors import InputError, PcbenchError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
@@ -20,6 +19,7 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
+from pcbench.io.json_values import from_json
 from pcbench.io.source import Source
 from pcbench.measure.budget import D2Budget
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, DirectedBudget
@@ -222,7 +222,7 @@ def _candidate(
         field=table("deformation"),
         deformation=Deformation.from_json(values["deformation"]) if values.get("deformation") else None,
         budget=_budget(values["budget"]) if values.get("budget") else None,
-        changes=tuple(from_json_value(Change, change) for change in values.get("changes") or ()),
+        changes=tuple(from_json(Change, change) for change in values.get("changes") or ()),
         percentiles_completeness=values["metrics"]["percentiles"][REFERENCE_TO_CANDIDATE],
         completeness_path=folder / f"{values['name']}_completeness.ply",
         path=path,
@@ -237,7 +237,7 @@ def _candidate(
 
 def _budget(values: Mapping[str, Any]) -> DirectedBudget:
     """Read the `budget` of a candidate."""
-    forth, back = (from_json_value(D2Budget, values[way]) for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE))
+    forth, back = (from_json(D2Budget, values[way]) for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE))
     return DirectedBudget(forth, back, values["keeps_pose"])
 
 

@@ -226,13 +226,13 @@ class SceneFolder:
         return [self.path, *([] if self.cameras == "auto" else [Path(self.cameras)])]
 
 
-def as_scene(scene: SceneLike | SceneFolder | None) -> Scene | SceneFolder | None:
+def as_scene(scene: SceneLike | SceneFolder) -> Scene | SceneFolder:
     """Return a scene, or its folder.
 
     Raises:
         InputError: the argument is neither.
     """
-    if scene is None or isinstance(scene, SceneFolder):
+    if isinstance(scene, SceneFolder):
         return scene
     if isinstance(scene, str | os.PathLike):
         return SceneFolder(Path(scene))

@@ -13,8 +13,8 @@ from optional import import_or_skip
 from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.comparison import workspace
 from pcbench.errors import InputError
-from pcbench.report import workspace
 
 
 @pytest.fixture(autouse=True)

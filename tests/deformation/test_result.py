@@ -59,12 +59,6 @@ def test_json_has_the_documented_keys_in_order(bent_result):
     assert values["warning_codes"] == ["few-tiles"]
 
 
-def test_reports_without_codes_are_read(bent_result):
-    values = json.loads(to_json(bent_result.with_warnings([Notice("few-tiles", "only 3 tiles")])))
-    del values["warning_codes"]
-    assert Deformation.from_json(values).warnings == (Notice("", "only 3 tiles"),)
-
-
 def test_older_reports_without_both_sizes_are_read(bent_result):
     values = json.loads(to_json(bent_result))
     del values["amplitude"]["rms_surface"], values["amplitude"]["ci_surface"], values["local"]["largest"]

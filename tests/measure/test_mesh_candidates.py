@@ -13,8 +13,8 @@ from pcbench import Settings, TilingSettings, compare, deform, register
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import SAMPLED_MESH, sample_candidate
+from pcbench.io.ply import write_ply_mesh
 from pcbench.report import document
-from pcbench.scenes.synthetic.files import write_mesh_ply
 
 NOISE = 0.002
 UNREGISTERED = Settings("none", thresholds=(0.03,), seed=3)
@@ -40,7 +40,7 @@ def reference(mesh):
 @pytest.fixture
 def files(tmp_path, mesh, reference):
     pcbench.write_cloud(tmp_path / "reference.ply", reference)
-    write_mesh_ply(tmp_path / "mesh.ply", mesh)
+    write_ply_mesh(tmp_path / "mesh.ply", mesh)
     return tmp_path / "reference.ply", tmp_path / "mesh.ply"
 
 

@@ -10,10 +10,11 @@ import pcbench
 from pcbench import Cloud, write_cloud
 from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
+from pcbench.io.json_values import to_json
 from pcbench.measure.m3c2 import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.registration import ControlPoints, FeatureSettings, GivenPose, IcpSettings
-from pcbench.report.document import document, to_json
+from pcbench.report.document import document
 from pcbench.report.folder import read_settings
 from pcbench.report.recorded import record, restore
 

@@ -6,7 +6,7 @@ import pytest
 import task_functions
 
 from pcbench.errors import InputError
-from pcbench.studies.cells import map_cells
+from pcbench.studies.frame.cells import map_cells
 from pcbench.tasks import Workers
 
 

@@ -1,4 +1,4 @@
-"""The folder of a study: rejection of foreign folders, records, and folders of earlier versions."""
+"""The folder of a study: rejection of foreign folders, and records."""
 
 import json
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ from wording import check_error
 from pcbench.report.markup import csv_text, markdown_table
 from pcbench.studies.bench.runs import KIND as BENCH
 from pcbench.studies.bend.bend import KIND as BEND
-from pcbench.studies.folder import MARK, check_folder, folders_by_name, read_record, study_folder, write_record
+from pcbench.studies.frame.folder import MARK, check_folder, folders_by_name, study_folder
+from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.gao.gao import KIND as GAO
 from pcbench.studies.views.runs import KIND as VIEWS
 from pcbench.studies.views.runs import ViewsJob, run_views
@@ -23,6 +24,12 @@ KINDS = (BENCH, BEND, GAO, VIEWS)
 class Job:
     scene: Path = Path("photos")
     seeds: tuple[int, ...] = (0, 1)
+
+
+@dataclass(frozen=True)
+class Run:
+    value: float | None
+    rows: tuple[int, int]
 
 
 def read_files(folder):
@@ -83,37 +90,17 @@ def test_study_recognises_its_folder(tmp_path, kind):
         check_folder(tmp_path / "file", kind)
 
 
-@pytest.mark.parametrize(
-    ("kind", "files"),
-    [
-        (BENCH, {".lock": "", "runs/x/run.json": "{}"}),
-        (BENCH, {"bench.json": '{"schema": "pcbench.bench/1"}'}),
-        (BEND, {".experiment": "", "lenses/true/cameras.txt": ""}),
-        (GAO, {".experiment-gao": ""}),
-        (VIEWS, {"scores.json": '{"schema": "pcbench.view-scores/1"}'}),
-    ],
-)
-def test_folders_of_earlier_versions_are_accepted(tmp_path, kind, files):
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    with study_folder(tmp_path, kind, Job()):
-        pass
-    for name, text in files.items():
-        assert (tmp_path / name).read_text() == text
-
-
 def test_records_are_returned_for_the_same_inputs_only(tmp_path):
     path = tmp_path / "run.json"
-    assert read_record(path, {"a": 1}) is None
-    write_record(path, {"a": 1, "b": (2, 3)}, {"value": float("nan"), "rows": (1, 2)})
-    assert read_record(path, {"b": (2, 3), "a": 1}) == {"value": None, "rows": [1, 2]}
-    assert read_record(path, {"a": 2, "b": (2, 3)}) is None
+    assert read_record(path, {"a": 1}, Run) is None
+    write_record(path, {"a": 1, "b": (2, 3)}, Run(None, (1, 2)))
+    assert read_record(path, {"b": (2, 3), "a": 1}, Run) == Run(None, (1, 2))
+    assert read_record(path, {"a": 2, "b": (2, 3)}, Run) is None
     edited = path.read_text().replace("1,\n", "7,\n")
     assert edited != path.read_text()
     for content in ("", "{", "[]", "{}", edited):
         path.write_text(content)
-        assert read_record(path, {"a": 1, "b": (2, 3)}) is None
+        assert read_record(path, {"a": 1, "b": (2, 3)}, Run) is None
 
 
 def test_csv_markdown_and_unique_folder_names():

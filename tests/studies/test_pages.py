@@ -26,13 +26,16 @@ from pcbench.report.html import PAGE, Origin, article_page
 from pcbench.studies.bench import page as bench_page
 from pcbench.studies.bench.pareto import mark_front
 from pcbench.studies.bend import page as bend_page
-from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, SolutionResult, SurveyedScene
-from pcbench.studies.folder import StudyKind, draw_here, write_report, write_results
+from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, MutualVerdict, SolutionResult, SurveyedScene
+from pcbench.studies.frame.folder import StudyKind
+from pcbench.studies.frame.publish import draw_here, write_report, write_results
 from pcbench.studies.gao import page as gao_page
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE
-from pcbench.studies.gao.results import document as gao_document
+from pcbench.studies.gao.results import KIND as GAO
 from pcbench.studies.stress import page as stress_page
-from pcbench.studies.stress.results import SILENT, MissingMethod, SilentFailure
+from pcbench.studies.stress.descriptions import MissingMethod
+from pcbench.studies.stress.results import SilentFailure
+from pcbench.studies.stress.subject import SILENT
 from pcbench.studies.tradeoff import page as tradeoff_page
 from pcbench.studies.tradeoff.results import TradeoffSettings
 from pcbench.studies.tradeoff.study import run_tradeoff
@@ -73,9 +76,10 @@ def bend_study(name="photos"):
     factors = {"images": "all", "focal": "true", "distortion": "true", "control": "False"}
     good = BendVerdict("none", "rigid", 0.01, (0.005, 0.015), 0.5, 0.02, None, (name,))
     bent = BendVerdict("non-affine", "cubic", 0.4, (0.3, 0.5), 1e-9, 0.02, None)
+    mutual = MutualVerdict("non-affine", "cubic", 0.4, (0.3, 0.5), 1e-9, 0.02, None, against=name)
     rows = (
         SolutionResult(name, factors, 12, 12, None, (name,), 900, 0.5, lens, 0.0, good),
-        SolutionResult("dome", {**factors, "distortion": "zero"}, 12, 11, None, (), 800, 0.6, lens, 1.5, bent, bent),
+        SolutionResult("dome", {**factors, "distortion": "zero"}, 12, 11, None, (), 800, 0.6, lens, 1.5, bent, mutual),
         SolutionResult("none", factors, 12, 0, name),
     )
     return BendStudy(SurveyedScene(f"/data/{name}", 12, lens, "m"), "sfm", rows, (f"The cause is {name}.",), PROVENANCE)
@@ -208,7 +212,7 @@ def test_gao_links_to_the_reports_that_exist_and_shows_its_pictures(tmp_path):
     assert parsed.values("href") == ["./city_1/against-mvs/report.html"]
     assert len(parsed.values("src")) == 1
     cells = [cell for table in parsed.tables for row in table for cell in row]
-    values = json.loads(to_json(gao_document(study)))
+    values = json.loads(to_json(GAO.values(study)))
     points = [cloud["points"] for cloud in values["scenes"][0]["clouds"]]
     assert all(f"{count:,}" in cells for count in points)
 
@@ -226,7 +230,7 @@ def test_bench_and_stress_show_speed_and_stability():
     assert sorted(shown) == sorted(files)
 
 
-KIND = StudyKind("bend", "experiment.json", "pcbench.bend/1", "bend.md")
+KIND = StudyKind("bend", "experiment.json", "pcbench.bend/1", BendStudy, "bend.md")
 
 
 def test_new_results_replace_the_pages_or_remove_them(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from pcbench.studies.bench.charts import CHARTS
 from pcbench.studies.bench.page import article as bench_article
 from pcbench.studies.bench.pareto import mark_front
 from pcbench.studies.bench.runs import KIND as BENCH
-from pcbench.studies.folder import draw_here, write_report
+from pcbench.studies.frame.publish import draw_here, write_report
 from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.page import article as stress_article
 from pcbench.studies.stress.study import KIND as STRESS

@@ -1,6 +1,6 @@
 """Clouds larger than memory: describe a cloud on disk from the headers of its files, and read it piece by piece.
 
-    cloud = Source.open("tiles/").pieces()
+    cloud = open_cloud("tiles/")
     for piece in cloud.pieces:
         points = read_piece(cloud, piece).points
 
@@ -10,21 +10,22 @@ The points of all pieces, in order, are those of `pcbench.read_cloud("tiles/")`,
 import os
 from collections.abc import Collection
 
-from pcbench.errors import InputError
 from pcbench.io.las_records import parse_filters
 from pcbench.io.pieces.opening import PIECE_POINTS
 from pcbench.io.pieces.reading import read_piece, reading_warnings
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece, PieceNotes, PiecePoints
 
-
-def is_in_pieces(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names several files."""
-    from pcbench.io.source import Source
-
-    try:
-        return Source.open(path).is_in_pieces
-    except InputError:
-        return False
+__all__ = [
+    "CloudFile",
+    "CloudOnDisk",
+    "DamagedFile",
+    "Piece",
+    "PieceNotes",
+    "PiecePoints",
+    "open_cloud",
+    "read_piece",
+    "reading_warnings",
+]
 
 
 def open_cloud(
@@ -35,21 +36,18 @@ def open_cloud(
     piece_points: int = PIECE_POINTS,
     skip_bad: bool = False,
 ) -> CloudOnDisk:
-    """Return `Source.pieces` of a path."""
-    from pcbench.io.source import Source
+    """Describe a cloud on disk from the headers of its files, as `pcbench.io.source.Source.pieces`.
+
+    Args:
+        path: a path that `pcbench.read_cloud` accepts.
+        classes: class numbers to keep, as in `pcbench.read_cloud`.
+        returns: returns to keep, as in `pcbench.read_cloud`.
+        piece_points: largest number of points of a piece, as far as the format allows.
+        skip_bad: whether damaged and missing files are left out and listed in `left_out`.
+
+    Raises:
+        InputError, MissingExtra: see `Source.open` and `Source.pieces`.
+    """
+    from pcbench.io.source import Source  # it uses this package
 
     return Source.open(path, parse_filters(classes, returns)).pieces(piece_points, skip_bad=skip_bad)
-
-
-__all__ = [
-    "CloudFile",
-    "CloudOnDisk",
-    "DamagedFile",
-    "Piece",
-    "PieceNotes",
-    "PiecePoints",
-    "is_in_pieces",
-    "open_cloud",
-    "read_piece",
-    "reading_warnings",
-]

@@ -18,12 +18,13 @@ from pcbench.io.source import Source
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
-from pcbench.report.plot.maps import frame, label_of
+from pcbench.report.plot.maps import frame
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.plotters.controls import add_exaggeration, add_hint, add_slider, enable_picking
 from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import damage_in_one_line, read_deformation, read_report
+from pcbench.report.scalars import scalar_of
 from pcbench.report.viewing import SceneFolder, viewing_cameras
 from pcbench.scenes import read_scene
 
@@ -135,7 +136,7 @@ class ReportViewer:
         return "\n".join(
             [
                 f"{self.name}, point at {_coordinates(shown.points[row], self._digits)}{unit}",
-                f"  {label_of(self.scalar)}: {shown.values[row]:.4g}{unit}",
+                f"  {scalar_of(self.scalar).label}: {shown.values[row]:.4g}{unit}",
                 f"  {pluralize(len(values), 'closest point')}, within {radius:.3g}{unit}: mean {values.mean():.4g},"
                 f" std {values.std():.3g}{unit}, from {values.min():.4g} to {values.max():.4g}{unit}",
             ]

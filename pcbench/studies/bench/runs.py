@@ -19,11 +19,12 @@ from pcbench.errors import InputError, PcbenchError, RegistrationError, record_e
 from pcbench.extras import import_problem
 from pcbench.geometry.cameras import Camera
 from pcbench.io.contents import digest
+from pcbench.io.json_values import to_json
 from pcbench.plugins.run import PLUGIN, Description, ReconstructionJob, absolute, describe, read_reconstruction, run
 from pcbench.plugins.stages import library_versions
 from pcbench.progress import Step
 from pcbench.regular_files import is_regular_file
-from pcbench.report.document import provenance, to_json
+from pcbench.report.document import provenance
 from pcbench.report.markup import csv_text
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
@@ -34,21 +35,15 @@ from pcbench.studies.bench.plan import Axis, Method, Trial, labels, trials
 from pcbench.studies.bench.score import EvaluationProtocol, Rules, score
 from pcbench.studies.bench.table import row_title
 from pcbench.studies.bench.truth import mesh_of, read_truth
-from pcbench.studies.cells import map_cells
-from pcbench.studies.folder import (
-    StudyKind,
-    check_folder,
-    read_record,
-    study_folder,
-    write_record,
-    write_report,
-    write_results,
-)
+from pcbench.studies.frame.cells import map_cells
+from pcbench.studies.frame.folder import StudyKind, check_folder, study_folder
+from pcbench.studies.frame.publish import write_report, write_results
+from pcbench.studies.frame.records import read_record, write_record
 from pcbench.systems import cpu_count
 from pcbench.tasks import Workers
 
 SCHEMA = "pcbench.bench/1"
-KIND = StudyKind("bench", "bench.json", SCHEMA, "bench.md", (".lock", "runs"))
+KIND = StudyKind("bench", "bench.json", SCHEMA, dict, "bench.md")
 COLUMNS = (
     "method",
     "settings",
@@ -319,7 +314,7 @@ def _reconstruct(shared: _Shared, trial: Trial, folder: Path) -> tuple[dict[str,
         "settings": trial.settings,
         "named_files": {key: digest(Path(text)) for key, text in trial.settings.items() if is_regular_file(text)},
     }
-    stored = read_record(folder / _RUN_FILE, key)
+    stored = read_record(folder / _RUN_FILE, key, dict[str, Any])
     if stored is not None and _is_still_valid(stored, job.time_limit_s, folder):
         return {"beside_others": False, **stored}, True
     # Start from an empty folder: the time of a resumed run would be too short.
@@ -379,7 +374,7 @@ def _is_still_valid(record: Mapping[str, Any], limit: float | None, folder: Path
 
 def _measure(inputs: _Inputs, protocol: EvaluationProtocol, folder: Path, identity: str) -> tuple[dict[str, Any], bool]:
     key = {"run": identity, **inputs.score}
-    stored = read_record(folder / _SCORE_FILE, key)
+    stored = read_record(folder / _SCORE_FILE, key, dict[str, Any])
     if stored is not None:
         return stored, True
     try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,26 +28,16 @@ from pcbench.plugins import find_plugin
 from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
-from pcbench.report import to_json
 from pcbench.report.document import provenance
-from pcbench.report.plot import Drawn
 from pcbench.scenes import Scene, read_scene
 from pcbench.studies.bend.figure import draw_bend
 from pcbench.studies.bend.findings import MEASURE_S, Solution, Variant, csv_text, explain, measure_solutions
 from pcbench.studies.bend.page import article
-from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, Lens, SurveyedScene, document
-from pcbench.studies.folder import (
-    StudyKind,
-    check_folder,
-    draw_here,
-    study_folder,
-    write_files,
-    write_report,
-    write_results,
-)
+from pcbench.studies.bend.results import KIND, BendStudy, Lens, SurveyedScene
+from pcbench.studies.frame.folder import check_folder, study_folder, write_files
+from pcbench.studies.frame.publish import StudyOutcome, draw_here, publish
 
 PLUGIN = "sfm"
-KIND = StudyKind("experiment bend", DOCUMENT, SCHEMA, former_marks=(".experiment", "lenses"))
 _INTRINSICS_FOLDER, _PICTURE = "lenses", "bend.png"
 DISTORTION = (-0.03, 0.0, 0.0, 0.0)  # lens distortion of synthetic scenes
 _FOV_DEG = 60.0  # vertical field of view, typical of a drone
@@ -72,15 +63,6 @@ class SurveySettings:
     seed: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class BendOutcome:
-    """Results, and why the requested picture or the page are missing, or None."""
-
-    study: BendStudy
-    without_figures: str | None = None
-    without_page: str | None = None
-
-
 def run_bend(
     out: Path,
     scene: Path | None,
@@ -88,7 +70,7 @@ def run_bend(
     *,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> BendOutcome:
+) -> StudyOutcome[BendStudy]:
     """Run the experiment and write report.html, experiment.json, experiment.csv, bend.png and the clouds to a folder.
 
     Intermediate results (scene/, runs/, work/) stay there; a later run with the same settings reuses them.
@@ -140,7 +122,7 @@ class _Survey:
         return cls(folder, scene, plan, truth, MeshIndex(read_mesh(_truth_file(folder, "mesh.ply"))))
 
 
-def _run(out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[str], None]) -> BendOutcome:
+def _run(out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[str], None]) -> StudyOutcome[BendStudy]:
     data, plan, truth = survey.scene, survey.plan, survey.truth
     inputs = _SolveInputs(out, survey.folder, data, seed, describe(PLUGIN).sha256)
     inputs.write(survey.surface, truth)
@@ -164,19 +146,15 @@ def _run(out: Path, survey: _Survey, seed: int, figures: bool, step: Callable[[s
             write_cloud(file, solution.cloud)
         else:
             file.unlink(missing_ok=True)
-    write_results(out, KIND, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
-    drawn = Drawn([])
-    if figures:
+
+    def draw() -> list[Path]:
         step("drawing the picture")
-        drawn = draw_here(lambda: _draw(study, out))
-    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
-    return BendOutcome(study, drawn.problem, without_page)
+        draw_bend(study, out / _PICTURE)
+        return [out / _PICTURE]
 
-
-def _draw(study: BendStudy, out: Path) -> list[Path]:
-    """Draw the picture into the folder of the experiment, and return its file."""
-    draw_bend(study, out / _PICTURE)
-    return [out / _PICTURE]
+    texts = {"experiment.csv": csv_text(study)}
+    drawn = partial(draw_here, draw) if figures else None
+    return publish(out, KIND, study, texts, drawn, partial(article, study), study.provenance)
 
 
 def variants(scene: Scene) -> Iterator[Variant]:

@@ -16,7 +16,7 @@ from pcbench.report.colors import ranges, robust_maximum
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
-from pcbench.studies.bend.results import DOCUMENT, SCHEMA, BendStudy, SolutionResult, measured_bends, read_study
+from pcbench.studies.bend.results import KIND, BendStudy, SolutionResult, measured_bends
 
 _COLORS = (
     "#000000",
@@ -38,12 +38,12 @@ _MAX_ZOOM_SHARE = 0.5  # of the largest displacement drawn: small deformations h
 
 
 # Draws the picture of an experiment's folder.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,), SCHEMA)
+PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,), KIND.schema)
 
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the picture of a folder that `pcbench experiment bend` wrote."""
-    study = read_study(folder)
+    study = KIND.read(folder)
 
     def draw(path: Path) -> bool:
         draw_bend(study, path)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
-from pcbench.deformation import Bin, Deformation, Growth, Trend
+from pcbench.deformation import Deformation, Growth
 from pcbench.geometry.cameras import Intrinsics
-from pcbench.studies.folder import study_document
-
-SCHEMA = "pcbench.experiment.bend/1"
-DOCUMENT = "experiment.json"
+from pcbench.studies.frame.folder import StudyKind
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,6 @@ class BendVerdict:
         detectable: RMS of the smallest dome that would have been stated.
         growth: trends with distance and height, as in `Deformation`.
         warnings: one line each.
-        against: name of the solution that it is compared with; None for the truth.
         conditional: whether all of this holds only if the pose is right, because the registration is doubtful.
     """
 
@@ -57,25 +51,24 @@ class BendVerdict:
     detectable: float | None
     growth: Growth | None
     warnings: tuple[str, ...] = ()
-    against: str | None = None
     conditional: bool = False
 
     @classmethod
-    def from_deformation(cls, result: Deformation, against: str | None = None) -> BendVerdict:
+    def from_deformation(cls, result: Deformation, **more: str) -> Self:
         """Take the verdict without its field; a conditional one if the registration is doubtful."""
-        found = result.assuming_pose()
-        size = found.amplitude
+        verdict = result.assuming_pose()
+        size = verdict.amplitude
         return cls(
-            found.verdict,
-            found.model,
+            verdict.verdict,
+            verdict.model,
             None if size is None else size.rms,
             None if size is None else size.ci,
-            found.p_value,
-            found.minimum_detectable_rms,
-            found.growth,
-            tuple(map(str, found.warnings)),
-            against,
+            verdict.p_value,
+            verdict.minimum_detectable_rms,
+            verdict.growth,
+            tuple(map(str, verdict.warnings)),
             result.conditional_verdict is not None,
+            **more,
         )
 
     @property
@@ -93,6 +86,17 @@ class BendVerdict:
         if self.rms is None or self.ci is None:
             return "–"
         return f"{self.rms:.3g} [{self.ci[0]:.3g}, {self.ci[1]:.3g}] {unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class MutualVerdict(BendVerdict):
+    """Verdict on the deformation against another solution.
+
+    Attributes:
+        against: name of that solution.
+    """
+
+    against: str = ""
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ class SolutionResult:
     lens: Lens | None = None
     lens_error_px: float | None = None
     truth: BendVerdict | None = None
-    mutual: BendVerdict | None = None
+    mutual: MutualVerdict | None = None
     cells: tuple[tuple[float, ...], ...] | None = None
 
 
@@ -174,72 +178,4 @@ def measured_bends(rows: Sequence[SolutionResult]) -> list[tuple[SolutionResult,
     return [(row, row.truth) for row in rows if row.truth is not None and row.truth.rms is not None]
 
 
-def document(study: BendStudy) -> dict[str, Any]:
-    """Return a study as the document of experiment.json."""
-    return {"schema": SCHEMA, **_field_values(study), "rows": [_row_values(row) for row in study.rows]}
-
-
-def read_study(folder: Path) -> BendStudy:
-    """Read experiment.json of a folder.
-
-    Raises:
-        InputError: the file has another schema or is damaged.
-        OSError: the file cannot be read.
-    """
-    with study_document(folder / DOCUMENT, SCHEMA) as values:
-        scene = values["scene"]
-        return BendStudy(
-            SurveyedScene(scene["path"], scene["images"], _lens(scene["lens"]), scene["unit"]),
-            values["plugin"],
-            tuple(map(_row, values["rows"])),
-            tuple(values["sentences"]),
-            values["provenance"],
-        )
-
-
-def _field_values(of: Any) -> dict[str, Any]:
-    return {field.name: getattr(of, field.name) for field in fields(of)}
-
-
-def _row_values(row: SolutionResult) -> dict[str, Any]:
-    bends = {"truth": row.truth, "mutual": row.mutual}
-    return {**_field_values(row), **{key: None if bend is None else _bend_values(bend) for key, bend in bends.items()}}
-
-
-def _bend_values(bend: BendVerdict) -> dict[str, Any]:
-    values = asdict(bend)
-    against = values.pop("against")
-    return values if against is None else {"against": against, **values}
-
-
-def _row(values: Mapping[str, Any]) -> SolutionResult:
-    lens, cells = values["lens"], values["cells"]
-    parts = {
-        "notes": tuple(values["notes"]),
-        "lens": None if lens is None else _lens(lens),
-        "cells": None if cells is None else tuple(tuple(math.nan if x is None else x for x in row) for row in cells),
-        **{key: None if values[key] is None else _bend(values[key]) for key in ("truth", "mutual")},
-    }
-    return SolutionResult(**{**values, **parts})
-
-
-def _lens(values: Mapping[str, Any]) -> Lens:
-    width, height = values["size"]
-    return Lens(values["fx"], values["fy"], tuple(values["distortion"]), (width, height))
-
-
-def _bend(values: Mapping[str, Any]) -> BendVerdict:
-    ci, growth = values["ci"], values["growth"]
-    parts = {
-        "ci": None if ci is None else (ci[0], ci[1]),
-        "growth": None if growth is None else Growth(_trend(growth["with_distance"]), _trend(growth["with_height"])),
-        "warnings": tuple(values["warnings"]),
-    }
-    return BendVerdict(**{**values, **parts})
-
-
-def _trend(values: Mapping[str, Any] | None) -> Trend | None:
-    if values is None:
-        return None
-    profile = tuple(Bin(**{**row, "ci": tuple(row["ci"])}) for row in values["profile"])
-    return Trend(**{**values, "ci": tuple(values["ci"]), "profile": profile})
+KIND = StudyKind("experiment bend", "experiment.json", "pcbench.experiment.bend/1", BendStudy)

@@ -14,10 +14,10 @@ from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE
-from pcbench.studies.gao.results import DOCUMENT, SCHEMA, TRUTH, GaoStudy, SceneResult, read_study, references
+from pcbench.studies.gao.results import KIND, TRUTH, GaoStudy, SceneResult, references
 
 # Draws the pictures of an experiment's folder.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,), SCHEMA)
+PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,), KIND.schema)
 
 _UNKNOWN_UNIT = "units of the cameras"
 _CAMERAS_ALONE = "effect of solved cameras alone"
@@ -37,7 +37,7 @@ _THIN_LINE = {"color": _GREY, "alpha": 0.25, "linewidth": 0.8}
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the pictures of a folder that `pcbench experiment gao` wrote."""
-    study = read_study(folder)
+    study = KIND.read(folder)
     nothing = "no cloud was measured"
     return {
         "rings": Picture(lambda path: draw_rings(study.scenes, path)),

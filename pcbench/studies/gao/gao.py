@@ -18,24 +18,15 @@ from pcbench.io import read_cloud
 from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
-from pcbench.report import to_json
 from pcbench.report.article import Article
 from pcbench.report.document import provenance
 from pcbench.report.html import PAGE
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes import Scene, read_scene
 from pcbench.scenes.views import find_views
-from pcbench.studies.cells import map_cells
-from pcbench.studies.folder import (
-    MARK,
-    StudyKind,
-    check_folder,
-    folders_by_name,
-    study_folder,
-    write_files,
-    write_report,
-    write_results,
-)
+from pcbench.studies.frame.cells import map_cells
+from pcbench.studies.frame.folder import MARK, check_folder, folders_by_name, study_folder, write_files
+from pcbench.studies.frame.publish import StudyOutcome, publish
 from pcbench.studies.gao.cameras import camera_errors, cameras_in_cloud_frame
 from pcbench.studies.gao.clouds import WORK_FOLDER, CloudRun, check_crop, make_clouds
 from pcbench.studies.gao.evaluation import CloudEvaluation, draw_maps, evaluate_against, visible_truth
@@ -55,15 +46,13 @@ from pcbench.studies.gao.plan import (
     methods,
 )
 from pcbench.studies.gao.results import (
-    DOCUMENT,
-    SCHEMA,
+    KIND,
     TRUTH,
     CloudResult,
     GaoStudy,
     InjectedDeformation,
     NewViews,
     SceneResult,
-    document,
 )
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures
@@ -71,7 +60,6 @@ from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
 from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_files, score_views
 from pcbench.tasks import Workers
 
-KIND = StudyKind("experiment gao", DOCUMENT, SCHEMA, "gao.md", (".experiment-gao",))
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
 _RESERVED_NAMES = (_SCENES_FOLDER, _VIEWS_FOLDER, "figures", MARK, PAGE)  # names that a scene's folder cannot have
 _TRUTH_POINTS = 1_000_000  # number of points of a synthetic truth
@@ -91,13 +79,10 @@ _CITY_KINDS = ((0.85, 9.0, 2.0), (0.5, 6.0, 2.0), (0.85, 14.0, 3.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """A study, the scores of its novel views, and why requested pictures or the page are missing, or None."""
+class GaoOutcome(StudyOutcome[GaoStudy]):
+    """The outcome of the experiment, with the scores of its novel views."""
 
-    study: GaoStudy
-    views: ViewStudy | None
-    without_figures: str | None = None
-    without_page: str | None = None
+    views: ViewStudy | None = None
 
 
 def run_gao(
@@ -107,7 +92,7 @@ def run_gao(
     workers: Workers | None = None,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> Outcome:
+) -> GaoOutcome:
     """Run the experiment and write its results to a folder.
 
     They are report.html, experiment.json, experiment.csv, gao.md, figures/, one folder per scene with its clouds and
@@ -151,7 +136,7 @@ def _run(
     workers: Workers | None,
     figures: bool,
     step: Callable[[str], None],
-) -> Outcome:
+) -> GaoOutcome:
     made = (
         {path: _read_checked_scene(job, path) for path in _synthetic_scenes(job.cities, out, job.seed, step)}
         if not given
@@ -175,17 +160,22 @@ def _run(
     splat = next(method.settings for method in methods(job) if method.name == SURFACE)
     study = GaoStudy(job.poses, splat, tuple(scenes), provenance=provenance(job.seed))
     study = replace(study, sentences=tuple(sentences(study)))
-    write_results(out, KIND, {"experiment.csv": csv_text(study), DOCUMENT: to_json(document(study))})
-    drawn, views_drawn = _draw(out, reports, views, step) if figures else (Drawn([]), Drawn([]))
+    of_views = Drawn([])
 
-    def make() -> Article:
+    def draw() -> Drawn:
+        nonlocal of_views
+        drawn, of_views = _draw(out, reports, views, step)
+        return drawn
+
+    def make(drawn: Sequence[str]) -> Article:
         folders = [folder.relative_to(out).as_posix() for folder in reports]
-        return article(study, views, drawn.relative_to(out), views_drawn.relative_to(out), folders)
+        return article(study, views, drawn, of_views.relative_to(out), folders)
 
-    without_page = write_report(out, KIND, make, study.provenance)
+    texts = {"experiment.csv": csv_text(study)}
+    outcome = publish(out, KIND, study, texts, draw if figures else None, make, study.provenance)
     if not reports:
         raise ReconstructionError(f"{out}: no cloud could be measured: {next(failures(study), '')}")
-    return Outcome(study, views, drawn.problem or views_drawn.problem, without_page)
+    return GaoOutcome(study, outcome.without_figures or of_views.problem, outcome.without_page, views)
 
 
 class _SceneCell(NamedTuple):

@@ -8,7 +8,7 @@ deformation of known size is added to one cloud at a time, also to the reference
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,8 @@ from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud
 from pcbench.io.contents import digest
 from pcbench.io.files import read_json
+from pcbench.io.json_values import from_json, to_json
 from pcbench.plugins.stages import stage
-from pcbench.report import to_json
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import InjectedDeformation
 
@@ -54,10 +54,10 @@ def inject_deformations(
 
     def make(folder: Path) -> None:
         found = _inject(read_cloud(reference), {name: read_cloud(path) for name, path in clouds.items()}, crop, seed)
-        (folder / _RESULTS_FILE).write_text(to_json([asdict(each) for each in found]), encoding="utf-8")
+        (folder / _RESULTS_FILE).write_text(to_json(found), encoding="utf-8")
 
     values = read_json(stage(out, "injected", key, make) / _RESULTS_FILE)
-    return tuple(InjectedDeformation(**each) for each in values)
+    return tuple(from_json(InjectedDeformation, each) for each in values)
 
 
 def _inject(reference: Cloud, clouds: Mapping[str, Cloud], crop: str, seed: int) -> list[InjectedDeformation]:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from pcbench.deformation import Deformation
 from pcbench.measure.images import ViewScores
 from pcbench.measure.presets import Gao2025
-from pcbench.studies.folder import study_document
+from pcbench.studies.frame.folder import StudyKind
 from pcbench.studies.gao.plan import MVS
 
-SCHEMA = "pcbench.experiment.gao/1"
-DOCUMENT = "experiment.json"
 TRUTH = "truth"  # the second reference, next to mvs
 
 
@@ -249,85 +246,4 @@ def references(scene: SceneResult) -> Sequence[str]:
     return [name for name in (MVS, TRUTH) if name in scene.references]
 
 
-def document(study: GaoStudy) -> dict[str, Any]:
-    """Return a study as the document of experiment.json."""
-
-    def values(of: Any) -> dict[str, Any]:
-        return {field.name: getattr(of, field.name) for field in fields(of)}
-
-    def views(of: NewViews | None) -> dict[str, Any] | None:
-        if of is None:
-            return None
-        means = {
-            key: None if mean is None else mean._asdict() for key, mean in (("train", of.train), ("test", of.test))
-        }
-        return {**values(of), **means}
-
-    scenes = [{**values(scene), "views": views(scene.views)} for scene in study.scenes]
-    return {"schema": SCHEMA, **values(study), "scenes": scenes}
-
-
-def read_study(folder: Path) -> GaoStudy:
-    """Read experiment.json of a folder.
-
-    Raises:
-        InputError: the file has another schema or is damaged.
-        OSError: the file cannot be read.
-    """
-    with study_document(folder / DOCUMENT, SCHEMA) as values:
-        scenes = tuple(_scene(scene) for scene in values["scenes"])
-        return GaoStudy(values["poses"], values["splat"], scenes, tuple(values["sentences"]), values["provenance"])
-
-
-def _scene(values: dict[str, Any]) -> SceneResult:
-    place, cameras, views = (values[key] for key in ("looked_at", "cameras", "views"))
-    return SceneResult(
-        **{key: values[key] for key in ("name", "path", "unit", "images", "region")},
-        positions=tuple(map(tuple, values["positions"])),
-        looked_at=None if place is None else tuple(place),
-        cameras=None if cameras is None else _cameras(cameras),
-        references={name: (int(counts[0]), int(counts[1])) for name, counts in values["references"].items()},
-        clouds=tuple(map(_cloud, values["clouds"])),
-        views=None if views is None else _views(views),
-        injected=tuple(InjectedDeformation(**each) for each in values.get("injected", ())),
-    )
-
-
-def _cameras(values: dict[str, Any]) -> CameraErrors:
-    of = values["surface"]
-    if of is None:
-        return CameraErrors(**values)
-    profiles = {key: tuple(map(tuple, of[key])) for key in ("with_distance", "with_height")}
-    return CameraErrors(**{**values, "surface": SurfaceDeformation(of["moved"], of["bent"], **profiles)})
-
-
-def _cloud(values: dict[str, Any]) -> CloudResult:
-    against = tuple(evaluation_from_json(row) for row in values["against"])
-    return CloudResult(**{**values, "against": against, "notes": tuple(values["notes"])})
-
-
-def evaluation_from_json(values: Mapping[str, Any]) -> ReferenceEvaluation:
-    """Return an evaluation from its JSON values."""
-    measures, bend = values["measures"], values["deformation"]
-    parts = {
-        "measures": None if measures is None else _measures(measures),
-        "deformation": None if bend is None else Deformation.from_json(bend),
-        "doubts": tuple(values["doubts"]),
-    }
-    return ReferenceEvaluation(**{**values, **parts})
-
-
-def _measures(values: Mapping[str, float]) -> Gao2025:
-    # Earlier versions wrote only the sum of both directions.
-    return Gao2025(**{"d1_back_mse": values["chamfer"] - values["d1_mse"], **values})
-
-
-def _views(values: dict[str, Any]) -> NewViews:
-    def scores(key: str) -> ViewScores | None:
-        row = values[key]
-        if row is None:
-            return None
-        psnr = math.inf if row["psnr"] is None else row["psnr"]
-        return ViewScores(psnr, math.nan if row["ssim"] is None else row["ssim"], row["lpips"], row["flip"])
-
-    return NewViews(**{**values, "train": scores("train"), "test": scores("test")})
+KIND = StudyKind("experiment gao", "experiment.json", "pcbench.experiment.gao/1", GaoStudy, "gao.md")

@@ -6,16 +6,13 @@ Errors are relative to the exact value: 0.01 is 1 % too large. A value that does
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from pcbench.errors import InputError
-from pcbench.studies.folder import study_document
+from pcbench.studies.frame.folder import StudyKind
 from pcbench.studies.tradeoff.metrics import GROUP_OF
 
-SCHEMA = "pcbench.tradeoff/1"
-DOCUMENT = "tradeoff.json"
 LEVELS = (0.5, 0.25, 0.1, 0.05)
 QUICK_LEVELS = (0.5, 0.1)
 _MAX_SEEDS = 100
@@ -211,7 +208,7 @@ class Tradeoff:
         rows: approximations.
         skipped: one line for each kind of approximation that was left out.
         sentences: the answer in words.
-        provenance: version, commit, machine and time; None after reading.
+        provenance: version, commit, machine and time.
     """
 
     settings: TradeoffSettings
@@ -219,7 +216,7 @@ class Tradeoff:
     rows: tuple[TradeoffRow, ...]
     skipped: tuple[str, ...] = ()
     sentences: tuple[str, ...] = ()
-    provenance: Mapping[str, Any] | None = None
+    provenance: Mapping[str, Any] | None = field(default=None, compare=False)
 
     def row(self, name: str) -> TradeoffRow:
         """Return the approximation of that name.
@@ -233,37 +230,4 @@ class Tradeoff:
         raise KeyError(f"no approximation {name!r}: there are {', '.join(row.name for row in self.rows)}")
 
 
-def document(study: Tradeoff) -> dict[str, Any]:
-    """Return a study as JSON values."""
-    return {"schema": SCHEMA, **asdict(study)}
-
-
-def read_study(folder: Path) -> Tradeoff:
-    """Read the study of a folder, without its provenance.
-
-    Raises:
-        InputError: tradeoff.json has another schema or is damaged.
-        OSError: it cannot be read.
-    """
-    with study_document(folder / DOCUMENT, SCHEMA) as values:
-        settings = {**values["settings"]}
-        for name in ("levels", "only"):
-            settings[name] = tuple(settings[name])
-        exact = {**values["exact"], "points": tuple(values["exact"]["points"])}
-        return Tradeoff(
-            TradeoffSettings(**settings),
-            Exact(**exact),
-            tuple(_row(row) for row in values["rows"]),
-            tuple(values["skipped"]),
-            tuple(values["sentences"]),
-        )
-
-
-def _row(values: Mapping[str, Any]) -> TradeoffRow:
-    errors = {
-        key: {name: estimate and ErrorEstimate(*estimate) for name, estimate in values[key].items()}
-        for key in ("errors", "corrected")
-    }
-    return TradeoffRow(
-        **{**values, **errors, "same_verdict": Share(*values["same_verdict"]), "points": tuple(values["points"])}
-    )
+KIND = StudyKind("tradeoff", "tradeoff.json", "pcbench.tradeoff/1", Tradeoff, "tradeoff.md")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import package_version
 from pcbench.io.files import read_json_object
 from pcbench.measure.results import Candidate
-from pcbench.studies.folder import read_record, write_record
+from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.tradeoff.approximations import EXACT, Approximation, Pair
 from pcbench.studies.tradeoff.metrics import (
     DEFORMATION_RMS,
@@ -68,7 +67,7 @@ def run_all(
             if approximation is EXACT:
                 _fail_without_exact(run)
             if files and not run.message:  # a library may be installed later
-                write_record(files[place].path, files[place].key, asdict(run))
+                write_record(files[place].path, files[place].key, run)
             yield run
 
 
@@ -109,23 +108,8 @@ def _record_files(
 
 def _recorded_run(path: Path, key: dict[str, Any]) -> ComparisonRun | None:
     """Return a recorded run; None if there is none, or if it is damaged."""
-    values = read_record(path, key)
-    if values is None:
-        return None
-    try:
-        run = ComparisonRun(**{**values, "points": tuple(values["points"])})
-        numbers = [*run.values.values(), *run.floors.values(), *run.corrected.values(), run.wall_s, *run.points]
-        is_usable = (
-            (run.approximation, run.seed) == (key["approximation"], key["seed"])
-            and len(run.points) == 2
-            and not run.message
-            and set(run.values) == set(NAMES)
-            and all(value is None or math.isfinite(value) for value in numbers)
-            and 0 < run.cpu_s < math.inf
-        )
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return None
-    return run if is_usable else None
+    run = read_record(path, key, ComparisonRun)
+    return run if run is not None and set(run.values) == set(NAMES) else None
 
 
 def _fail_without_exact(run: ComparisonRun) -> None:

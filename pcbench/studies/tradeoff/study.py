@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from pcbench.errors import InputError
@@ -19,39 +20,21 @@ from pcbench.geometry.sampling import median_spacing
 from pcbench.io import CloudLike
 from pcbench.io.meshes import to_shape
 from pcbench.measure.settings import Settings
-from pcbench.report import to_json
 from pcbench.report.document import provenance
 from pcbench.report.plot import Drawn
-from pcbench.studies.folder import (
-    StudyKind,
-    check_folder,
-    draw_here,
-    study_folder,
-    write_report,
-    write_results,
-)
+from pcbench.studies.frame.folder import check_folder, study_folder
+from pcbench.studies.frame.publish import StudyOutcome, draw_here, publish
 from pcbench.studies.tradeoff.approximations import Pair, plan
 from pcbench.studies.tradeoff.charts import draw_charts
 from pcbench.studies.tradeoff.errors import exact_answer, rows
 from pcbench.studies.tradeoff.page import article
-from pcbench.studies.tradeoff.results import DOCUMENT, SCHEMA, Tradeoff, TradeoffSettings, document
+from pcbench.studies.tradeoff.results import KIND, Tradeoff, TradeoffSettings
 from pcbench.studies.tradeoff.runs import check_pair, run_all
 from pcbench.studies.tradeoff.table import tradeoff_csv, tradeoff_table
-from pcbench.studies.tradeoff.words import sentences
+from pcbench.studies.tradeoff.words import answer
 
-KIND = StudyKind("tradeoff", DOCUMENT, SCHEMA, "tradeoff.md")
 CSV, TABLE, RECORDS = "tradeoff.csv", "tradeoff.txt", "runs"
 _THRESHOLD_SPACINGS = 2.0  # threshold of the F-score over the spacing of the reference, the second default of `compare`
-
-
-@dataclass(frozen=True)
-class TradeoffOutcome:
-    """A study, its table as text, and why requested charts or the page are missing, or None."""
-
-    study: Tradeoff
-    table: str
-    without_figures: str | None = None
-    without_page: str | None = None
 
 
 def run_tradeoff(
@@ -62,7 +45,7 @@ def run_tradeoff(
     out: Path | None = None,
     figures: bool = True,
     step: Callable[[str], None] = lambda _: None,
-) -> TradeoffOutcome:
+) -> StudyOutcome[Tradeoff]:
     """Run the study of a pair; with `out`, write report.html, tradeoff.json, .csv, .txt, .md and charts to a folder.
 
     The records of all runs stay in its folder `runs`; a later run of the same pair does not repeat finished rounds.
@@ -97,10 +80,16 @@ def run_tradeoff(
         exact = exact_answer(pair, runs)
         found = tuple(rows(approximations, runs, exact))
         study = Tradeoff(settings, exact, found, tuple(skipped), provenance=provenance(settings.seed))
-        study = replace(study, sentences=sentences(study))
+        study = replace(study, sentences=tuple(answer(study)))
         if out is None:
-            return TradeoffOutcome(study, tradeoff_table(study))
-        return write_study(out, study, figures=figures, step=step)
+            return StudyOutcome(study)
+
+        def draw() -> Drawn:
+            step("drawing charts")
+            return draw_here(lambda: draw_charts(study, out))
+
+        texts = {CSV: tradeoff_csv(study), TABLE: f"{tradeoff_table(study)}\n"}
+        return publish(out, KIND, study, texts, draw if figures else None, partial(article, study), study.provenance)
 
 
 def make_pair(reference: CloudLike | Mesh, candidate: CloudLike | Mesh, settings: TradeoffSettings) -> Pair:
@@ -118,21 +107,3 @@ def make_pair(reference: CloudLike | Mesh, candidate: CloudLike | Mesh, settings
     spacing = median_spacing(index, index.nearest_other())
     thresholds = (_THRESHOLD_SPACINGS * spacing,) if spacing > 0 else None
     return Pair(given, cloud, Settings(register=settings.register, thresholds=thresholds, seed=settings.seed))
-
-
-def write_study(
-    out: Path, study: Tradeoff, *, figures: bool = True, step: Callable[[str], None] = lambda _: None
-) -> TradeoffOutcome:
-    """Write all files of a study to its folder.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
-    table = tradeoff_table(study)
-    write_results(out, KIND, {CSV: tradeoff_csv(study), TABLE: f"{table}\n", DOCUMENT: to_json(document(study))})
-    drawn = Drawn([])
-    if figures:
-        step("drawing charts")
-        drawn = draw_here(lambda: draw_charts(study, out))
-    without_page = write_report(out, KIND, lambda: article(study, drawn.relative_to(out)), study.provenance)
-    return TradeoffOutcome(study, table, drawn.problem, without_page)

@@ -18,7 +18,7 @@ from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import DPI, save
 from pcbench.report.words import join_words
 from pcbench.scenes.views import RenderedView, ViewImages
-from pcbench.studies.folder import unique_name
+from pcbench.studies.frame.folder import unique_name
 from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
 
 # Draws the pictures of a folder with scores.json.

@@ -12,12 +12,13 @@ from pcbench.progress import Step
 from pcbench.report.document import provenance
 from pcbench.report.plot import Drawn, draw_if_possible
 from pcbench.scenes.views import find_views
-from pcbench.studies.folder import StudyKind, check_folder, folders_by_name, study_folder, write_report, write_results
+from pcbench.studies.frame.folder import StudyKind, check_folder, folders_by_name, study_folder
+from pcbench.studies.frame.publish import write_report, write_results
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import PICTURES
 from pcbench.studies.views.scores import DOCUMENT, SCHEMA, ViewStudy, score_files, score_views
 
-KIND = StudyKind("views", DOCUMENT, SCHEMA, "views.md")
+KIND = StudyKind("views", DOCUMENT, SCHEMA, ViewStudy, "views.md")
 _RUNS_FOLDER = "runs"
 _EXPECTED_SCENE_S = 300.0  # rough duration of rendering a scene, for progress bars
 

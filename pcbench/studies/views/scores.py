@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from pcbench.errors import InputError, Notice
 from pcbench.io.files import read_json
+from pcbench.io.json_values import to_json
 from pcbench.measure.images import ViewScores
 from pcbench.measure.perceptual import Perceptual
 from pcbench.progress import Step
-from pcbench.report import to_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
 
@@ -162,7 +162,7 @@ def _scene_values(scene: ScoredScene) -> dict[str, Any]:
 
 def _score_values(scores: ViewScores) -> dict[str, float | str | None]:
     """Return scores as JSON values; infinity, for which JSON has no number, as "inf"."""
-    return {key: "inf" if value == math.inf else value for key, value in scores._asdict().items()}
+    return {key: "inf" if value == math.inf else value for key, value in asdict(scores).items()}
 
 
 def _scores(row: dict[str, Any]) -> ViewScores:
@@ -177,12 +177,12 @@ def _csv(study: ViewStudy) -> str:
     rows = [
         (
             *(scene.views.scene, scene.views.method, view.name, "test" if view.is_test else "train", view.block),
-            *(None if value is None else repr(value) for value in scores),
+            *(None if value is None else repr(value) for value in astuple(scores)),
         )
         for scene in study.scenes
         for view, scores in zip(scene.views.views, scene.scores, strict=True)
     ]
-    return csv_text(["scene", "method", "view", "set", "block", *ViewScores._fields], rows)
+    return csv_text(["scene", "method", "view", "set", "block", *(item.name for item in fields(ViewScores))], rows)
 
 
 def mean_scores(scores: Sequence[ViewScores]) -> ViewScores:

@@ -30,8 +30,8 @@ from pcbench.studies.gao.evaluation import evaluate_against, visible_truth
 from pcbench.studies.gao.gao import run_gao
 from pcbench.studies.gao.plan import FIELD, MEANS, MVS, SPARSE, SURFACE, GaoJob, default_region, focus_point, methods
 from pcbench.studies.gao.results import (
+    KIND,
     TRUTH,
-    read_study,
 )
 from pcbench.tasks import Workers
 from reconstructors.sfm.alignment import transform_camera
@@ -310,7 +310,7 @@ def test_scenes_on_workers_give_the_same_results(tmp_path, monkeypatch, tasks_in
     for out, workers in ((tmp_path / "alone", None), (tmp_path / "shared", Workers(2))):
         with pytest.raises(ReconstructionError):
             run_gao(GaoJob(scenes), out, workers=workers, figures=False, step=steps.append)
-        studies.append(replace(read_study(out), provenance=None))
+        studies.append(replace(KIND.read(out), provenance=None))
     assert studies[0] == studies[1]
     assert [scene.name for scene in studies[0].scenes] == ["first", "second"]
     assert {"1 of 2: first: made", "2 of 2: second: made", "done: 0 of 2 runs"} <= set(steps)
@@ -353,7 +353,7 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     assert code == 0, err
     assert "splat-means" in out_text
     assert "memory=0.001" in out_text
-    failed_study = read_study(out)
+    failed_study = KIND.read(out)
     assert [bool(cloud.failure) for cloud in failed_study.scenes[0].clouds] == [False, False, True, True, False]
     assert failed_study.scenes[0].views is None
     assert "mvs deviates from the truth by 0." in out_text  # the other clouds were measured
@@ -361,7 +361,7 @@ def test_killed_experiment_is_resumed_and_completed(run, renderer, tmp_path):
     code, out_text, err = run("experiment", "gao", "--out", out, *SMALL_SCENE_OPTIONS, "--set", "steps=1200")
     assert code == 0, err
     assert (out / "city_1/runs/sparse/stage.json").stat().st_mtime_ns == stamp
-    (scene,) = read_study(out).scenes
+    (scene,) = KIND.read(out).scenes
     assert scene.references[TRUTH][1] > scene.references[MVS][1] / 100 > 0
     assert all(not cloud.failure for cloud in scene.clouds)
     sparse, mvs, means, surface, field = scene.clouds

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import textwrap
+from dataclasses import astuple
 from unittest.mock import Mock
 
 import numpy as np
@@ -22,7 +23,7 @@ from pcbench.report.article import markdown
 from pcbench.report.figures import Figures
 from pcbench.scenes.splits import split_every
 from pcbench.scenes.views import ViewImages, write_views
-from pcbench.studies.folder import write_files
+from pcbench.studies.frame.folder import write_files
 from pcbench.studies.views.page import article
 from pcbench.studies.views.pictures import draw_views, select_views, title_of
 from pcbench.studies.views.runs import ViewsJob, run_views
@@ -108,7 +109,8 @@ def test_scores_round_trip(tmp_path):
     assert [note.code for note in study.notes] == ["masked-views"]
     for scene, other in zip(study.scenes, restored.scenes, strict=True):
         assert other.views == scene.views
-        np.testing.assert_array_equal(np.array(scene.scores, dtype=float), np.array(other.scores, dtype=float))
+        here, there = (np.array([astuple(scores) for scores in one.scores], float) for one in (scene, other))
+        np.testing.assert_array_equal(here, there)
     rows = list(csv.DictReader((tmp_path / "scores.csv").read_text().splitlines()))
     assert len(rows) == 18 + 9 + 9
     assert float(rows[0]["psnr"]) == study.scenes[0].scores[0].psnr
