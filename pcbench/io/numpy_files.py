@@ -60,8 +60,16 @@ class _Header:
     header_bytes: int
 
     @property
+    def rows(self) -> int:
+        return self.shape[0] if self.shape else 1
+
+    @property
     def data_bytes(self) -> int:
         return prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def row_bytes(self) -> int:
+        return max(self.data_bytes // max(self.rows, 1), 1)
 
 
 def read_npy(path: Path, warn: Warn) -> Fields:
@@ -73,14 +81,12 @@ def read_npy(path: Path, warn: Warn) -> Fields:
         InputError: the file is not a complete array of that shape.
         OSError: the file cannot be read.
     """
+    size = path.stat().st_size
     with path.open("rb") as file:
         header = _read_header(file)
         _check_points(header)
-        size = path.stat().st_size
         _check_size(header, size)
-        array = _read_data(file, header)
-        _check_rest(file, header, size, "the array", warn)
-        return _points_fields(array)
+        return _points_fields(_read_data(file, header, size, "the array", warn))
 
 
 def read_npz(path: Path, warn: Warn) -> Fields:
@@ -114,7 +120,7 @@ def read_npz(path: Path, warn: Warn) -> Fields:
 
 def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     members = _members(archive, archive_bytes)
-    texts = {name: _read_text(archive, members.pop(name), name) for name in _TEXT_NAMES if name in members}
+    texts = {name: _read_text(archive, members.pop(name), name, warn) for name in _TEXT_NAMES if name in members}
     for name, others in _ARRAY_NAMES.items():
         if name not in members and (known := next((other for other in others if other in members), None)):
             members[name] = members.pop(known)
@@ -133,9 +139,8 @@ def _read_archive(archive: ZipFile, archive_bytes: int, warn: Warn) -> Fields:
     for name, header in headers.items():
         if name in (key, "normals", "colors") or header.shape == (count,):
             with archive.open(members[name]) as file:
-                arrays[name] = _read_data(file, _read_header(file))
-                # Reading beyond the end makes zipfile verify the checksum.
-                _check_rest(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
+                file.seek(header.header_bytes)
+                arrays[name] = _read_data(file, header, members[name].file_size, f"array {name[:40]!r}", warn)
         else:
             warn(f"left out {name!r}: expected an attribute of shape ({count},), got {header.shape}")
     fields = _points_fields(arrays.pop(key))
@@ -174,12 +179,9 @@ def _members(archive: ZipFile, archive_bytes: int) -> dict[str, ZipInfo]:
             raise InputError(f"expected arrays (.npy) in the archive, got {name[:40]!r}: save it with numpy.savez")
         if name in members:
             raise InputError(f"expected unique array names, got {name[:40]!r} twice: save it with numpy.savez")
-        if info.flag_bits & 1:
-            raise InputError("expected a plain archive, got an encrypted one: save it with numpy.savez")
-        if info.compress_type not in (0, 8):
-            raise InputError(
-                f"expected stored or deflated arrays, got zip method {info.compress_type}: save it with numpy.savez"
-            )
+        if info.flag_bits & 1 or info.compress_type not in (0, 8):
+            got = "an encrypted one" if info.flag_bits & 1 else f"zip method {info.compress_type}"
+            raise InputError(f"expected a stored or deflated archive, got {got}: save it with numpy.savez")
         members[name] = info
     return members
 
@@ -194,7 +196,7 @@ def _member_header(archive: ZipFile, info: ZipInfo, name: str) -> _Header:
         return header
 
 
-def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
+def _read_text(archive: ZipFile, info: ZipInfo, name: str, warn: Warn) -> str | None:
     with archive.open(info) as file:
         header = _read_header(file, kinds="U")
         _check_size(header, info.file_size)
@@ -203,7 +205,7 @@ def _read_text(archive: ZipFile, info: ZipInfo, name: str) -> str | None:
         if not header.data_bytes:
             return None
         # Not with numpy's str, which raises SystemError on an invalid code point; decode raises ValueError.
-        codes = _read_data(file, header).reshape(1).view(np.uint32)
+        codes = _read_data(file, header, info.file_size, f"text {name!r}", warn).reshape(1).view(np.uint32)
         return codes.astype("<u4").tobytes().decode("utf-32-le").rstrip("\0") or None
 
 
@@ -217,19 +219,9 @@ def _check_points(header: _Header) -> None:
 
 
 def _check_size(header: _Header, size: int) -> None:
-    available = size - header.header_bytes
-    if available < header.data_bytes:
-        per_row = header.data_bytes // max(header.shape[0], 1) if header.shape else header.data_bytes
-        complete = available // max(per_row, 1)
-        total = header.shape[0] if header.shape else 1
-        raise InputError(f"truncated: got {complete} of {total} rows: copy or export the file again")
-
-
-def _check_rest(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> None:
-    """Check the bytes after an array in a file of a size."""
-    rows = header.shape[0] if header.shape else 1
-    surplus = size - header.header_bytes - header.data_bytes
-    check_end(file.read(MAX_PADDING), surplus, max(header.data_bytes // max(rows, 1), 1), what, warn)
+    if (available := size - header.header_bytes) < header.data_bytes:
+        complete = available // header.row_bytes
+        raise InputError(f"truncated: got {complete} of {header.rows} rows: copy or export the file again")
 
 
 def _points_fields(array: NDArray[Any]) -> Fields:
@@ -264,11 +256,15 @@ def _read_header(file: IO[bytes], kinds: str = "fiub") -> _Header:
     return _Header(dtype, fortran_order, shape, head.tell())
 
 
-def _read_data(file: IO[bytes], header: _Header) -> NDArray[Any]:
-    """Read the array, C-contiguous and in native byte order. Its size has already been checked."""
-    data = file.read(header.data_bytes)
+def _read_data(file: IO[bytes], header: _Header, size: int, what: str, warn: Warn) -> NDArray[Any]:
+    """Read the array, C-contiguous and in native byte order, and check the rest of the file, whose size is known.
+
+    Reading beyond the array makes zipfile verify the checksum.
+    """
+    data, rest = file.read(header.data_bytes), file.read(MAX_PADDING)
     if len(data) < header.data_bytes:
         raise InputError(f"truncated: got {len(data)} of {header.data_bytes} bytes: copy or export the file again")
+    check_end(rest, size - header.header_bytes - header.data_bytes, header.row_bytes, what, warn)
     values = np.frombuffer(data, np.uint8 if header.dtype.kind == "b" else header.dtype)
     values = values.reshape(header.shape, order="F" if header.fortran_order else "C")
     if header.dtype.kind == "b":
