@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from pcbench.plugins import Reconstruction
 from pcbench.registration import METHODS, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import compare, document
+from pcbench.studies.bench.results import Score, ThresholdScore
 from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"
@@ -171,91 +172,6 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class ThresholdScore:
-    """Precision, recall and F-score at one threshold, with their floors.
-
-    Attributes:
-        threshold: distance threshold, in the reference's unit.
-        pixels: the threshold in pixels on the ground, if it was specified in pixels.
-        precision: share of the cloud's points within the threshold of the true surface, or of the reference's points if
-            the surface is unknown.
-        recall: share of the reference's points with a point of the cloud within the threshold.
-        fscore: harmonic mean of precision and recall.
-        recall_visible: recall over the area that the cameras saw; None if unknown.
-        fscore_visible: harmonic mean of precision and `recall_visible`; None if unknown.
-        precision_floor: precision of a cloud without errors: 1 against the surface, less against sparse points.
-        recall_floor: recall of the cloud's own points moved onto the surface. It is low if they are few or clustered.
-            None if the surface is unknown.
-        recall_visible_floor: the same over the area that the cameras saw.
-    """
-
-    threshold: float
-    pixels: float | None
-    precision: float
-    recall: float
-    fscore: float
-    recall_visible: float | None
-    fscore_visible: float | None
-    precision_floor: float
-    recall_floor: float | None
-    recall_visible_floor: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Score:
-    """Evaluation of one cloud.
-
-    Attributes:
-        registration: method that registered the cloud to the reference.
-        accuracy_to: `surface` if the true surface is known, otherwise `points` of the reference.
-        mean_c2r: mean distance from the cloud to the surface or the points.
-        mean_c2r_floor: `mean_c2r` of a cloud without errors; None if undefined.
-        mean_r2c: mean distance from the reference's points to the cloud.
-        mean_r2c_floor: `mean_r2c` of a cloud without errors; None if undefined.
-        d1_c2r: mean squared distance from the cloud to the surface or the points.
-        d1_r2c: mean squared distance from the reference's points to the cloud.
-        hausdorff: largest distance in either direction.
-        threshold_scores: one per threshold.
-        notes: one line each.
-        comparison: the complete comparison, as in comparison.json.
-    """
-
-    registration: str
-    accuracy_to: str
-    mean_c2r: float
-    mean_c2r_floor: float | None
-    mean_r2c: float
-    mean_r2c_floor: float | None
-    d1_c2r: float
-    d1_r2c: float
-    hausdorff: float
-    threshold_scores: tuple[ThresholdScore, ...]
-    notes: tuple[str, ...]
-    comparison: dict[str, Any]
-
-    @property
-    def chamfer(self) -> float:
-        """Sum of the two mean distances, in the reference's unit."""
-        return self.mean_c2r + self.mean_r2c
-
-    def row(self) -> dict[str, Any]:
-        """Return the entries for bench.json: columns of bench.csv, scores per threshold and the complete comparison."""
-        values = {
-            f.name: getattr(self, f.name)
-            for f in fields(self)
-            if f.name not in ("threshold_scores", "notes", "comparison")
-        }
-        return {
-            **values,
-            "chamfer": self.chamfer,
-            **asdict(self.threshold_scores[-1]),
-            "thresholds": [asdict(at) for at in self.threshold_scores],
-            "notes": list(self.notes),
-            "comparison": self.comparison,
-        }
-
-
 def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: Path) -> Score:
     """Evaluate one cloud and write the matrix candidate -> reference to T.txt.
 
@@ -295,17 +211,21 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
             metrics.hausdorff.accuracy.largest,
         )
     )
+    thresholds = tuple(_threshold_scores(protocol, to_truth, error_free))
+    mean_back = _require(metrics.mean_distance.completeness.value)
     return Score(
+        **vars(thresholds[-1]),
         registration=chosen.method,
         accuracy_to="surface" if by_surface else "points",
         mean_c2r=mean,
         mean_c2r_floor=0.0 if by_surface else metrics.mean_distance.accuracy.floor,
-        mean_r2c=_require(metrics.mean_distance.completeness.value),
+        mean_r2c=mean_back,
         mean_r2c_floor=metrics.mean_distance.completeness.floor,
         d1_c2r=square,
         d1_r2c=_require(metrics.d1_mse.completeness.value),
+        chamfer=mean + mean_back,
         hausdorff=max(farthest, metrics.hausdorff.completeness.largest),
-        threshold_scores=tuple(_threshold_scores(protocol, to_truth, error_free)),
+        thresholds=thresholds,
         notes=(
             *chosen.notes,
             *reconstruction.residuals.rmse_lines(reconstruction.cloud.unit),

@@ -249,13 +249,12 @@ def _measured(
         return replace(cell, message=f"the cloud cannot be measured: {record_error(error)}")
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
         return replace(cell, message=f"the cloud cannot be measured: {type(error).__name__}: {record_error(error)}")
-    at = values.threshold_scores[-1]
     return replace(
         cell,
-        fscore=at.fscore if at.fscore_visible is None else at.fscore_visible,
-        precision=at.precision,
-        recall=at.recall if at.recall_visible is None else at.recall_visible,
-        threshold=at.threshold,
+        fscore=values.fscore if values.fscore_visible is None else values.fscore_visible,
+        precision=values.precision,
+        recall=values.recall if values.recall_visible is None else values.recall_visible,
+        threshold=values.threshold,
         rms=float(np.sqrt(values.d1_c2r)),
         registration=values.registration,
     )
