@@ -1,23 +1,12 @@
 """Studies of reconstructors with known scores, built by hand."""
 
-from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED
-from pcbench.studies.stress.reconstructors.runs import settle
-from pcbench.studies.stress.results import (
-    CRASH,
-    RECONSTRUCTION,
-    REFUSED,
-    RIGHT,
-    TIME_OUT,
-    LadderInfo,
-    MethodInfo,
-    MissingMethod,
-    PhotographInfo,
-    ReconstructionCell,
-    StressSettings,
-    StressStudy,
-)
+from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo, MissingMethod, PhotographInfo
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS
+from pcbench.studies.stress.reconstructors.reconstruction import UNPERTURBED, ReconstructionCell, settle
+from pcbench.studies.stress.results import StressSettings, StressStudy
+from pcbench.studies.stress.subject import CRASH, REFUSED, RIGHT, TIME_OUT
 
-METHODS = tuple(MethodInfo(name, RECONSTRUCTION, "", "pcbench", "1") for name in ("sfm", "mvs"))
+METHODS = tuple(MethodInfo(name, "reconstruction", "", "pcbench", "1") for name in ("sfm", "mvs"))
 INFO = PhotographInfo(10, (160, 120), "oblique", 100.0, 1.2, 2.4, 100_000)
 FAILURES = (REFUSED, CRASH, TIME_OUT)
 WARNING = "warning: most pairs contradict the cameras"
@@ -40,7 +29,7 @@ MESSAGES = {REFUSED: "too few features: take sharper images; or fewer", CRASH: "
 
 
 def ladder_infos():
-    start = LadderInfo(UNPERTURBED, UNPERTURBED, UNPERTURBED, (RECONSTRUCTION,), "", (0.0,), (UNPERTURBED,))
+    start = LadderInfo(UNPERTURBED, UNPERTURBED, UNPERTURBED, ("reconstruction",), "", (0.0,), (UNPERTURBED,))
     return (start, *(PHOTO_LADDERS[name].info(quick=False) for name in ("fewer-images", "blur", "difficult")))
 
 

@@ -2,62 +2,51 @@
 
 from dataclasses import replace
 
-from pcbench.studies.stress.results import (
-    CHANGES,
+from pcbench.studies.stress.changes import ChangeCell
+from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo, MissingMethod, SceneInfo
+from pcbench.studies.stress.metrics import MetricCell
+from pcbench.studies.stress.registration import RegistrationCell
+from pcbench.studies.stress.results import StressSettings, StressStudy
+from pcbench.studies.stress.subject import (
     CRASH,
     FALSE_ALARM,
-    FALSE_BEND,
     GLOBAL,
     LOCAL,
-    METRICS,
-    MISSED,
     REFUSED,
-    REGISTRATION,
     RIGHT,
     SAID,
     SILENT,
     TIME_OUT,
     UNNAMED,
-    VERDICTS,
     WITHHELD,
-    WITHHELD_ALTHOUGH_RIGHT,
     WRONG,
-    ChangeCell,
-    LadderInfo,
-    MethodInfo,
-    MetricCell,
-    MissingMethod,
-    RegistrationCell,
-    SceneInfo,
-    StressSettings,
-    StressStudy,
-    VerdictCell,
 )
+from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, WITHHELD_ALTHOUGH_RIGHT, VerdictCell
 
-ROTATION = LadderInfo("start-rotation", "rotation of the start", "start", (REGISTRATION,), "deg", (0, 15, 45, 90))
-OVERLAP = LadderInfo("overlap", "overlap", "parts", (REGISTRATION, VERDICTS), "%", (100, 60, 20))
+ROTATION = LadderInfo("start-rotation", "rotation of the start", "start", ("registration",), "deg", (0, 15, 45, 90))
+OVERLAP = LadderInfo("overlap", "overlap", "parts", ("registration", "verdicts"), "%", (100, 60, 20))
 MAP = LadderInfo(
-    "start-map", "rotation of the start", "start", (REGISTRATION,), "deg", (0, 20, 45),
+    "start-map", "rotation of the start", "start", ("registration",), "deg", (0, 20, 45),
     second_title="offset of the start", second_unit="% of the extent", second_levels=(0, 5, 20),
 )  # fmt: skip
 CASES = LadderInfo(
-    "degenerate", "degenerate surface", "degenerate", (REGISTRATION,), "", (0, 1), ("plane", "half-turn building")
+    "degenerate", "degenerate surface", "degenerate", ("registration",), "", (0, 1), ("plane", "half-turn building")
 )
 GAUSSIAN = LadderInfo(
-    "noise-gaussian", "Gaussian noise", "noise", (REGISTRATION, METRICS, VERDICTS), "spacings", (0, 1, 4)
+    "noise-gaussian", "Gaussian noise", "noise", ("registration", "metrics", "verdicts"), "spacings", (0, 1, 4)
 )  # fmt: skip
-DOME = LadderInfo("warp-dome", "dome", "warp", (VERDICTS,), "x noise", (0, 1, 4))
-PART = LadderInfo("raised-part", "raised part", "changes", (CHANGES,), "x noise", (0, 10, 100))
+DOME = LadderInfo("warp-dome", "dome", "warp", ("verdicts",), "x noise", (0, 1, 4))
+PART = LadderInfo("raised-part", "raised part", "changes", ("changes",), "x noise", (0, 10, 100))
 LADDERS = (ROTATION, MAP, OVERLAP, GAUSSIAN, DOME, PART, CASES)
 
-ICP = MethodInfo("icp", REGISTRATION, LOCAL, "pcbench", "1")
-PEER = MethodInfo("peer", REGISTRATION, LOCAL, "peerlib", "2")
-ANYWHERE = MethodInfo("global", REGISTRATION, GLOBAL, "pcbench", "1")
-METRIC = MethodInfo("pcbench", METRICS, "", "pcbench", "1")
-PEER_METRIC = MethodInfo("Open3D", METRICS, "", "open3d", "0.19")
-DEFORM = MethodInfo("deform", VERDICTS, "", "pcbench", "1")
-NAIVE = MethodInfo("naive BIC", VERDICTS, "", "naive", "1")
-NAMING = MethodInfo("changes", CHANGES, "", "pcbench", "1")
+ICP = MethodInfo("icp", "registration", LOCAL, "pcbench", "1")
+PEER = MethodInfo("peer", "registration", LOCAL, "peerlib", "2")
+ANYWHERE = MethodInfo("global", "registration", GLOBAL, "pcbench", "1")
+METRIC = MethodInfo("pcbench", "metrics", "", "pcbench", "1")
+PEER_METRIC = MethodInfo("Open3D", "metrics", "", "open3d", "0.19")
+DEFORM = MethodInfo("deform", "verdicts", "", "pcbench", "1")
+NAIVE = MethodInfo("naive BIC", "verdicts", "", "naive", "1")
+NAMING = MethodInfo("changes", "changes", "", "pcbench", "1")
 CITY = SceneInfo("city", 200.0, 0.5, 0.03, "m", (40_000, 20_000))
 
 _ERRORS = {RIGHT: 0.001, FALSE_ALARM: 0.0008, SAID: 0.6, SILENT: 0.9}
@@ -128,8 +117,8 @@ def searches(level, outcomes):
 def crowded_study():
     """The study with ten more local methods and four more metrics, all as bad as the peers."""
     made = study()
-    methods = [MethodInfo(f"another method {k}", REGISTRATION, LOCAL, "peerlib", "2") for k in range(10)]
-    meters = [MethodInfo(f"another library {k}", METRICS, "", "peerlib", "2") for k in range(4)]
+    methods = [MethodInfo(f"another method {k}", "registration", LOCAL, "peerlib", "2") for k in range(10)]
+    meters = [MethodInfo(f"another library {k}", "metrics", "", "peerlib", "2") for k in range(4)]
     peers = [cell for cell in made.registrations if cell.method == "peer"]
     values = [cell for cell in made.metrics if cell.method == "Open3D"]
     return study(

@@ -8,8 +8,9 @@ import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn_of_missing
-from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, share, split_names
+from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option
 from pcbench.cli.pairs import read_pair
+from pcbench.options import parse_share, split_names
 
 
 @click.command(short_help="Find a cheaper comparison that is accurate enough.")
@@ -76,11 +77,11 @@ def tradeoff(
     from pcbench.studies.tradeoff.words import warnings
 
     changes = {
-        "tolerance": share("--tolerance", tolerance),
+        "tolerance": parse_share("--tolerance", tolerance),
         "seed": seed,
         "register": register,
         "only": split_names((only,)) if only else (),
-        **({} if levels is None else {"levels": tuple(share("--levels", text) for text in levels.split(","))}),
+        **({} if levels is None else {"levels": tuple(parse_share("--levels", text) for text in levels.split(","))}),
         **({} if seeds is None else {"seeds": seeds}),
     }
     settings = TradeoffSettings.quick_plan(**changes) if quick else TradeoffSettings(**changes)  # type: ignore[arg-type]

@@ -34,7 +34,9 @@ from pcbench.studies.gao import page as gao_page
 from pcbench.studies.gao.plan import MEANS, MVS, SPARSE
 from pcbench.studies.gao.results import KIND as GAO
 from pcbench.studies.stress import page as stress_page
-from pcbench.studies.stress.results import SILENT, MissingMethod, SilentFailure
+from pcbench.studies.stress.descriptions import MissingMethod
+from pcbench.studies.stress.results import SilentFailure
+from pcbench.studies.stress.subject import SILENT
 from pcbench.studies.tradeoff import page as tradeoff_page
 from pcbench.studies.tradeoff.results import TradeoffSettings
 from pcbench.studies.tradeoff.study import run_tradeoff

@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.comparison.request import Request
+from pcbench.comparison.result import Comparison
+from pcbench.comparison.run import Outputs, run
 from pcbench.errors import InputError, RegistrationError, record_error
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
@@ -22,8 +25,6 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.plugins.stages import stage
 from pcbench.registration import Target, local_origin, register
-from pcbench.report import Comparison
-from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import ReferenceEvaluation
@@ -76,8 +77,7 @@ def evaluate_against(
     def compare(files: dict[str, Path], folder: Path) -> Comparison | str:
         """Return the comparison, or the reason why these clouds cannot be compared."""
         try:
-            job, outputs = ComparisonJob(reference, files, settings, {}), Outputs(folder, figures=False)
-            return compare_files(job, outputs, lambda _: None).comparison
+            return run(Request.of(reference, files, settings), Outputs(folder, figures=False)).comparison
         except (InputError, RegistrationError) as error:
             return record_error(error)
 

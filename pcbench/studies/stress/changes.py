@@ -2,23 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.changes import find_changes
-from pcbench.extras import installed_versions
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.registration import register
-from pcbench.studies.stress.results import CHANGES, RIGHT, UNNAMED, WRONG, ChangeCell, MethodInfo
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.subject import (
+    CONFIDENT,
+    COST_LEGEND,
+    ENDS,
+    GREEN,
+    ORANGE,
+    RED,
+    RIGHT,
+    SUCCESS,
+    UNNAMED,
+    WRONG,
+    Cell,
+    Method,
+    Outcome,
+    PairSubject,
+    RunResult,
+    by_name,
+)
 
 _REACH = 3.0  # spacings around what changed that count as its place
+_ROUNDING = 1e-5  # relative errors of the sizes of a cell, which are rounded to six digits
 _MIN_SHARE = 0.2  # of the points of a reported change at that place
+
+MIN_CHANGE_SIZE, MIN_CHANGE_POINTS = 10.0, 30
+"""Motion over the noise, and number of points of both clouds, from which a change has to be named; others may be."""
+
+
+@dataclass(frozen=True)
+class ChangeCell(Cell):
+    """Result of one search for changes.
+
+    Attributes:
+        kinds: kinds of the true change that are right; empty if nothing changed.
+        points: number of points of both clouds that belong to it.
+        named: kinds of the changes that are reported at its place, the one with the most points first.
+        elsewhere: number of changes that are reported elsewhere.
+        true_size: length by which it moved, in the clouds' unit; None if it did not.
+        size: length of the motion that is reported for it; None if there is none.
+        noise: standard deviation of the difference of both clouds along the normals, in the clouds' unit.
+    """
+
+    kinds: tuple[str, ...] = ()
+    points: int = 0
+    named: tuple[str, ...] = ()
+    elsewhere: int = 0
+    true_size: float | None = None
+    size: float | None = None
+    noise: float = math.nan
+
+    @property
+    def has_to_be_named(self) -> bool:
+        """Return whether the change is so large that it has to be reported."""
+        least = MIN_CHANGE_SIZE * (1 - _ROUNDING) * self.noise
+        is_far = self.true_size is None or self.true_size >= least
+        return bool(self.kinds) and is_far and self.points >= MIN_CHANGE_POINTS
 
 
 class NamedChange(NamedTuple):
@@ -27,18 +78,6 @@ class NamedChange(NamedTuple):
     kind: str
     size: float | None
     points: FloatArray
-
-
-@dataclass(frozen=True)
-class ChangeMethod:
-    """A method that names changes."""
-
-    name: str
-    run: Callable[[StressPair], list[NamedChange]]
-
-    def info(self) -> MethodInfo:
-        """Return the description for results."""
-        return MethodInfo(self.name, CHANGES, "", "pcbench", installed_versions(["pcbench"]).get("pcbench", ""))
 
 
 def name_changes(reference: FloatArray, aligned: FloatArray) -> list[NamedChange]:
@@ -65,17 +104,62 @@ def split_by_place(named: Sequence[NamedChange], pair: StressPair) -> tuple[list
     return sorted(there, key=lambda change: -len(change.points)), elsewhere
 
 
-def judge(cell: ChangeCell) -> str:
+def outcome_of(cell: ChangeCell) -> str:
     """Return the outcome of a search: a small change may be named or not, and nothing may be named elsewhere."""
     if cell.elsewhere or (cell.named and cell.named[0] not in cell.kinds):
         return WRONG
     return UNNAMED if cell.has_to_be_named and not cell.named else RIGHT
 
 
-def _run(pair: StressPair) -> list[NamedChange]:
+def _register_and_name(pair: StressPair) -> list[NamedChange]:
     """Register the pair as `pcbench compare` does, and search it for changes."""
     registration = register(pair.reference, pair.candidate)
     return name_changes(pair.reference, registration.T_reference_candidate.apply(pair.candidate))
 
 
-CHANGE_METHODS = {"changes": ChangeMethod("changes", _run)}
+CHANGE_METHODS = by_name(Method("changes", _register_and_name))
+
+
+def _ask(method: str, pair: StressPair, _: int) -> list[NamedChange]:
+    return CHANGE_METHODS[method].run(pair)
+
+
+def _judge(answer: Sequence[NamedChange], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
+    """Compare the named changes with the one that was made."""
+    true = pair.change
+    there, elsewhere = split_by_place(answer, pair)
+    cell = ChangeCell(
+        **values,
+        outcome="",
+        kinds=() if true is None else true.kinds,
+        points=0 if true is None else len(true.points),
+        named=tuple(change.kind for change in there),
+        elsewhere=len(elsewhere),
+        true_size=None if true is None else true.size,
+        size=there[0].size if there else None,
+        noise=float(np.hypot(pair.noise, pair.candidate_noise)),
+    )
+    return RunResult((replace(cell, outcome=outcome_of(cell)),))
+
+
+CHANGES = PairSubject(
+    name="changes",
+    title="Changes",
+    noun="search for changes",
+    key="changes",
+    cell=ChangeCell,
+    outcomes=(
+        Outcome(RIGHT, "right", GREEN, SUCCESS),
+        Outcome(UNNAMED, "not named", ORANGE, CONFIDENT),
+        Outcome(WRONG, "wrong with confidence", RED, CONFIDENT),
+        *ENDS,
+    ),
+    legend=f"unnamed: no change is reported at its place; wrong: of another kind, or reported elsewhere; {COST_LEGEND}",
+    success="rightly named changes [% of runs]",
+    charts=("outcomes", "matrix", "severity"),
+    methods=CHANGE_METHODS,
+    ask=_ask,
+    judge=_judge,
+    warm_up=_register_and_name,
+    start=(1.0, 0.005),
+)

@@ -20,7 +20,8 @@ from pcbench.studies.stress.curves import (
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart
 from pcbench.studies.stress.reconstructors.charts import score_charts
-from pcbench.studies.stress.results import ALL_SUBJECTS, DOCUMENT, KIND, StressStudy
+from pcbench.studies.stress.results import DOCUMENT, KIND, StressStudy
+from pcbench.studies.stress.subjects import SUBJECTS
 from pcbench.studies.stress.worst import draw_worst
 
 # Draws the charts of a study's folder.
@@ -58,9 +59,9 @@ def draw_charts(study: StressStudy, folder: Path) -> list[Path]:
 
 def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
     """Yield the name and the figure of each chart that has data."""
-    for subject in ALL_SUBJECTS:
-        yield from _named(f"outcomes_{subject}", outcome_chart(study, subject))
-        yield from _named(f"matrix_{subject}", matrix_chart(study, subject))
+    for subject in SUBJECTS.values():
+        yield from _named(f"outcomes_{subject.name}", outcome_chart(study, subject))
+        yield from _named(f"matrix_{subject.name}", matrix_chart(study, subject))
     yield from _named("recall", recall_chart(study))
     for ladder in study.ladders:
         if ladder.is_map:
@@ -71,9 +72,9 @@ def _charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
     yield from _named("coverage", coverage_chart(study))
     for kind, figure in score_charts(study):
         yield f"scores_{kind}", figure
-    for subject in ALL_SUBJECTS:
+    for subject in SUBJECTS.values():
         for kind, figure in severity_charts(study, subject):
-            yield f"severity_{subject}_{kind}", figure
+            yield f"severity_{subject.name}_{kind}", figure
 
 
 def _named(name: str, figure: Any | None) -> Iterator[tuple[str, Any]]:

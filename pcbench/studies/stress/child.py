@@ -13,17 +13,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pcbench.deformation import deform
 from pcbench.errors import MissingExtra
 from pcbench.extras import require
-from pcbench.measure.comparison import compare
 from pcbench.studies.frame.records import write_record
 from pcbench.studies.stress.cells import RunPlan, build_pair, load_pair, run_cell
-from pcbench.studies.stress.changes import name_changes
-from pcbench.studies.stress.methods import METHODS
-from pcbench.studies.stress.metrics import METRIC_METHODS
-from pcbench.studies.stress.results import CHANGES, METRICS, REGISTRATION
 from pcbench.studies.stress.scenes import scene_pair
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 
 MISSING_LIBRARY = 3  # exit code
 _TINY_POINTS = 1000
@@ -54,23 +49,17 @@ def _run_all(path: Path, batch: dict[str, Any]) -> None:
             pair, of_plan = build_pair(plan, given), plan.pair
         result = run_cell(plan, pair)
         faulthandler.cancel_dump_traceback_later()
-        write_record(Path(run["record"]), run["key"], result.values())
+        write_record(Path(run["record"]), run["key"], result)
 
 
 def _warm_up(plans: list[RunPlan]) -> None:
     """Import what the runs need, so that the CPU seconds of the first ones do not include it."""
-    for name in {plan.method for plan in plans if plan.subject == REGISTRATION}:
-        for module in METHODS[name].modules:
-            require(module)
-    for name in {plan.method for plan in plans if plan.subject == METRICS}:
-        for module in METRIC_METHODS[name].modules:
-            require(module)
-    tiny = scene_pair("object", 0, _TINY_POINTS)  # our own methods import in functions
-    if any(plan.subject == METRICS for plan in plans):
-        compare(tiny.reference, tiny.points)
-    if any(plan.subject == CHANGES for plan in plans):
-        name_changes(tiny.reference, tiny.points)
-    deform(tiny.reference, tiny.points)
+    tiny = scene_pair("object", 0, _TINY_POINTS)
+    for subject in {PAIR_SUBJECTS[plan.subject] for plan in plans}:
+        for name in {plan.method for plan in plans if plan.subject == subject.name}:
+            for module in subject.methods[name].modules:
+                require(module)
+        subject.warm_up(tiny)
 
 
 if __name__ == "__main__":

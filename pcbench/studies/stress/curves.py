@@ -7,39 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.studies.stress.canvas import (
-    GREY,
-    SUCCESS_LABELS,
-    RowStyle,
-    canvas,
-    draw_rate,
-    legend,
-    level_labels,
-    panel_legend,
-    percent_axis,
-    plain_log_ticks,
-    row_styles,
-    success,
-)
-from pcbench.studies.stress.limits import CONFIDENT, StressRow, stress_rows
-from pcbench.studies.stress.results import (
-    GLOBAL,
-    LOCAL,
-    METRICS,
-    PRESETS,
-    REGISTRATION,
-    VERDICTS,
-    Cell,
-    LadderInfo,
-    MetricCell,
-    Rate,
-    RegistrationCell,
-    StressStudy,
-    Tally,
-    VerdictCell,
-    grouped,
-)
-from pcbench.studies.stress.words import axis_title, percent
+from pcbench.studies.frame.canvas import GREY, canvas, legend, percent_axis, plain_log_ticks
+from pcbench.studies.frame.rates import Rate, percent
+from pcbench.studies.stress.canvas import RowStyle, draw_rate, level_labels, panel_legend, row_styles
+from pcbench.studies.stress.descriptions import LadderInfo, axis_title
+from pcbench.studies.stress.limits import StressRow, Tally, coverage, grouped, stress_rows
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import PRESETS, REGISTRATION, RegistrationCell
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import CONFIDENT, GLOBAL, LOCAL, SUCCESS, Subject
+from pcbench.studies.stress.subjects import SUBJECTS
+from pcbench.studies.stress.verdicts import NON_AFFINE, VERDICTS
 
 _SCOPE_TITLES = {LOCAL: "from a given start", GLOBAL: "without a start"}
 _MAX_PANEL_COLUMNS = 3
@@ -68,7 +46,7 @@ def recall_chart(study: StressStudy) -> Any | None:
         for axis, (name, title, of) in zip(line, columns, strict=True):
             axis.set_xscale("log")
             axis.set_xlim(*_error_limits(study, name))
-            plain_log_ticks(axis)
+            plain_log_ticks(axis.xaxis)
             for row in rows:
                 if row.method.scope == scope:
                     _draw_recall(axis, row, name, styles[row.name])
@@ -84,7 +62,7 @@ def recall_chart(study: StressStudy) -> Any | None:
     return figure
 
 
-def severity_charts(study: StressStudy, subject: str) -> Iterator[tuple[str, Any]]:
+def severity_charts(study: StressStudy, subject: Subject[Any]) -> Iterator[tuple[str, Any]]:
     """Yield success against severity for each kind of ladder: the name of the kind and the figure."""
     rows = stress_rows(study, subject)
     styles = row_styles(rows)
@@ -102,7 +80,7 @@ def severity_charts(study: StressStudy, subject: str) -> Iterator[tuple[str, Any
             percent_axis(axis)
         for axis in axes.ravel()[len(panels) :]:
             axis.axis("off")
-        figure.supylabel(SUCCESS_LABELS[subject], fontsize=10)
+        figure.supylabel(subject.success, fontsize=10)
         crowded = any(len(group) > _MAX_BARRED_ROWS for _, _, group in panels)
         bars = "bars: 95 % Wilson intervals" + (" of pcbench's methods" if crowded else "")
         legend(figure, axes.ravel(), note=f"{bars}; hollow: some runs of the level are wrong with confidence")
@@ -137,7 +115,7 @@ def profile_chart(study: StressStudy) -> Any | None:
                       **styles[row.name].line_style())  # fmt: skip
         axis.set_xscale("log")
         axis.set_xlim(1, top)
-        plain_log_ticks(axis)
+        plain_log_ticks(axis.xaxis)
         axis.set_xlabel("CPU time over that of the fastest right method")
         title = f"{_SCOPE_TITLES[scope]}: {len(ratios):,} problems that all methods ran and one solved"
         axis.set_title(title, fontsize=10)
@@ -150,7 +128,8 @@ def profile_chart(study: StressStudy) -> Any | None:
 def speed_chart(study: StressStudy) -> Any | None:
     """Return success, CPU seconds and errors with confidence side by side: one panel per subject."""
     panels = []
-    for subject in (REGISTRATION, METRICS):
+    subjects: tuple[Subject[Any], ...] = (REGISTRATION, METRICS)
+    for subject in subjects:
         rows = [row for row in stress_rows(study, subject) if Tally.of(row.cells).cpu_s is not None]
         if rows:
             panels.append((subject, rows))
@@ -161,19 +140,21 @@ def speed_chart(study: StressStudy) -> Any | None:
         styles = row_styles(rows)
         for row in rows:
             tally = Tally.of(row.cells)
-            confident = tally.rate(*CONFIDENT[subject])
+            confident = tally.of_groups(subject, CONFIDENT)
             seconds = max(tally.cpu_s or 0.0, 1e-3)
-            draw_rate(axis, seconds, success(tally, subject), styles[row.name], size=8)
+            draw_rate(axis, seconds, tally.of_groups(subject, SUCCESS), styles[row.name], size=8)
             scope = f" ({row.method.scope})" if row.method.scope == GLOBAL and row.name != GLOBAL else ""
             label = f"{row.name}{scope}: {percent(confident.share)} silently wrong"
             style = styles[row.name]
             axis.plot([], [], color=style.color, marker=style.marker, linestyle="none", label=label)
         axis.set_xscale("log")
         axis.margins(x=0.15)
-        plain_log_ticks(axis)
+        plain_log_ticks(axis.xaxis)
         axis.set_xlabel("median CPU time of a run [s]")
-        axis.set_ylabel(SUCCESS_LABELS[subject])
-        axis.set_title(f"{subject}: speed, success and stability; bars: 95 % Wilson intervals", fontsize=10, loc="left")
+        axis.set_ylabel(subject.success)
+        axis.set_title(
+            f"{subject.name}: speed, success and stability; bars: 95 % Wilson intervals", fontsize=10, loc="left"
+        )
         percent_axis(axis)
         panel_legend(axis)
     return figure
@@ -182,13 +163,20 @@ def speed_chart(study: StressStudy) -> Any | None:
 def coverage_chart(study: StressStudy) -> Any | None:
     """Return the coverage of the 95 % intervals of metrics and verdicts by ladder."""
     panels = []
-    for subject in (METRICS, VERDICTS):
-        rows = [row for row in stress_rows(study, subject) if _coverage(row.cells).total]
+    for subject in SUBJECTS.values():
+        rows = [row for row in stress_rows(study, subject) if coverage(row.cells).total]
         if rows:
             panels.append((subject, rows))
     if not panels:
         return None
-    ladders = {subject: [x for x in study.ladders_of(subject) if _any_coverage(rows, x)] for subject, rows in panels}
+    ladders = {
+        subject: [
+            ladder
+            for ladder in study.ladders_of(subject)
+            if any(coverage(row.by_ladder.get(ladder.name, ())).total for row in rows)
+        ]
+        for subject, rows in panels
+    }
     height = 1.2 + 0.34 * max(len(names) for names in ladders.values())
     figure, axes = canvas(1, len(panels), (7.2, height), extra=0.9)
     styles = row_styles([row for _, rows in panels for row in rows])
@@ -198,7 +186,7 @@ def coverage_chart(study: StressStudy) -> Any | None:
             shift = _DODGE * ((number + 0.5) / len(rows) - 0.5)
             style = styles[row.name]
             for at, ladder in enumerate(ladders[subject]):
-                rate = _coverage(groups.get(ladder.name, ()))
+                rate = coverage(groups.get(ladder.name, ()))
                 if rate.total:
                     low, high = rate.interval
                     y = 100 * rate.share
@@ -210,7 +198,7 @@ def coverage_chart(study: StressStudy) -> Any | None:
         axis.set_ylim(len(ladders[subject]) - 0.5, -0.5)
         axis.set_xlim(-3, 103)
         axis.set_xlabel("intervals that contain the exact value [%]")
-        axis.set_title(f"{subject}; dotted: 95 %, as stated; bars: 95 % Wilson intervals", fontsize=10, loc="left")
+        axis.set_title(f"{subject.name}; dotted: 95 %, as stated; bars: 95 % Wilson intervals", fontsize=10, loc="left")
         axis.grid(axis="x", alpha=0.3)
     legend(figure, axes.ravel())
     return figure
@@ -219,52 +207,52 @@ def coverage_chart(study: StressStudy) -> Any | None:
 def size_chart(study: StressStudy) -> Any | None:
     """Return verdicts by the true size: shares of non-affine verdicts, and measured over true sizes."""
     rows = stress_rows(study, VERDICTS)
-    bent = [row for row in rows if any(isinstance(c, VerdictCell) and c.true_rms > 0 for c in row.cells)]
+    bent = [row for row in rows if any(cell.true_rms > 0 for cell in row.cells)]
     if not bent:
         return None
     styles = row_styles(bent)
     figure, axes = canvas(1, 2, (6.4, 4.2), extra=0.8)
-    found, ratio = axes[0]
-    true = [c.size_in_noise for row in bent for c in row.cells if isinstance(c, VerdictCell) and c.true_rms > 0]
+    share, ratio = axes[0]
+    true = [cell.size_in_noise for row in bent for cell in row.cells if cell.true_rms > 0]
     for number, row in enumerate(bent):
-        cells = [c for c in row.cells if isinstance(c, VerdictCell) and c.verdict]
+        cells = [cell for cell in row.cells if cell.verdict]
         shift = 1 + 0.06 * (number - 0.5 * (len(bent) - 1))
         style = styles[row.name]
         by_size = grouped([c for c in cells if c.true_rms > 0], lambda c: float(f"{c.size_in_noise:.2g}"))
         sizes = sorted(by_size)
-        rates = [Rate(sum(c.verdict == "non-affine" for c in by_size[size]), len(by_size[size])) for size in sizes]
+        rates = [Rate(sum(c.verdict == NON_AFFINE for c in by_size[size]), len(by_size[size])) for size in sizes]
         if not sizes:
             continue
-        found.plot([size * shift for size in sizes], [100 * rate.share for rate in rates], **style.line_style())
+        share.plot([size * shift for size in sizes], [100 * rate.share for rate in rates], **style.line_style())
         for size, rate in zip(sizes, rates, strict=True):
-            draw_rate(found, size * shift, rate, style)
-        found.plot([], [], marker=style.marker, label=row.name, **style.line_style())
+            draw_rate(share, size * shift, rate, style)
+        share.plot([], [], marker=style.marker, label=row.name, **style.line_style())
         for size in sizes:
             ratios = [c.ratio for c in by_size[size] if c.ratio is not None]
             if ratios:
                 low, middle, high = np.percentile(ratios, [5, 50, 95])
                 ratio.errorbar(size * shift, middle, [[middle - low], [high - middle]], color=style.color,
                                marker=style.marker, markersize=5, capsize=2)  # fmt: skip
-    for axis in (found, ratio):
+    for axis in (share, ratio):
         axis.set_xscale("log")
         axis.set_xlim(0.7 * min(true), 1.4 * max(true))
-        plain_log_ticks(axis)
+        plain_log_ticks(axis.xaxis)
         axis.set_xlabel("true RMS of the deformation over the noise")
-    found.set_ylabel("verdict non-affine [% of runs]")
-    percent_axis(found)
+    share.set_ylabel("verdict non-affine [% of runs]")
+    percent_axis(share)
     ratio.axhline(1, color=GREY, linewidth=1, linestyle=":")
     ratio.set_ylabel("measured over true RMS (median, middle 90 %)")
     ratio.set_yscale("log")
     low, high = ratio.get_ylim()
     ratio.set_ylim(min(0.5, low), max(2.0, high))
-    plain_log_ticks(ratio, which="y")
+    plain_log_ticks(ratio.yaxis)
     ratio.grid(axis="y", alpha=0.3)
     legend(figure, axes.ravel(), note="left: share of deformed clouds whose deformation is found")
     return figure
 
 
-def _draw_recall(axis: Any, row: StressRow, name: str, style: RowStyle) -> None:
-    values = [getattr(cell, name) for cell in row.cells if isinstance(cell, RegistrationCell)]
+def _draw_recall(axis: Any, row: StressRow[RegistrationCell], name: str, style: RowStyle) -> None:
+    values = [getattr(cell, name) for cell in row.cells]
     known = np.sort([value for value in values if value is not None])
     shares = 100 * np.arange(len(known) + 1) / max(len(values), 1)
     low, high = axis.get_xlim()
@@ -292,7 +280,9 @@ def _draw_preset_ticks(axis: Any, values: set[float]) -> None:
     axis.set_title(axis.get_title(), fontsize=10, pad=14)
 
 
-def _panels(ladder: LadderInfo, rows: Sequence[StressRow]) -> Iterator[tuple[LadderInfo, str, list[StressRow]]]:
+def _panels(
+    ladder: LadderInfo, rows: Sequence[StressRow[Any]]
+) -> Iterator[tuple[LadderInfo, str, list[StressRow[Any]]]]:
     """Yield the panels of a ladder, one per scope: the ladder, the scope and the rows that ran it."""
     present = [row for row in rows if ladder.name in row.by_ladder]
     for scope in (LOCAL, GLOBAL, ""):
@@ -301,7 +291,7 @@ def _panels(ladder: LadderInfo, rows: Sequence[StressRow]) -> Iterator[tuple[Lad
             yield ladder, scope, group
 
 
-def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow], styles: dict[str, RowStyle]) -> None:
+def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow[Any]], styles: dict[str, RowStyle]) -> None:
     """Draw success by level; levels are equally spaced, and methods spread within a level."""
     for number, row in enumerate(rows):
         style = styles[row.name]
@@ -311,17 +301,17 @@ def _draw_ladder(axis: Any, ladder: LadderInfo, rows: Sequence[StressRow], style
         places = [
             (at + shift, Tally.of(by_level[level])) for at, level in enumerate(ladder.levels) if level in by_level
         ]
-        shares = [100 * success(tally, row.subject).share for _, tally in places]
+        shares = [100 * tally.of_groups(row.subject, SUCCESS).share for _, tally in places]
         axis.plot([at for at, _ in places], shares, **style.line_style())
         for at, tally in places:
-            solid = not tally.rate(*CONFIDENT[row.subject]).count
-            draw_rate(axis, at, success(tally, row.subject), style, filled=solid, bars=bars)
+            solid = not tally.of_groups(row.subject, CONFIDENT).count
+            draw_rate(axis, at, tally.of_groups(row.subject, SUCCESS), style, filled=solid, bars=bars)
         axis.plot([], [], marker=style.marker, label=row.name, **style.line_style())
     axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
     axis.set_xlabel(axis_title(ladder.title, ladder.unit))
 
 
-def _solved_times(rows: Sequence[StressRow]) -> Any:
+def _solved_times(rows: Sequence[StressRow[RegistrationCell]]) -> Any:
     """Return CPU seconds (P, M) of the places that all rows ran and one solved; infinite if the pose is not right."""
     by_place = [{cell.place: cell for cell in row.cells} for row in rows]
     if not by_place:
@@ -332,19 +322,5 @@ def _solved_times(rows: Sequence[StressRow]) -> Any:
     return times[np.isfinite(times).any(axis=1)]
 
 
-def _solved_time(cell: Cell) -> float:
-    right = isinstance(cell, RegistrationCell) and cell.pose_is_right
-    return max(cell.cpu_s, 1e-3) if right and cell.cpu_s is not None else np.inf
-
-
-def _coverage(cells: Sequence[Cell]) -> Rate:
-    known = [
-        cell.covers
-        for cell in cells
-        if isinstance(cell, MetricCell) or (isinstance(cell, VerdictCell) and cell.true_rms > 0)
-    ]
-    return Rate(sum(value is True for value in known), sum(value is not None for value in known))
-
-
-def _any_coverage(rows: Sequence[StressRow], ladder: LadderInfo) -> bool:
-    return any(_coverage(row.by_ladder.get(ladder.name, ())).total for row in rows)
+def _solved_time(cell: RegistrationCell) -> float:
+    return max(cell.cpu_s, 1e-3) if cell.pose_is_right and cell.cpu_s is not None else np.inf

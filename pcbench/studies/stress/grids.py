@@ -6,65 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.studies.stress.canvas import canvas, level_labels, success
-from pcbench.studies.stress.limits import CONFIDENT, ladder_success, stress_rows
-from pcbench.studies.stress.results import (
-    CRASH,
-    DEGRADED,
-    FALSE_ALARM,
-    METRICS,
-    OUTCOMES,
-    RECONSTRUCTION,
-    REFUSED,
-    REGISTRATION,
-    RIGHT,
-    SAID,
-    SILENT,
-    TIME_OUT,
-    UNNAMED,
-    WARNED,
-    WITHHELD,
-    WRONG,
-    LadderInfo,
-    StressStudy,
-    Tally,
-    grouped,
-)
-from pcbench.studies.stress.words import axis_title
+from pcbench.studies.frame.canvas import canvas
+from pcbench.studies.stress.canvas import level_labels
+from pcbench.studies.stress.descriptions import LadderInfo, axis_title
+from pcbench.studies.stress.limits import Tally, grouped, ladder_success, stress_rows
+from pcbench.studies.stress.registration import REGISTRATION
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import CONFIDENT, DARK_GREY, GREEN, RED, SUCCESS, Subject
 
-_OUTCOME_COLORS = {
-    RIGHT: "#009e73",
-    FALSE_ALARM: "#9fd9c4",
-    REFUSED: "#f0e442",
-    SAID: "#56b4e9",
-    WITHHELD: "#56b4e9",
-    WARNED: "#56b4e9",
-    SILENT: "#d55e00",
-    WRONG: "#d55e00",
-    UNNAMED: "#e69f00",
-    DEGRADED: "#d55e00",
-    CRASH: "#333333",
-    TIME_OUT: "#999999",
-}
-_OUTCOME_NAMES = {
-    RIGHT: "right",
-    FALSE_ALARM: "right, but doubted",
-    REFUSED: "refused, though findable",
-    SAID: "wrong and said so",
-    SILENT: "silently wrong",
-    WRONG: "wrong with confidence",
-    WITHHELD: "withheld",
-    UNNAMED: "not named",
-    WARNED: "poor, with a warning",
-    DEGRADED: "poor, without a warning",
-    CRASH: "crash",
-    TIME_OUT: "time-out",
-}
-# Outcomes that have another meaning for a subject.
-_SUBJECT_NAMES = {
-    METRICS: {SAID: "off, but explained by floor or interval"},
-    RECONSTRUCTION: {RIGHT: "at least half of the unperturbed F-score", REFUSED: "refused with an error"},
-}
+_DARK_COLORS = (GREEN, RED, DARK_GREY)  # of bars whose text is white
 _MAX_MAP_COLUMNS = 4
 _MIN_LABEL_SHARE = 0.04  # of a bar's length, for a number inside it
 _DARK_SHARE = 0.55  # failures beyond which the text of a cell is white
@@ -85,13 +35,13 @@ def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
         for (level, second), cells in groups.items():
             if second is None:
                 continue
-            at = (ladder.second_levels.index(second), ladder.levels.index(level))
+            place = (ladder.second_levels.index(second), ladder.levels.index(level))
             tally = Tally.of(cells)
-            shares[at] = 100 * success(tally, REGISTRATION).share
-            silent = tally.rate(*CONFIDENT[REGISTRATION]).count
-            text = f"{shares[at]:.0f}" + (f"\n!{silent}" if silent else "")
-            color = "black" if shares[at] > 50 else "white"
-            axis.text(at[1], at[0], text, ha="center", va="center", fontsize=8, color=color)
+            shares[place] = 100 * tally.of_groups(REGISTRATION, SUCCESS).share
+            silent = tally.of_groups(REGISTRATION, CONFIDENT).count
+            text = f"{shares[place]:.0f}" + (f"\n!{silent}" if silent else "")
+            color = "black" if shares[place] > 50 else "white"
+            axis.text(place[1], place[0], text, ha="center", va="center", fontsize=8, color=color)
         drawn = axis.imshow(shares, cmap="viridis", vmin=0, vmax=100, origin="lower", aspect="auto")
         axis.set_xticks(range(len(ladder.levels)), level_labels(ladder))
         axis.set_yticks(range(len(ladder.second_levels)), [f"{value:g}" for value in ladder.second_levels])
@@ -105,7 +55,7 @@ def basin_chart(study: StressStudy, ladder: LadderInfo) -> Any | None:
     return figure
 
 
-def outcome_chart(study: StressStudy, subject: str) -> Any | None:
+def outcome_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
     """Return the outcomes of each row as bars: right, said, silent and the others."""
     from matplotlib.patches import Patch
 
@@ -115,30 +65,29 @@ def outcome_chart(study: StressStudy, subject: str) -> Any | None:
     figure, axes = canvas(1, 1, (11.0, 0.9 + 0.42 * len(rows)), extra=0.8)
     axis = axes[0, 0]
     used = {cell.outcome for row in rows for cell in row.cells}
-    for at, row in enumerate(rows):
+    for line, row in enumerate(rows):
         tally = Tally.of(row.cells)
         left = 0.0
-        for outcome in OUTCOMES[subject]:
-            share = tally.rate(outcome).share
-            axis.barh(at, 100 * share, left=100 * left, height=0.7, color=_OUTCOME_COLORS[outcome])
+        for outcome in subject.outcomes:
+            share = tally.rate(outcome.name).share
+            axis.barh(line, 100 * share, left=100 * left, height=0.7, color=outcome.color)
             if share >= _MIN_LABEL_SHARE:
-                color = "white" if outcome in (RIGHT, SILENT, WRONG, DEGRADED, CRASH) else "black"
+                color = "white" if outcome.color in _DARK_COLORS else "black"
                 place = 100 * (left + 0.5 * share)
-                axis.text(place, at, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
+                axis.text(place, line, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
             left += share
     labels = [f"{row.name} ({len(row.cells):,} runs)" for row in rows]
     axis.set_yticks(range(len(rows)), labels, fontsize=9)
     axis.set_ylim(len(rows) - 0.5, -0.5)
     axis.set_xlim(0, 100)
     axis.set_xlabel("share of the runs [%]")
-    axis.set_title(f"Outcomes: {subject}", fontsize=11, loc="left")
-    names = {**_OUTCOME_NAMES, **_SUBJECT_NAMES.get(subject, {})}
-    handles = [Patch(color=_OUTCOME_COLORS[o], label=names[o]) for o in OUTCOMES[subject] if o in used]
+    axis.set_title(f"Outcomes: {subject.name}", fontsize=11, loc="left")
+    handles = [Patch(color=outcome.color, label=outcome.label) for outcome in subject.outcomes if outcome.name in used]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
 
 
-def matrix_chart(study: StressStudy, subject: str) -> Any | None:
+def matrix_chart(study: StressStudy, subject: Subject[Any]) -> Any | None:
     """Return the failure matrix: the share of failed runs by row and ladder, and how many are wrong with confidence.
 
     On degenerate surfaces a run that says so has not failed.
@@ -157,7 +106,7 @@ def matrix_chart(study: StressStudy, subject: str) -> Any | None:
             tally = Tally.of(groups[ladder.name])
             share = 1 - ladder_success(tally, ladder, subject).share
             failed[line, column] = 100 * share
-            confident = tally.rate(*CONFIDENT[subject])
+            confident = tally.of_groups(subject, CONFIDENT)
             text = f"{100 * share:.0f}" + (f"\n!{100 * confident.share:.0f}" if confident.count else "")
             color = "white" if share > _DARK_SHARE else "black"
             axis.text(column, line, text, ha="center", va="center", fontsize=7, color=color, linespacing=1.15)
@@ -165,6 +114,6 @@ def matrix_chart(study: StressStudy, subject: str) -> Any | None:
     titles = [f"{ladder.title},\n{ladder.second_title}" if ladder.is_map else ladder.title for ladder in ladders]
     axis.set_xticks(range(len(ladders)), titles, rotation=40, ha="right", rotation_mode="anchor", fontsize=9)
     axis.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=9)
-    axis.set_title(f"Failures: {subject} (!n: n % are wrong with confidence)", fontsize=11, loc="left")
+    axis.set_title(f"Failures: {subject.name} (!n: n % are wrong with confidence)", fontsize=11, loc="left")
     figure.colorbar(drawn, ax=axis, label="failed runs [%]", aspect=15, pad=0.01)
     return figure

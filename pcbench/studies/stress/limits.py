@@ -3,86 +3,87 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median
+from typing import Any, Generic, TypeVar
 
 from pcbench.report.words import join_words
-from pcbench.studies.stress.results import (
-    CHANGES,
-    CRASH,
-    DEGRADED,
-    FALSE_ALARM,
-    METRICS,
-    RECONSTRUCTION,
-    REFUSED,
-    REGISTRATION,
-    RIGHT,
-    SAID,
-    SILENT,
-    TIME_OUT,
-    UNNAMED,
-    VERDICTS,
-    WARNED,
-    WITHHELD,
-    WRONG,
-    Cell,
-    LadderInfo,
-    MethodInfo,
-    MetricCell,
-    Rate,
-    StressStudy,
-    Tally,
-    grouped,
-)
+from pcbench.studies.frame.rates import Rate
+from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import CONFIDENT, SAID_SO, SUCCESS, C, Cell, Subject
 
 MIN_SAFE_SHARE = 0.9
 """Smallest share of successes at each level of a safe range."""
 
-# Outcomes in four groups, by subject. A metric succeeds too if its floor or its interval explains its error.
-SUCCESS: Mapping[str, tuple[str, ...]] = {
-    REGISTRATION: (RIGHT, FALSE_ALARM),
-    METRICS: (RIGHT, SAID),
-    VERDICTS: (RIGHT,),
-    CHANGES: (RIGHT,),
-    RECONSTRUCTION: (RIGHT,),
-}
-SAID_SO: Mapping[str, tuple[str, ...]] = {
-    REGISTRATION: (SAID, REFUSED),
-    METRICS: (),
-    VERDICTS: (WITHHELD,),
-    CHANGES: (),
-    RECONSTRUCTION: (WARNED, REFUSED),
-}
-CONFIDENT: Mapping[str, tuple[str, ...]] = {
-    REGISTRATION: (SILENT,),
-    METRICS: (SILENT,),
-    VERDICTS: (WRONG,),
-    CHANGES: (UNNAMED, WRONG),
-    RECONSTRUCTION: (DEGRADED,),
-}
-ABORTED = (CRASH, TIME_OUT)
 _MAX_LADDERS = 4  # ladders named as those where an outcome occurs
+_Key = TypeVar("_Key", bound=Hashable)
 
 
 @dataclass(frozen=True)
-class StressRow:
+class Tally:
+    """Outcomes of a group of cells.
+
+    Attributes:
+        counts: number of cells by outcome; outcomes that do not occur are absent.
+        total: number of cells.
+        cpu_s: median of the CPU seconds; None if none is known.
+        memory_bytes: largest peak of memory; None if none is known.
+    """
+
+    counts: Mapping[str, int]
+    total: int
+    cpu_s: float | None
+    memory_bytes: int | None
+
+    @classmethod
+    def of(cls, cells: Iterable[Cell]) -> Tally:
+        """Count the outcomes of cells."""
+        group = list(cells)
+        counts: dict[str, int] = {}
+        for cell in group:
+            counts[cell.outcome] = counts.get(cell.outcome, 0) + 1
+        times = [cell.cpu_s for cell in group if cell.cpu_s is not None]
+        peaks = [cell.memory_bytes for cell in group if cell.memory_bytes is not None]
+        return cls(counts, len(group), median(times) if times else None, max(peaks, default=None))
+
+    def rate(self, *outcomes: str) -> Rate:
+        """Return the share of the cells with any of these outcomes."""
+        return Rate(sum(self.counts.get(outcome, 0) for outcome in outcomes), self.total)
+
+    def of_groups(self, subject: Subject[Any], *groups: str) -> Rate:
+        """Return the share of the cells whose outcomes are in groups, such as `SUCCESS`."""
+        return self.rate(*subject.named(*groups))
+
+
+def grouped(cells: Iterable[C], key: Callable[[C], _Key]) -> dict[_Key, list[C]]:
+    """Return cells in groups, in the order in which their keys first occur."""
+    groups: dict[_Key, list[C]] = {}
+    for cell in cells:
+        groups.setdefault(key(cell), []).append(cell)
+    return groups
+
+
+@dataclass(frozen=True)
+class StressRow(Generic[C]):
     """A row of tables and charts: a method, or for metrics a method and one of its metrics.
 
     Attributes:
         name: name of the row.
-        subject: subject, of `ALL_SUBJECTS`.
+        subject: its subject.
         method: the method.
         cells: its cells.
     """
 
     name: str
-    subject: str
+    subject: Subject[C]
     method: MethodInfo
-    cells: tuple[Cell, ...]
+    cells: tuple[C, ...]
 
     @cached_property
-    def by_ladder(self) -> dict[str, list[Cell]]:
+    def by_ladder(self) -> dict[str, list[C]]:
         """The cells by the name of their ladder."""
         return grouped(self.cells, lambda cell: cell.ladder)
 
@@ -140,18 +141,17 @@ class SafeStart:
     beyond: Tally
 
 
-def stress_rows(study: StressStudy, subject: str) -> list[StressRow]:
+def stress_rows(study: StressStudy, subject: Subject[C]) -> list[StressRow[C]]:
     """Return the rows of a subject, ours first."""
     rows = []
     for method in study.methods_of(subject):
         cells = [cell for cell in study.cells(subject) if cell.method == method.name]
-        for metric, group in grouped(cells, _metric).items():
-            name = f"{method.name}, {metric}" if metric else method.name
+        for name, group in grouped(cells, subject.row).items():
             rows.append(StressRow(name, subject, method, tuple(group)))
     return rows
 
 
-def safe_ranges(study: StressStudy, row: StressRow) -> list[SafeRange]:
+def safe_ranges(study: StressStudy, row: StressRow[Any]) -> list[SafeRange]:
     """Return the safe range of a row on each ladder; maps and lists of cases have none."""
     groups = row.by_ladder
     return [
@@ -161,7 +161,7 @@ def safe_ranges(study: StressStudy, row: StressRow) -> list[SafeRange]:
     ]
 
 
-def safe_starts(study: StressStudy, row: StressRow) -> list[SafeStart]:
+def safe_starts(study: StressStudy, row: StressRow[Any]) -> list[SafeStart]:
     """Return the safe rectangle of a row on each map."""
     groups = row.by_ladder
     return [
@@ -171,25 +171,27 @@ def safe_starts(study: StressStudy, row: StressRow) -> list[SafeStart]:
     ]
 
 
-def ladder_success(tally: Tally, ladder: LadderInfo, subject: str) -> Rate:
+def ladder_success(tally: Tally, ladder: LadderInfo, subject: Subject[Any]) -> Rate:
     """Return the share of a ladder's runs that succeed; for a list of cases, of those that are right or say so.
 
     Cases may have no right result: then a method has to say so.
     """
-    return tally.rate(*SUCCESS[subject], *(SAID_SO[subject] if ladder.is_list else ()))
+    return tally.of_groups(subject, SUCCESS, *([SAID_SO] if ladder.is_list else []))
 
 
-def is_safe(tally: Tally, subject: str) -> bool:
+def is_safe(tally: Tally, subject: Subject[Any]) -> bool:
     """Return whether enough runs succeed and none is wrong with confidence."""
-    good, confident = tally.rate(*SUCCESS[subject]), tally.rate(*CONFIDENT[subject])
+    good, confident = tally.of_groups(subject, SUCCESS), tally.of_groups(subject, CONFIDENT)
     return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
 
 
-def _metric(cell: Cell) -> str:
-    return cell.metric if isinstance(cell, MetricCell) else ""
+def coverage(cells: Iterable[Cell]) -> Rate:
+    """Return the share of intervals that contain the truth."""
+    covers = [cell.covers for cell in cells if cell.covers is not None]
+    return Rate(sum(covers), len(covers))
 
 
-def _safe_range(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> SafeRange:
+def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeRange:
     by_level = grouped(cells, lambda cell: cell.level)
     safe = 0
     for level in ladder.levels:
@@ -201,7 +203,7 @@ def _safe_range(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> Safe
     return SafeRange(ladder, safe, Tally.of(within), Tally.of(beyond))
 
 
-def _safe_start(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> SafeStart:
+def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeStart:
     by_place = grouped(cells, lambda cell: (cell.level, cell.second))
     safe = {place for place, group in by_place.items() if is_safe(Tally.of(group), subject)}
     best = (0, 0)
@@ -220,14 +222,14 @@ def _safe_start(ladder: LadderInfo, subject: str, cells: Sequence[Cell]) -> Safe
     return SafeStart(ladder, last, second, Tally.of(within), Tally.of(beyond))
 
 
-def limit_text(found: SafeRange) -> str:
+def limit_text(limit: SafeRange) -> str:
     """Return the last safe level in words, with the title of its ladder."""
-    ladder = found.ladder
-    if found.level is None:
+    ladder = limit.ladder
+    if limit.level is None:
         return f"at no level of {ladder.title}"
     way = "down to" if ladder.levels[0] > ladder.levels[-1] else "up to"
-    rest = ", the last level" if found.is_complete else ""
-    return f"{way} {ladder.level_text(found.level)} ({ladder.title}{rest})"
+    rest = ", the last level" if limit.is_complete else ""
+    return f"{way} {ladder.level_text(limit.level)} ({ladder.title}{rest})"
 
 
 def ladder_counts(study: StressStudy, cells: Iterable[Cell], outcome: str) -> str:

@@ -8,22 +8,21 @@ result counts as doubtful if it has not converged, or matches less than 30 % of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
-from pcbench.errors import InputError, RegistrationError
-from pcbench.extras import LIBRARIES, installed_versions, require
+from pcbench.errors import RegistrationError
+from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import register
-from pcbench.studies.stress.results import GLOBAL, LOCAL, REGISTRATION, MethodInfo, MissingMethod
 from pcbench.studies.stress.scenes import extent_of
+from pcbench.studies.stress.subject import GLOBAL, LOCAL, Method, by_name
 
 _MAX_DISTANCE_SHARES = (0.1, 0.03, 0.01)  # maximum correspondence distances over the extent
 _FEATURE_SHARE = 0.015  # voxel of features over the extent
@@ -52,45 +51,6 @@ class PoseResult:
 
 
 Register = Callable[[FloatArray, FloatArray, int], PoseResult]
-
-
-@dataclass(frozen=True)
-class RegistrationMethod:
-    """A registration method of the study.
-
-    Attributes:
-        name: name in cells, tables and charts.
-        scope: `local` or `global`.
-        modules: modules that it needs; none for ours.
-        quick: whether it is fast enough for the quick plan.
-        run: function of reference (N, 3), candidate (M, 3) and seed.
-    """
-
-    name: str
-    scope: str
-    modules: tuple[str, ...]
-    quick: bool
-    run: Register
-    library: str = "pcbench"
-
-    def info(self) -> MethodInfo:
-        """Return the description for results."""
-        version = installed_versions([self.library]).get(self.library, "")
-        return MethodInfo(self.name, REGISTRATION, self.scope, self.library, version)
-
-    def missing(self) -> MissingMethod | None:
-        """Return why the method cannot run, or None if its libraries are installed."""
-        return missing_method(self.name, self.modules)
-
-
-def missing_method(name: str, modules: Iterable[str]) -> MissingMethod | None:
-    """Return a method with the first of its modules that is not installed, or None if all are."""
-    for module in modules:
-        if find_spec(module) is None:
-            library = LIBRARIES[module]
-            install = f"'pcbench[{library.extra}]'" if library.extra else library.name
-            return MissingMethod(name, f"{library.name} is not installed: pip install {install}")
-    return None
 
 
 @dataclass(frozen=True)
@@ -263,32 +223,18 @@ def _judged(matrix: FloatArray, fitness: float, *, converged: bool = True) -> Po
 
 
 _O3D, _SG, _KISS, _FRICP = "open3d", "small_gicp", "kiss-matcher", "fricp-cpp"
-METHODS = {
-    method.name: method
-    for method in (
-        RegistrationMethod("icp", LOCAL, (), True, _ours("icp")),
-        RegistrationMethod("icp-point", LOCAL, (), False, _ours("icp-point")),
-        RegistrationMethod("similarity", LOCAL, (), False, _ours("similarity")),
-        RegistrationMethod("global", GLOBAL, ("kiss_matcher",), True, _ours("global")),
-        RegistrationMethod("global-similarity", GLOBAL, ("kiss_matcher",), False, _ours("global-similarity")),
-        RegistrationMethod("Open3D plane", LOCAL, ("open3d",), True, _open3d_icp("plane"), _O3D),
-        RegistrationMethod("Open3D GICP", LOCAL, ("open3d",), False, _open3d_icp("GICP"), _O3D),
-        RegistrationMethod("small_gicp plane", LOCAL, ("small_gicp",), True, _small_gicp("PLANE_ICP"), _SG),
-        RegistrationMethod("small_gicp GICP", LOCAL, ("small_gicp",), True, _small_gicp("GICP"), _SG),
-        RegistrationMethod("robust ICP", LOCAL, ("fricp_cpp", "open3d"), False, _fricp, _FRICP),
-        RegistrationMethod("Open3D FGR", GLOBAL, ("open3d",), False, _open3d_features("FGR"), _O3D),
-        RegistrationMethod("Open3D RANSAC", GLOBAL, ("open3d",), False, _open3d_features("RANSAC"), _O3D),
-        RegistrationMethod("KISS-Matcher", GLOBAL, ("kiss_matcher", "open3d"), False, _kiss, _KISS),
-    )
-}
-
-
-def check_names(names: Iterable[str], known: Iterable[str]) -> None:
-    """Check the names of methods.
-
-    Raises:
-        InputError: a name is not known.
-    """
-    available = tuple(known)
-    if unknown := [name for name in names if name not in available]:
-        raise InputError(f"unknown method {unknown[0]!r}: expected one of {', '.join(available)}")
+METHODS: dict[str, Method[Register]] = by_name(
+    Method("icp", _ours("icp"), scope=LOCAL),
+    Method("icp-point", _ours("icp-point"), scope=LOCAL, is_quick=False),
+    Method("similarity", _ours("similarity"), scope=LOCAL, is_quick=False),
+    Method("global", _ours("global"), modules=("kiss_matcher",), scope=GLOBAL),
+    Method("global-similarity", _ours("global-similarity"), modules=("kiss_matcher",), scope=GLOBAL, is_quick=False),
+    Method("Open3D plane", _open3d_icp("plane"), _O3D, ("open3d",), LOCAL),
+    Method("Open3D GICP", _open3d_icp("GICP"), _O3D, ("open3d",), LOCAL, is_quick=False),
+    Method("small_gicp plane", _small_gicp("PLANE_ICP"), _SG, ("small_gicp",), LOCAL),
+    Method("small_gicp GICP", _small_gicp("GICP"), _SG, ("small_gicp",), LOCAL),
+    Method("robust ICP", _fricp, _FRICP, ("fricp_cpp", "open3d"), LOCAL, is_quick=False),
+    Method("Open3D FGR", _open3d_features("FGR"), _O3D, ("open3d",), GLOBAL, is_quick=False),
+    Method("Open3D RANSAC", _open3d_features("RANSAC"), _O3D, ("open3d",), GLOBAL, is_quick=False),
+    Method("KISS-Matcher", _kiss, _KISS, ("kiss_matcher", "open3d"), GLOBAL, is_quick=False),
+)

@@ -1,33 +1,85 @@
-"""Metrics behind one call: ours, Open3D's and point-cloud-utils', each against the exact distances to the surface."""
+"""Metrics against the exact distances to the surface: ours, Open3D's and point-cloud-utils'."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from pcbench.extras import installed_versions, require
+from pcbench.comparison.run import compare
+from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.measure.comparison import compare
 from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
-from pcbench.studies.stress.methods import missing_method
-from pcbench.studies.stress.results import (
-    MAX_METRIC_ERROR,
-    METRICS,
+from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.subject import (
+    BLUE,
+    CONFIDENT,
+    COST_LEGEND,
+    ENDS,
+    GREEN,
+    RED,
     RIGHT,
     SAID,
     SILENT,
-    MethodInfo,
-    MissingMethod,
+    SUCCESS,
+    Cell,
+    Method,
+    Outcome,
+    PairSubject,
+    RunResult,
+    by_name,
 )
-from pcbench.studies.stress.scenes import StressPair
 
 MEAN_DISTANCE, RMS_OFF_SURFACE = "mean distance", "RMS off the surface"
 NAMES = (MEAN_DISTANCE, RMS_OFF_SURFACE)
+
+MAX_METRIC_ERROR = 0.1
+"""Relative error up to which the value of a metric is right."""
+
+MAX_FLOOR_SHARE = 0.3
+"""Floor over value up to which point spacing hardly contributes to the value: less than 5 % of an RMS."""
+
+
+@dataclass(frozen=True)
+class MetricCell(Cell):
+    """Result of one metric.
+
+    A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below
+    it by at most the sampling floor, which states how much the point spacing may add; otherwise it is silent.
+
+    Attributes:
+        metric: name of the metric, such as `RMS off the surface`.
+        value: measured value, in the clouds' unit.
+        exact: exact value, from the distances to the true surface, in the clouds' unit.
+        floor: sampling floor; None if the method has none.
+        interval: 95 % confidence interval of `value`; None if the method has none.
+    """
+
+    metric: str = ""
+    value: float | None = None
+    exact: float = math.nan
+    floor: float | None = None
+    interval: tuple[float, float] | None = None
+
+    @property
+    def ratio(self) -> float | None:
+        """Value over exact value; None without a value."""
+        return None if self.value is None or not self.exact > 0 else self.value / self.exact
+
+    @property
+    def covers(self) -> bool | None:
+        """Return whether the interval contains the exact value; None without an interval.
+
+        It is None also where the floor exceeds 30 % of the value: an interval covers random errors, not the spacing.
+        """
+        if self.interval is None or self.value is None or (self.floor or 0.0) > MAX_FLOOR_SHARE * self.value:
+            return None
+        return self.interval[0] <= self.exact <= self.interval[1]
 
 
 @dataclass(frozen=True)
@@ -42,25 +94,6 @@ class MeasuredValue:
 Measure = Callable[[StressPair, int], dict[str, MeasuredValue]]
 
 
-@dataclass(frozen=True)
-class MetricMethod:
-    """A library that measures distances: its name, its module (empty for ours) and its function."""
-
-    name: str
-    modules: tuple[str, ...]
-    library: str
-    run: Measure
-
-    def info(self) -> MethodInfo:
-        """Return the description for results."""
-        version = installed_versions([self.library]).get(self.library, "")
-        return MethodInfo(self.name, METRICS, "", self.library, version)
-
-    def missing(self) -> MissingMethod | None:
-        """Return why the method cannot run, or None if its library is installed."""
-        return missing_method(self.name, self.modules)
-
-
 def exact_values(pair: StressPair) -> dict[str, float]:
     """Return the metrics of the exact distances from the candidate's points to the true surface, by name."""
     assert pair.surface is not None
@@ -71,7 +104,7 @@ def exact_values(pair: StressPair) -> dict[str, float]:
     }
 
 
-def judge(value: MeasuredValue, exact: float) -> str:
+def outcome_of(value: MeasuredValue, exact: float) -> str:
     """Return the outcome of a metric: right, said or silent; see `MetricCell`.
 
     The floor beside a value states how much of it the point spacing may be.
@@ -124,11 +157,55 @@ def _value(estimate: Estimate, *, root: bool = False) -> MeasuredValue:
     return MeasuredValue(plain(estimate.value), plain(estimate.floor), interval)
 
 
-METRIC_METHODS = {
-    method.name: method
-    for method in (
-        MetricMethod("pcbench", (), "pcbench", _ours),
-        MetricMethod("Open3D", ("open3d",), "open3d", _open3d),
-        MetricMethod("point-cloud-utils", ("point_cloud_utils",), "point-cloud-utils", _point_cloud_utils),
+METRIC_METHODS: dict[str, Method[Callable[[StressPair, int], dict[str, MeasuredValue]]]] = by_name(
+    Method("pcbench", _ours),
+    Method("Open3D", _open3d, "open3d", ("open3d",)),
+    Method("point-cloud-utils", _point_cloud_utils, "point-cloud-utils", ("point_cloud_utils",)),
+)
+
+
+def _ask(method: str, pair: StressPair, seed: int) -> dict[str, MeasuredValue]:
+    return METRIC_METHODS[method].run(pair, seed)
+
+
+def _judge(answer: Mapping[str, MeasuredValue], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
+    """Compare each metric with its exact value."""
+    exact = exact_values(pair)
+    return RunResult(
+        tuple(
+            MetricCell(
+                **values,
+                outcome=outcome_of(measured, exact[name]),
+                metric=name,
+                value=measured.value,
+                exact=exact[name],
+                floor=measured.floor,
+                interval=measured.interval,
+            )
+            for name, measured in answer.items()
+        )
     )
-}
+
+
+METRICS = PairSubject(
+    name="metrics",
+    title="Metrics and their intervals",
+    noun="metric value",
+    key="metrics",
+    cell=MetricCell,
+    outcomes=(
+        Outcome(RIGHT, "right", GREEN, SUCCESS),
+        Outcome(SAID, "off, but explained by floor or interval", BLUE, SUCCESS),
+        Outcome(SILENT, "silently wrong", RED, CONFIDENT),
+        *ENDS,
+    ),
+    legend=f"said: wrong, but explained by the floor or the interval; silent: wrong and not explained; {COST_LEGEND}",
+    success="right or explained [% of runs]",
+    charts=("outcomes", "matrix", "coverage", "severity"),
+    row=lambda cell: f"{cell.method}, {cell.metric}",
+    methods=METRIC_METHODS,
+    ask=_ask,
+    judge=_judge,
+    warm_up=lambda pair: _ours(pair, 0),
+    cells_of=lambda method: [{"method": method, "metric": name} for name in NAMES],
+)

@@ -1,74 +1,37 @@
-"""The article of the stress study: the answer first, then sentences, tables and pictures by subject."""
+"""The article of the stress study: the answer first, then tables and pictures by subject."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import PurePath
+from typing import Any
 
 from pcbench.measure.wording import pluralize
-from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Heading, Paragraph
+from pcbench.report.article import Article, ArticleSection, Block, DataTable, Figure, Heading, Paragraph
 from pcbench.studies.frame.canvas import FIGURES
-from pcbench.studies.stress.results import (
-    ALL_SUBJECTS,
-    CHANGES,
-    METRICS,
-    RECONSTRUCTION,
-    REGISTRATION,
-    VERDICTS,
-    PhotographInfo,
-    StressStudy,
-)
-from pcbench.studies.stress.table import (
-    LIMITS_LEGEND,
-    OUTCOMES_LEGENDS,
-    limits_table,
-    outcome_table,
-    preset_table,
-)
-from pcbench.studies.stress.words import (
-    answer,
-    change_sentences,
-    metric_sentences,
-    reconstruction_sentences,
-    registration_sentences,
-    verdict_sentences,
-    warnings,
-)
+from pcbench.studies.stress.descriptions import PhotographInfo
+from pcbench.studies.stress.registration import REGISTRATION
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import Subject
+from pcbench.studies.stress.table import LIMITS_LEGEND, limits_table, outcome_table, preset_table
+from pcbench.studies.stress.words import answer, warnings
 from pcbench.studies.stress.worst import failure_title
 
-_SENTENCES: dict[str, Callable[[StressStudy], Iterator[str]]] = {
-    REGISTRATION: registration_sentences,
-    METRICS: metric_sentences,
-    VERDICTS: verdict_sentences,
-    CHANGES: change_sentences,
-    RECONSTRUCTION: reconstruction_sentences,
-}
-_TITLES = {
-    REGISTRATION: "Registration",
-    METRICS: "Metrics and their intervals",
-    VERDICTS: "Verdicts on deformation",
-    CHANGES: "Changes",
-    RECONSTRUCTION: "Reconstructors",
-}
+# Captions of charts by the start of their names.
 _CAPTIONS = {
-    "outcomes_": "Outcomes of each method",
-    "matrix_": "Failed runs by method and perturbation",
+    "outcomes": "Outcomes of each method",
+    "matrix": "Failed runs by method and perturbation",
     "recall": "Recall against the pose error",
-    "basin_": "Right poses by rotation and offset of the start",
+    "basin": "Right poses by rotation and offset of the start",
     "profiles": "Performance profiles",
     "speed": "Success and errors with confidence beside CPU seconds",
     "sizes": "Detected deformations, and measured sizes",
     "coverage": "Coverage of the 95 % intervals",
-    "severity_": "Success against severity",
-    "scores_": "F-score, RMS error and CPU seconds against severity",
+    "severity": "Success against severity",
+    "scores": "F-score, RMS error and CPU seconds against severity",
 }
-_PICTURES = {
-    REGISTRATION: ("outcomes_registration", "matrix_registration", "recall", "basin_", "profiles", "speed"),
-    METRICS: ("outcomes_metrics", "matrix_metrics", "coverage"),
-    VERDICTS: ("outcomes_verdicts", "matrix_verdicts", "sizes"),
-    CHANGES: ("outcomes_changes", "matrix_changes"),
-    RECONSTRUCTION: ("outcomes_reconstruction", "scores_", "matrix_reconstruction"),
-}
+_BY_SUBJECT = ("outcomes", "matrix", "severity")  # charts whose names go on with the subject
+_BY_KIND = ("severity", "scores")  # charts whose names end with the kind of the ladders
 
 
 def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
@@ -79,28 +42,25 @@ def article(study: StressStudy, figures: Sequence[str] = ()) -> Article:
         figures: files of its pictures, relative to the folder of the study.
     """
     title = "Where reconstructors break" if study.photographs else "Where registration, metrics and verdicts break"
-    sections = [
-        ArticleSection(_TITLES[subject], list(_blocks(study, subject, figures)))
-        for subject in ALL_SUBJECTS
-        if study.cells(subject)
-    ]
+    sections = [ArticleSection(s.title, list(_blocks(study, s, figures))) for s in study.subjects()]
     if study.worst:
         sections.append(ArticleSection("The worst silent failures", list(_worst_blocks(study, figures))))
     return Article("Stress test", title, list(answer(study)), list(warnings(study)), [_setup(study)], sections)
 
 
-def _blocks(study: StressStudy, subject: str, figures: Sequence[str]) -> Iterator[Block]:
-    yield from _pictures(figures, _PICTURES[subject][:1])
-    yield DataTable(f"Outcomes, {_TITLES[subject]}", outcome_table(study, subject))
-    yield Paragraph(f"Shares of all runs in %; {OUTCOMES_LEGENDS[subject]}.")
-    yield Bullets(list(_SENTENCES[subject](study)))
+def _blocks(study: StressStudy, subject: Subject[Any], figures: Sequence[str]) -> Iterator[Block]:
+    first, *others = subject.charts
+    yield from _pictures(figures, subject, first)
+    yield DataTable(f"Outcomes, {subject.title}", outcome_table(study, subject))
+    yield Paragraph(f"Shares of all runs in %; {subject.legend}.")
     yield Heading("Safe levels")
-    yield DataTable(f"Safe levels, {_TITLES[subject]}", limits_table(study, subject))
+    yield DataTable(f"Safe levels, {subject.title}", limits_table(study, subject))
     yield Paragraph(f"Each cell: {LIMITS_LEGEND}.")
-    if subject == REGISTRATION and (presets := preset_table(study)):
+    if subject is REGISTRATION and (presets := preset_table(study)):
         yield Heading("Recall by the criteria of benchmarks")
         yield DataTable("Recall by the criteria of benchmarks", presets)
-    yield from _pictures(figures, (*_PICTURES[subject][1:], f"severity_{subject}_"))
+    for chart in others:
+        yield from _pictures(figures, subject, chart)
 
 
 def _worst_blocks(study: StressStudy, figures: Sequence[str]) -> Iterator[Block]:
@@ -111,33 +71,30 @@ def _worst_blocks(study: StressStudy, figures: Sequence[str]) -> Iterator[Block]
         yield Figure(file, title) if file in figures else Paragraph(f"{title}.")
 
 
-def _pictures(figures: Sequence[str], stems: Sequence[str]) -> Iterator[Figure]:
-    """Yield the pictures whose names begin with given stems, with their captions."""
-    for stem in stems:
-        for file in figures:
-            name = PurePath(file).stem
-            if name.startswith(stem):
-                caption = next(text for start, text in _CAPTIONS.items() if name.startswith(start))
-                kind = name.rpartition("_")[2]
-                yield Figure(file, f"{caption} ({kind})" if stem.startswith(("severity_", "scores_")) else caption)
+def _pictures(figures: Sequence[str], subject: Subject[Any], chart: str) -> Iterator[Figure]:
+    """Yield the pictures of a chart of a subject with their captions."""
+    stem = f"{chart}_{subject.name}" if chart in _BY_SUBJECT else chart
+    for file in figures:
+        name = PurePath(file).stem
+        if name.startswith(stem):
+            kind = f" ({name.rpartition('_')[2]})" if chart in _BY_KIND else ""
+            yield Figure(file, f"{_CAPTIONS[chart]}{kind}")
 
 
 def _setup(study: StressStudy) -> str:
     """Return the size of the study in sentences."""
     if study.photographs is not None:
         return _photograph_setup(study, study.photographs)
-    runs = sum(len(study.cells(subject)) for subject in ALL_SUBJECTS)
+    counts = [(len(study.cells(subject)), subject.noun) for subject in study.subjects()]
+    total = sum(count for count, _ in counts)
+    nouns = ", ".join(pluralize(count, noun) for count, noun in counts)
     scenes = "; ".join(
         f"{scene.name}: {scene.points[0]:,} and {scene.points[1]:,} points, extent"
         f" {scene.extent:.3g} {scene.unit}, spacing {scene.spacing:.3g} {scene.unit}".rstrip()
         for scene in study.scenes
     )
-    counts = ", ".join(pluralize(count, noun) for count, noun in (
-        (len(study.registrations), "registration"), (len(study.metrics), "metric value"),
-        (len(study.verdicts), "verdict"), (len(study.changes), "search for changes"),
-    ) if count)  # fmt: skip
     return (
-        f"{pluralize(runs, 'result')} ({counts}) on {pluralize(len(study.ladders), 'ladder')} of perturbations."
+        f"{pluralize(total, 'result')} ({nouns}) on {pluralize(len(study.ladders), 'ladder')} of perturbations."
         f" Scenes (reference and candidate): {scenes}. Shares have 95 % Wilson intervals in brackets."
     )
 

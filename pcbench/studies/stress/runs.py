@@ -16,25 +16,14 @@ from typing import Any
 from pcbench.children import run_module
 from pcbench.errors import InputError
 from pcbench.extras import installed_versions
+from pcbench.io.json_values import from_json
 from pcbench.plugins.code import digest_files, plugin_files
 from pcbench.studies.frame.cells import MEMORY_ADVICE
 from pcbench.studies.frame.records import read_record, write_record
-from pcbench.studies.stress.cells import RunPlan, RunResult, failed_run
+from pcbench.studies.stress.cells import RunPlan, failed_run
 from pcbench.studies.stress.child import MISSING_LIBRARY
-from pcbench.studies.stress.methods import METHODS
-from pcbench.studies.stress.metrics import METRIC_METHODS
-from pcbench.studies.stress.results import (
-    CHANGES,
-    CRASH,
-    METRICS,
-    REGISTRATION,
-    TIME_OUT,
-    Cell,
-    change_cell,
-    metric_cell,
-    registration_cell,
-    verdict_cell,
-)
+from pcbench.studies.stress.subject import CRASH, TIME_OUT, RunResult
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 from pcbench.systems import cpu_count, signal_name
 from pcbench.tasks import Task, TaskRunner, Workers
 from pcbench.threads import ONE_THREAD
@@ -52,8 +41,9 @@ _OWN_MODULES = (
     "ladders",
     "methods",
     "metrics",
-    "results",
+    "registration",
     "scenes",
+    "subject",
     "surfaces",
     "verdicts",
 )
@@ -88,7 +78,7 @@ class RunSettings:
 
     def key(self, plan: RunPlan, code: str) -> dict[str, Any]:
         """Return all inputs that a run's result depends on."""
-        library = _library(plan)
+        library = PAIR_SUBJECTS[plan.subject].methods[plan.method].library
         return {
             "plan": asdict(plan),
             "code": code,
@@ -164,60 +154,49 @@ def _batches(plans: Iterable[RunPlan], size: int) -> Iterator[list[RunPlan]]:
         yield batch
 
 
-def _library(plan: RunPlan) -> str:
-    if plan.subject == REGISTRATION:
-        return METHODS[plan.method].library
-    return METRIC_METHODS[plan.method].library if plan.subject == METRICS else "pcbench"
-
-
 def _run_batch(
     name: str, batch: Iterable[RunPlan], settings: RunSettings, keys: Mapping[RunPlan, Mapping[str, Any]]
 ) -> None:
     """Run a batch in one child process; after a crash or a time-out, the rest in a new one."""
-    left = list(batch)
+    remaining = list(batch)
     file = settings.out / WORK / f"{name}.json"
-    at = file.with_suffix(".at")
-    while left:
+    current = file.with_suffix(".at")
+    while remaining:
         rows = [
-            {"plan": asdict(plan), "record": str(settings.record(plan).absolute()), "key": keys[plan]} for plan in left
+            {"plan": asdict(plan), "record": str(settings.record(plan).absolute()), "key": keys[plan]}
+            for plan in remaining
         ]
         given = None if settings.given is None else str(settings.given.absolute())
         values = {"given": given, "time_limit_s": settings.time_limit_s, "runs": rows}
         file.write_text(json.dumps(values), encoding="utf-8")
-        at.unlink(missing_ok=True)
+        current.unlink(missing_ok=True)
         ended = run_module(_CHILD, str(file.absolute()), environment=ONE_THREAD)
         if ended.code == 0:
             break
         if ended.code == MISSING_LIBRARY:
             raise InputError(ended.last_error_line)
-        if not at.is_file():
+        if not current.is_file():
             raise InputError(f"the process of the runs did not start: {ended.last_error_line or 'no message'}")
-        number = int(at.read_text(encoding="utf-8"))
-        plan = left[number]
+        number = int(current.read_text(encoding="utf-8"))
+        plan = remaining[number]
         if _TIMED_OUT in ended.errors:
             result = failed_run(plan, TIME_OUT, f"stopped after {settings.time_limit_s:g} s")
         else:
             text = signal_name(-ended.code) if ended.code < 0 else ended.last_error_line
             result = failed_run(plan, CRASH, text or f"exit code {ended.code}")
-        write_record(settings.record(plan), keys[plan], result.values())
-        left = left[number + 1 :]
+        write_record(settings.record(plan), keys[plan], result)
+        remaining = remaining[number + 1 :]
     file.unlink(missing_ok=True)
-    at.unlink(missing_ok=True)
+    current.unlink(missing_ok=True)
 
 
 def _read(path: Path, key: Mapping[str, Any], plan: RunPlan) -> RunResult | None:
     """Return the result that was recorded for the same inputs; None if there is none or it is damaged."""
     values = read_record(path, key, dict[str, Any])
-    convert: Callable[[Mapping[str, Any]], Cell] = {
-        REGISTRATION: registration_cell,
-        METRICS: metric_cell,
-        CHANGES: change_cell,
-    }.get(plan.subject, verdict_cell)
-    try:
-        result = None if values is None else RunResult(tuple(convert(row) for row in values["cells"]), values["pose"])
-    except (KeyError, TypeError, ValueError, AttributeError):
+    if values is None:
         return None
-    return result if result is not None and result.cells else None
+    cell = PAIR_SUBJECTS[plan.subject].cell
+    return RunResult(tuple(from_json(cell, row) for row in values["cells"]), values["pose"])
 
 
 def _is_final(result: RunResult | None) -> bool:

@@ -20,7 +20,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.registration import as_similarity, register
 from pcbench.registration.result import UNOBSERVABLE
-from pcbench.studies.stress.results import SceneInfo
+from pcbench.studies.stress.descriptions import SceneInfo
 from pcbench.studies.stress.surfaces import CITY_SIDE, DEGENERATE, FREE, SURFACES, wooded_surface
 from pcbench.studies.stress.vegetation import plants_of
 

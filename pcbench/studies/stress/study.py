@@ -16,51 +16,19 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.transform import Similarity
 from pcbench.io.contents import digest
-from pcbench.io.files import atomic_write
 from pcbench.io.json_values import to_json
 from pcbench.report.document import provenance
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.plot import Drawn
 from pcbench.studies.frame.folder import check_folder, study_folder
 from pcbench.studies.frame.publish import draw_here, write_report, write_results
-from pcbench.studies.stress.cells import (
-    RunPlan,
-    RunResult,
-    build_pair,
-    load_pair,
-    plan_runs,
-    save_pair,
-    settle_refusals,
-)
-from pcbench.studies.stress.changes import CHANGE_METHODS
+from pcbench.studies.stress.cells import RunPlan, load_pair, plan_runs, save_pair
 from pcbench.studies.stress.charts import draw_charts
+from pcbench.studies.stress.descriptions import MethodInfo, MissingMethod, SceneInfo
 from pcbench.studies.stress.ladders import Ladder, selected
-from pcbench.studies.stress.methods import METHODS, check_names
-from pcbench.studies.stress.metrics import METRIC_METHODS
 from pcbench.studies.stress.page import article
-from pcbench.studies.stress.results import (
-    CHANGES,
-    DOCUMENT,
-    KIND,
-    METRICS,
-    RECONSTRUCTION,
-    REGISTRATION,
-    SILENT,
-    VERDICTS,
-    ChangeCell,
-    MethodInfo,
-    MetricCell,
-    MissingMethod,
-    ReconstructionCell,
-    RegistrationCell,
-    SceneInfo,
-    SilentFailure,
-    StressSettings,
-    StressStudy,
-    VerdictCell,
-)
+from pcbench.studies.stress.results import DOCUMENT, KIND, StressSettings, StressStudy
 from pcbench.studies.stress.runs import RunSettings, run_all
 from pcbench.studies.stress.scenes import (
     GIVEN,
@@ -72,9 +40,11 @@ from pcbench.studies.stress.scenes import (
     given_pair,
     scene_pair,
 )
+from pcbench.studies.stress.subject import RunResult
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS, SUBJECTS
 from pcbench.studies.stress.table import stress_table
-from pcbench.studies.stress.verdicts import DEFORM, VERDICT_METHODS
 from pcbench.studies.stress.words import sentences
+from pcbench.studies.stress.worst import save_worst
 from pcbench.tasks import Workers
 
 CSV, TABLE = "stress.csv", "stress.txt"
@@ -82,8 +52,6 @@ RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructor
 _GIVEN_FILE = "given.npz"
 # What a study perturbs.
 SYNTHETIC_SCENES, GIVEN_PAIR, PHOTOGRAPHS = "the built-in scenes", "a pair of clouds", "photographs"
-_WORST = 3  # number of silent failures to draw
-_PICTURE_POINTS = 20_000  # of each cloud in a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +78,7 @@ class StressPlan:
 
     Attributes:
         ladders: ladders.
-        methods: names of the methods by subject.
+        methods: names of the methods by the name of their subject.
         missing: methods that are left out, with the reason.
         points: number of points of the reference of a built-in scene.
     """
@@ -128,30 +96,26 @@ class StressPlan:
             InputError: there is no such ladder or method, or none of the named methods is installed.
         """
         ladders = selected(settings.only, quick=settings.quick)
-        check_names(settings.methods, (*METHODS, *METRIC_METHODS, *VERDICT_METHODS, *CHANGE_METHODS))
-        missing: dict[str, MissingMethod] = {}
+        available = [name for subject in PAIR_SUBJECTS.values() for name in subject.methods]
+        if unknown := [name for name in settings.methods if name not in available]:
+            raise InputError(f"unknown method {unknown[0]!r}: expected one of {', '.join(available)}")
+        missing: list[MissingMethod] = []
         methods: dict[str, tuple[str, ...]] = {}
-        for subject, known in ((REGISTRATION, METHODS), (METRICS, METRIC_METHODS)):
-            names = [name for name in known if name in settings.methods or not settings.methods]
-            if settings.quick and subject == REGISTRATION and not settings.methods:
-                names = [name for name in names if METHODS[name].quick]
-            found = {name: known[name].missing() for name in names}
-            missing |= {name: why for name, why in found.items() if why is not None}
-            methods[subject] = tuple(name for name in names if found[name] is None)
-        asked = not settings.methods or any(name in VERDICT_METHODS for name in settings.methods)
-        methods[VERDICTS] = (DEFORM,) if asked else ()
-        methods[CHANGES] = tuple(name for name in CHANGE_METHODS if name in settings.methods or not settings.methods)
+        for subject in PAIR_SUBJECTS.values():
+            reasons = {m.name: m.missing() for m in subject.chosen(settings.methods, quick=settings.quick)}
+            missing += [reason for reason in reasons.values() if reason is not None]
+            methods[subject.name] = tuple(name for name, reason in reasons.items() if reason is None)
         if not any(methods.values()):
-            raise InputError(next(iter(missing.values())).reason)
-        return cls(ladders, methods, tuple(missing.values()), QUICK_POINTS if settings.quick else POINTS)
+            raise InputError(missing[0].reason)
+        return cls(ladders, methods, tuple(missing), QUICK_POINTS if settings.quick else POINTS)
 
     def infos(self) -> tuple[MethodInfo, ...]:
         """Return the descriptions of the methods."""
-        registrations = [METHODS[name].info() for name in self.methods[REGISTRATION]]
-        metrics = [METRIC_METHODS[name].info() for name in self.methods[METRICS]]
-        verdicts = [method.info() for method in VERDICT_METHODS.values()] if self.methods[VERDICTS] else []
-        changes = [CHANGE_METHODS[name].info() for name in self.methods[CHANGES]]
-        return (*registrations, *metrics, *verdicts, *changes)
+        return tuple(
+            subject.methods[name].info(subject.name)
+            for subject in PAIR_SUBJECTS.values()
+            for name in self.methods[subject.name]
+        )
 
 
 def run_stress(
@@ -210,7 +174,7 @@ def run_stress(
         results = run_all(runs, run_settings, step, settings.chosen_workers or Workers())
         step("writing the results")
         study = _study(settings, plan, pair, runs, results, None if clouds is None else clouds.reference.unit)
-        study = replace(study, worst=_save_worst(out, study, runs, results, pair))
+        study = replace(study, worst=save_worst(out, study, runs, results, pair))
         return write_study(out, study, figures=figures, step=step)
 
 
@@ -263,19 +227,12 @@ def write_study(
 
 def csv_text(study: StressStudy) -> str:
     """Return all cells as CSV, one line each; columns that a subject lacks are empty."""
-    kinds = {
-        REGISTRATION: RegistrationCell,
-        METRICS: MetricCell,
-        VERDICTS: VerdictCell,
-        CHANGES: ChangeCell,
-        RECONSTRUCTION: ReconstructionCell,
-    }
-    names = list(dict.fromkeys(field.name for kind in kinds.values() for field in fields(kind)))
+    names = list(dict.fromkeys(field.name for subject in SUBJECTS.values() for field in fields(subject.cell)))
     rows = []
-    for subject in kinds:
+    for subject in study.subjects():
         for cell in study.cells(subject):
             values = {field.name: _csv_value(getattr(cell, field.name)) for field in fields(cell)}
-            rows.append([subject, *(values.get(name) for name in names)])
+            rows.append([subject.name, *(values.get(name) for name in names)])
     return csv_of(["subject", *names], rows)
 
 
@@ -317,21 +274,23 @@ def _study(
     results: Sequence[RunResult],
     unit: str | None,
 ) -> StressStudy:
-    by_subject: dict[str, list[Any]] = {REGISTRATION: [], METRICS: [], VERDICTS: [], CHANGES: []}
-    for run, result in zip(runs, results, strict=True):
-        by_subject[run.subject] += result.cells
     used = {run.ladder for run in runs}
+    cells: dict[str, Any] = {
+        subject.key: tuple(
+            subject.settle(
+                [c for run, result in zip(runs, results, strict=True) if run.subject == name for c in result.cells]
+            )
+        )
+        for name, subject in PAIR_SUBJECTS.items()
+    }
     return StressStudy(
         settings=settings,
         scenes=tuple(_scene_infos(runs, pair, unit)),
         ladders=tuple(ladder.info(quick=settings.quick) for ladder in plan.ladders if ladder.name in used),
         methods=plan.infos(),
         missing=plan.missing,
-        registrations=tuple(settle_refusals(by_subject[REGISTRATION])),
-        metrics=tuple(by_subject[METRICS]),
-        verdicts=tuple(by_subject[VERDICTS]),
-        changes=tuple(by_subject[CHANGES]),
         provenance=provenance(settings.seed),
+        **cells,
     )
 
 
@@ -347,48 +306,3 @@ def _scene_infos(runs: Iterable[RunPlan], pair: StressPair | None, unit: str | N
         elif name in (*SCENES, WOODED):
             infos.append(scene_pair(name, run.seed, run.points).info(name))
     return infos
-
-
-def _save_worst(
-    out: Path,
-    study: StressStudy,
-    runs: Sequence[RunPlan],
-    results: Sequence[RunResult],
-    pair: StressPair | None,
-) -> tuple[SilentFailure, ...]:
-    """Save the clouds of the silent failures with the largest errors: at first one of each method and ladder."""
-    registrations = [(run, result) for run, result in zip(runs, results, strict=True) if run.subject == REGISTRATION]
-    silent: list[tuple[RegistrationCell, RunPlan, list[list[float]]]] = [
-        (cell, run, result.pose)
-        for cell, (run, result) in zip(study.registrations, registrations, strict=True)
-        if cell.outcome == SILENT and result.pose is not None
-    ]
-    silent.sort(key=lambda found: -(found[0].error or 0.0))
-    chosen: list[tuple[RegistrationCell, RunPlan, list[list[float]]]] = []
-    seen: set[str] = set()
-    for again in (False, True):
-        for cell, run, pose in silent:
-            is_new = again or cell.ladder not in seen
-            if len(chosen) < _WORST and is_new and not any(cell is other for other, _, _ in chosen):
-                chosen.append((cell, run, pose))
-                seen.add(cell.ladder)
-    failures = []
-    for number in range(1, _WORST + 1):
-        (out / f"worst_{number}.npz").unlink(missing_ok=True)
-    for number, (cell, run, pose) in enumerate(chosen, 1):
-        perturbed = build_pair(run, pair)
-        found = Similarity.from_matrix(pose).apply(perturbed.candidate)
-        file = f"worst_{number}.npz"
-        rng = np.random.default_rng(0)
-        fixed, moving = (
-            np.sort(rng.permutation(len(points))[:_PICTURE_POINTS]) for points in (perturbed.reference, found)
-        )
-        with atomic_write(out / file) as stream:
-            np.savez_compressed(
-                stream,
-                reference=perturbed.reference[fixed],
-                found=found[moving],
-                true=perturbed.points[moving],
-            )
-        failures.append(SilentFailure(cell, file))
-    return tuple(failures)

@@ -2,70 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
-from pcbench.report.words import columns, pad
+from pcbench.report.words import UNKNOWN
+from pcbench.studies.frame.rates import Rate, percent
+from pcbench.studies.frame.tables import text_table
+from pcbench.studies.stress.descriptions import LadderInfo, axis_title
 from pcbench.studies.stress.limits import (
-    CONFIDENT,
     SafeRange,
     StressRow,
+    Tally,
     ladder_success,
     safe_ranges,
     safe_starts,
     stress_rows,
 )
-from pcbench.studies.stress.results import (
-    ALL_SUBJECTS,
-    CHANGES,
-    METRICS,
-    OUTCOMES,
-    PRESETS,
-    RECONSTRUCTION,
-    REGISTRATION,
-    VERDICTS,
-    LadderInfo,
-    Rate,
-    RegistrationCell,
-    StressStudy,
-    Tally,
-)
-from pcbench.studies.stress.words import axis_title, percent, rate_text
+from pcbench.studies.stress.registration import PRESETS, REGISTRATION
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import CONFIDENT, Subject
 
-_DASH = "–"
 _METRE = "m"
 LIMITS_LEGEND = (
     "last safe level of each ladder: at least 90 % of the runs succeed and none is wrong with confidence, up to it;"
     " none: not even the first level is safe; all: every level is safe; !n: n runs are wrong with confidence"
 )
-_COST_LEGEND = "CPU s: median; MiB: largest peak beyond the loaded clouds"
-OUTCOMES_LEGENDS = {
-    REGISTRATION: "false-alarm: right, but doubted; refused: no pose, although another method found one; said: wrong"
-    f" and doubted; silent: wrong but not doubted; {_COST_LEGEND}",
-    METRICS: "said: wrong, but explained by the floor or the interval; silent: wrong and not explained;"
-    f" {_COST_LEGEND}",
-    VERDICTS: f"withheld: no verdict; wrong: contradicts the truth; {_COST_LEGEND}, each for all rules together",
-    CHANGES: "unnamed: no change is reported at its place; wrong: of another kind, or reported elsewhere;"
-    f" {_COST_LEGEND}",
-    RECONSTRUCTION: "right: at least half of the F-score of the unperturbed run; warned: less, with a warning;"
-    " refused: an error instead of a cloud; degraded: less, without a warning;"
-    " CPU s: median; MiB: largest peak of the process",
-}
 
 
 def stress_table(study: StressStudy) -> str:
     """Return the tables that the command prints: by subject, safe limits by ladder, then outcomes by method."""
     parts = []
-    for subject in ALL_SUBJECTS:
-        if study.cells(subject):
-            (_, *head), *lines = limits_table(study, subject)
-            parts.append(text_table([[f"{subject}: safe up to", *head], *lines]))
-            (_, *head), *lines = outcome_table(study, subject)
-            parts.append(text_table([[f"{subject}: outcomes in %", *head], *lines]))
-            parts.append(OUTCOMES_LEGENDS[subject])
+    for subject in study.subjects():
+        (_, *head), *lines = limits_table(study, subject)
+        parts.append(text_table([[f"{subject.name}: safe up to", *head], *lines]))
+        (_, *head), *lines = outcome_table(study, subject)
+        parts.append(text_table([[f"{subject.name}: outcomes in %", *head], *lines]))
+        parts.append(subject.legend)
     return "\n\n".join([*parts, f"safe up to: {LIMITS_LEGEND}"])
 
 
-def limits_table(study: StressStudy, subject: str) -> list[list[str]]:
+def limits_table(study: StressStudy, subject: Subject[Any]) -> list[list[str]]:
     """Return the safe limits of one subject, a header first."""
     rows = stress_rows(study, subject)
     limits = [_limit_cells(study, row) for row in rows]
@@ -75,18 +50,15 @@ def limits_table(study: StressStudy, subject: str) -> list[list[str]]:
     return table
 
 
-def outcome_table(study: StressStudy, subject: str) -> list[list[str]]:
+def outcome_table(study: StressStudy, subject: Subject[Any]) -> list[list[str]]:
     """Return the outcomes of each row as shares of its runs, with time and memory, a header first."""
-    table = [["", "runs", *OUTCOMES[subject], "CPU s", "MiB"]]
+    table = [["", "runs", *(outcome.name for outcome in subject.outcomes), "CPU s", "MiB"]]
     for row in stress_rows(study, subject):
         tally = Tally.of(row.cells)
-        confident = CONFIDENT[subject]
-        shares = [
-            rate_text(tally.rate(outcome)) if outcome in confident else percent(tally.rate(outcome).share)
-            for outcome in OUTCOMES[subject]
-        ]
-        seconds = _DASH if tally.cpu_s is None else f"{tally.cpu_s:.2g}"
-        memory = _DASH if tally.memory_bytes is None else f"{tally.memory_bytes / 2**20:,.0f}"
+        rates = [(outcome, tally.rate(outcome.name)) for outcome in subject.outcomes]
+        shares = [rate.text if outcome.group == CONFIDENT else percent(rate.share) for outcome, rate in rates]
+        seconds = UNKNOWN if tally.cpu_s is None else f"{tally.cpu_s:.2g}"
+        memory = UNKNOWN if tally.memory_bytes is None else f"{tally.memory_bytes / 2**20:,.0f}"
         table.append([row.name, f"{tally.total:,}", *(text.removesuffix(" %") for text in shares), seconds, memory])
     return table
 
@@ -100,29 +72,17 @@ def preset_table(study: StressStudy) -> list[list[str]]:
     head = [f"{preset.name}: {preset.offset:g} m, {preset.angle_deg:g} deg" for preset in PRESETS]
     table = [["", "runs", "within tolerance", *head]]
     for row in stress_rows(study, REGISTRATION):
-        cells = [c for c in row.cells if isinstance(c, RegistrationCell) and c.scene in metric_scenes]
+        cells = [cell for cell in row.cells if cell.scene in metric_scenes]
         if cells:
             rates = [Rate(sum(cell.pose_is_right for cell in cells), len(cells))]
             rates += [Rate(sum(cell.meets(preset) for cell in cells), len(cells)) for preset in PRESETS]
-            table.append([row.name, f"{len(cells):,}", *map(rate_text, rates)])
+            table.append([row.name, f"{len(cells):,}", *(rate.text for rate in rates)])
     return table if len(table) > 1 else []
 
 
-def text_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as aligned text: the first column to the left, the others to the right."""
-    widths = [max(map(columns, cells)) for cells in zip(*rows, strict=True)]
-    lines = (
-        "  ".join(
-            pad(cell, width, right=number > 0) for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    )
-    return "\n".join(line.rstrip() for line in lines)
-
-
-def _limit_cells(study: StressStudy, row: StressRow) -> dict[str, str]:
+def _limit_cells(study: StressStudy, row: StressRow[Any]) -> dict[str, str]:
     """Return the text of a row's limit by the name of the ladder, with its number of confident errors."""
-    texts = {found.ladder.name: _limit_cell(found) for found in safe_ranges(study, row)}
+    texts = {limit.ladder.name: _limit_cell(limit) for limit in safe_ranges(study, row)}
     for start in safe_starts(study, row):
         ladder = start.ladder
         texts[ladder.name] = (
@@ -132,15 +92,15 @@ def _limit_cells(study: StressStudy, row: StressRow) -> dict[str, str]:
         tally = Tally.of(cells)
         if name not in texts:
             texts[name] = f"{percent(ladder_success(tally, study.ladder(name), row.subject).share)} right or said"
-        if (confident := tally.rate(*CONFIDENT[row.subject])).count:
+        if (confident := tally.of_groups(row.subject, CONFIDENT)).count:
             texts[name] += f" !{confident.count}"
     return texts
 
 
-def _limit_cell(found: SafeRange) -> str:
-    if found.level is None:
+def _limit_cell(limit: SafeRange) -> str:
+    if limit.level is None:
         return "none"
-    return "all" if found.is_complete else f"{found.level:g}"
+    return "all" if limit.is_complete else f"{limit.level:g}"
 
 
 def _ladder_title(ladder: LadderInfo) -> str:

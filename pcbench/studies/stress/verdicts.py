@@ -8,30 +8,94 @@ the doubt of a pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from pcbench.deformation import Deformation, deform
 from pcbench.errors import RegistrationError
-from pcbench.extras import installed_versions
 from pcbench.geometry.transform import Similarity
-from pcbench.studies.stress.results import (
-    FALSE_BEND,
-    MIN_COUNTED_SIZE,
-    MISSED,
-    RIGHT,
-    VERDICTS,
-    WITHHELD,
-    WITHHELD_ALTHOUGH_RIGHT,
-    WRONG,
-    MethodInfo,
-)
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.subject import (
+    BLUE,
+    CONFIDENT,
+    COST_LEGEND,
+    ENDS,
+    GREEN,
+    RED,
+    RIGHT,
+    SAID_SO,
+    SUCCESS,
+    WITHHELD,
+    WRONG,
+    Cell,
+    Method,
+    Outcome,
+    PairSubject,
+    RunResult,
+    by_name,
+)
 
 DEFORM, NAIVE_BIC, NAIVE_TILES = "deform", "naive BIC", "naive cross-validation"
 NON_AFFINE, UNDECIDED = "non-affine", "undecided"
 _NAMES = {"rigid": "none", "similarity": "similarity", "affine": "affine"}  # verdicts of the selected models
+
+# Failures of a verdict.
+FALSE_BEND = "false-bend"  # non-affine, although nothing is deformed beyond an affine motion
+MISSED = "missed"  # not non-affine, although the deformation is larger than the limit beside the verdict
+WITHHELD_ALTHOUGH_RIGHT = "withheld-although-right"  # no verdict, although the pose is right
+
+MIN_COUNTED_SIZE = 0.25
+"""RMS over the noise above which a deformation has to be found; a smaller one may be."""
+
+
+@dataclass(frozen=True)
+class VerdictCell(Cell):
+    """Result of one verdict on a deformation.
+
+    Attributes:
+        failure: `FALSE_BEND`, `MISSED`, `WITHHELD_ALTHOUGH_RIGHT`, or empty.
+        verdict: verdict: none, similarity, affine, non-affine or undecided; empty after a crash.
+        true_rms: true RMS of the deformation along the normals beyond an affine one, in the clouds' unit.
+        noise: standard deviation of the difference of both clouds along the normals, in the clouds' unit.
+        rms: measured RMS of the deformation over the surface; None if the verdict has none.
+        interval: 95 % confidence interval of `rms`; None if the verdict has none.
+        limit: RMS of the smallest deformation that would have been stated; None if not stated.
+        pose_is_right: whether the pose that it stands on is right.
+    """
+
+    failure: str = ""
+    verdict: str = ""
+    true_rms: float = 0.0
+    noise: float = math.nan
+    rms: float | None = None
+    interval: tuple[float, float] | None = None
+    limit: float | None = None
+    pose_is_right: bool = True
+
+    @property
+    def size_in_noise(self) -> float:
+        """True RMS of the deformation over the noise."""
+        return self.true_rms / self.noise
+
+    @property
+    def is_deformed(self) -> bool:
+        """Return whether the true deformation is so large that it has to be found."""
+        return self.true_rms > MIN_COUNTED_SIZE * self.noise
+
+    @property
+    def ratio(self) -> float | None:
+        """Measured over true RMS; None without a size, or if nothing is deformed."""
+        return None if self.rms is None or not self.true_rms > 0 else self.rms / self.true_rms
+
+    @property
+    def covers(self) -> bool | None:
+        """Whether the interval contains the true RMS; None without an interval, or if nothing is deformed."""
+        if self.interval is None or not self.true_rms > 0:
+            return None
+        return self.interval[0] <= self.true_rms <= self.interval[1]
 
 
 class VerdictValues(NamedTuple):
@@ -43,19 +107,6 @@ class VerdictValues(NamedTuple):
     limit: float | None = None
     codes: tuple[str, ...] = ()
     message: str = ""
-
-
-@dataclass(frozen=True)
-class VerdictMethod:
-    """A rule that turns the fits of all models into a verdict."""
-
-    name: str
-    decide: Callable[[Deformation], VerdictValues]
-
-    def info(self) -> MethodInfo:
-        """Return the description for results; the naive rules are not ours."""
-        library = "pcbench" if self.name == DEFORM else "naive"
-        return MethodInfo(self.name, VERDICTS, "", library, installed_versions(["pcbench"]).get("pcbench", ""))
 
 
 class VerdictRun(NamedTuple):
@@ -75,7 +126,7 @@ def run_deform(pair: StressPair, seed: int) -> VerdictRun:
     return VerdictRun(registration.T_reference_candidate, found)
 
 
-def judge(values: VerdictValues, true_rms: float, noise: float, *, pose_is_right: bool) -> tuple[str, str]:
+def outcome_of(values: VerdictValues, true_rms: float, noise: float, *, pose_is_right: bool) -> tuple[str, str]:
     """Return the outcome of a verdict and the kind of its failure.
 
     A deformation of up to a quarter of the noise may be found or not: both verdicts are right.
@@ -135,11 +186,70 @@ def _choice(found: Deformation, model: str) -> VerdictValues:
     return VerdictValues(NON_AFFINE, math.sqrt(max(0.0, explained[model] - explained["affine"])))
 
 
-VERDICT_METHODS = {
-    method.name: method
-    for method in (
-        VerdictMethod(DEFORM, _ours),
-        VerdictMethod(NAIVE_BIC, _by_bic),
-        VerdictMethod(NAIVE_TILES, _by_tiles),
-    )
-}
+VERDICT_METHODS = by_name(
+    Method(DEFORM, _ours),
+    Method(NAIVE_BIC, _by_bic, "naive"),
+    Method(NAIVE_TILES, _by_tiles, "naive"),
+)
+
+
+def _ask(_: str, pair: StressPair, seed: int) -> VerdictRun:
+    return run_deform(pair, seed)
+
+
+def _judge(answer: VerdictRun, pair: StressPair, values: Mapping[str, Any]) -> RunResult:
+    """Compare the verdict of each rule with the true deformation."""
+    noise = float(np.hypot(pair.noise, pair.candidate_noise))
+    right = False
+    if answer.pose is not None:
+        moved = answer.pose.apply(pair.candidate) - pair.points
+        right = bool(np.sqrt(np.square(moved).sum(axis=1).mean()) <= pair.tolerance)
+    cells = []
+    for name, rule in VERDICT_METHODS.items():
+        if answer.deformation is None:
+            verdict = VerdictValues(UNDECIDED, message=answer.message)
+        else:
+            verdict = rule.run(answer.deformation)
+        outcome, failure = outcome_of(verdict, pair.true_rms, noise, pose_is_right=right)
+        cells.append(
+            VerdictCell(
+                **{**values, "method": name},
+                outcome=outcome,
+                codes=verdict.codes,
+                message=verdict.message,
+                failure=failure,
+                verdict=verdict.verdict,
+                true_rms=pair.true_rms,
+                noise=noise,
+                rms=verdict.rms,
+                interval=verdict.interval,
+                limit=verdict.limit,
+                pose_is_right=right,
+            )
+        )
+    return RunResult(tuple(cells))
+
+
+VERDICTS = PairSubject(
+    name="verdicts",
+    title="Verdicts on deformation",
+    noun="verdict",
+    key="verdicts",
+    cell=VerdictCell,
+    outcomes=(
+        Outcome(RIGHT, "right", GREEN, SUCCESS),
+        Outcome(WITHHELD, "withheld", BLUE, SAID_SO),
+        Outcome(WRONG, "wrong with confidence", RED, CONFIDENT),
+        *ENDS,
+    ),
+    legend=f"withheld: no verdict; wrong: contradicts the truth; {COST_LEGEND}, each for all rules together",
+    success="right verdicts [% of runs]",
+    charts=("outcomes", "matrix", "sizes", "severity"),
+    methods=VERDICT_METHODS,
+    ask=_ask,
+    judge=_judge,
+    warm_up=lambda pair: run_deform(pair, 0),
+    start=(1.0, 0.005),
+    is_joint=True,
+    cells_of=lambda _: [{"method": name} for name in VERDICT_METHODS],
+)

@@ -1,164 +1,150 @@
-"""Conclusions of the stress study as sentences, computed from its cells alone."""
+"""Headlines of the stress study, computed from its cells alone: at most three for each subject.
+
+Tables and charts show the rest: every method, ladder and outcome.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from statistics import median
 
 from pcbench.measure.wording import pluralize
 from pcbench.report.words import join_words
+from pcbench.studies.frame.rates import Rate, percent
+from pcbench.studies.stress.changes import CHANGES
 from pcbench.studies.stress.limits import (
-    ABORTED,
-    CONFIDENT,
-    SAID_SO,
-    SUCCESS,
-    SafeRange,
-    SafeStart,
     StressRow,
+    Tally,
+    coverage,
     ladder_counts,
     limit_text,
     safe_ranges,
-    safe_starts,
     stress_rows,
 )
-from pcbench.studies.stress.reconstructors.words import case_sentences, failure_sentences, limit_sentences
-from pcbench.studies.stress.results import (
-    CHANGES,
+from pcbench.studies.stress.metrics import MAX_METRIC_ERROR, METRICS
+from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION, UNPERTURBED
+from pcbench.studies.stress.registration import REGISTRATION, RegistrationCell
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import (
+    ABORTED,
+    CONFIDENT,
     CRASH,
-    FALSE_ALARM,
-    FALSE_BEND,
+    GLOBAL,
     LOCAL,
-    MAX_METRIC_ERROR,
-    METRICS,
-    MISSED,
-    RECONSTRUCTION,
-    REFUSED,
-    REGISTRATION,
     RIGHT,
     SAID,
+    SAID_SO,
     SILENT,
+    SUCCESS,
     TIME_OUT,
     UNNAMED,
-    VERDICTS,
     WITHHELD,
-    WITHHELD_ALTHOUGH_RIGHT,
     WRONG,
+    C,
     Cell,
-    ChangeCell,
-    MetricCell,
-    Rate,
-    RegistrationCell,
-    StressStudy,
-    Tally,
-    VerdictCell,
-    grouped,
+    Subject,
 )
+from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHELD_ALTHOUGH_RIGHT
 
 # Ladders whose limits describe a method best, if they were run.
 _HEADLINES = ("start-rotation", "start-offset", "overlap", "noise-gaussian", "background")
 _MAX_HEADLINES = 5
-_MAX_BREAKS = 4  # ladders named as those under which a method breaks first
 _NOMINAL_COVERAGE = 0.95
 
 
 def sentences(study: StressStudy) -> tuple[str, ...]:
     """Return all conclusions as sentences, those on registration first."""
-    parts = (
-        registration_sentences,
-        metric_sentences,
-        verdict_sentences,
-        change_sentences,
-        reconstruction_sentences,
-        warnings,
-    )
-    return tuple(sentence for part in parts for sentence in part(study))
+    return (*answer(study), *warnings(study))
 
 
 def answer(study: StressStudy) -> Iterator[str]:
-    """Yield the conclusions to read first: the limits of our methods, and how often they are wrong with confidence."""
-    for row in stress_rows(study, REGISTRATION):
-        if row.method.is_ours:
-            yield from _limit_sentence(row, safe_ranges(study, row))
-            yield _silent_sentence(study, row)
-    yield from (_metric_sentence(row) for row in stress_rows(study, METRICS) if row.method.is_ours)
-    yield from (_verdict_sentence(row) for row in stress_rows(study, VERDICTS) if row.method.is_ours)
-    yield from (_change_sentence(row) for row in stress_rows(study, CHANGES))
-    for row in stress_rows(study, RECONSTRUCTION):
-        yield from limit_sentences(study, row)
+    """Yield the headlines of each subject: where our methods are right, and whether they say so where they are not."""
+    yield from registration_headlines(study)
+    yield from metric_headlines(study)
+    yield from verdict_headlines(study)
+    yield from change_headlines(study)
+    yield from reconstruction_headlines(study)
 
 
-def registration_sentences(study: StressStudy) -> Iterator[str]:
-    """Yield where each registration method is safe, how it fails beyond, and where it is wrong with confidence."""
-    for row in stress_rows(study, REGISTRATION):
-        ranges = safe_ranges(study, row)
-        yield from _limit_sentence(row, ranges)
-        for start in safe_starts(study, row):
-            yield _start_sentence(row, start)
-        yield from _break_sentence(row, ranges)
-        yield _silent_sentence(study, row)
-        yield from _alarm_sentence(row)
-        yield from _abort_sentence(study, row)
+def registration_headlines(study: StressStudy) -> Iterator[str]:
+    """Yield the limits of our first method of each scope, and how often our methods are wrong with confidence."""
+    rows = _ours(study, REGISTRATION)
+    for scope in (LOCAL, GLOBAL):
+        for row in [row for row in rows if row.method.scope == scope][:1]:
+            yield from _limit_sentence(study, row)
+    if rows:
+        parts = [f"{row.name} in {_count_text(study, row.cells, SILENT)}" for row in rows]
+        yield f"Wrong with confidence: {'; '.join(parts)}."
 
 
-def metric_sentences(study: StressStudy) -> Iterator[str]:
-    """Yield how often each metric is right, explained or silently wrong, and whether its intervals cover."""
-    for row in stress_rows(study, METRICS):
-        yield _metric_sentence(row)
-        yield from _coverage_sentence(row)
-        yield from _break_sentence(row, safe_ranges(study, row))
-        yield from _abort_sentence(study, row)
+def metric_headlines(study: StressStudy) -> Iterator[str]:
+    """Yield how often our metrics are right, explained or silently wrong, and whether their intervals cover."""
+    rows = _ours(study, METRICS)
+    for row in rows:
+        tally = Tally.of(row.cells)
+        yield (
+            f"{row.name}: within {percent(MAX_METRIC_ERROR)} of the exact value in {tally.rate(RIGHT).text} of"
+            f" {pluralize(tally.total, 'run')}; further off, but explained by its floor or its interval, in"
+            f" {tally.rate(SAID).text}; silently wrong in {tally.rate(SILENT).text}."
+        )
+    yield from _coverage_sentence("pcbench", [cell for row in rows for cell in row.cells], "exact value")
 
 
-def verdict_sentences(study: StressStudy) -> Iterator[str]:
-    """Yield how often each rule is right, wrong with confidence, or withholds a verdict on a right pose."""
-    for row in stress_rows(study, VERDICTS):
-        cells = [cell for cell in row.cells if isinstance(cell, VerdictCell)]
-        completed = [cell for cell in cells if cell.outcome not in ABORTED]
-        deformed = [cell for cell in completed if cell.is_deformed]
-        undeformed = [cell for cell in completed if cell.true_rms == 0]
-        posed = [cell for cell in completed if cell.pose_is_right]
-        false_bends, missed = _failures(undeformed, FALSE_BEND), _failures(deformed, MISSED)
-        withheld = _failures(posed, WITHHELD_ALTHOUGH_RIGHT)
-        yield _verdict_sentence(row)
-        parts = [
-            *_share_part("finds a deformation in", false_bends, "undeformed cloud"),
-            *_share_part("misses", missed, "deformed cloud"),
-            *_share_part("withholds its verdict on", withheld, "right pose"),
-        ]
-        if parts:
-            yield f"{row.name} {'; it '.join(parts)}."
-        if places := ladder_counts(study, cells, WRONG):
-            yield f"{row.name} is wrong with confidence under {places}."
-        yield from _size_sentence(row)
-        yield from _coverage_sentence(row)
-        yield from _break_sentence(row, safe_ranges(study, row))
-        yield from _abort_sentence(study, row)
+def verdict_headlines(study: StressStudy) -> Iterator[str]:
+    """Yield how often our verdicts are right, in which way they fail, and whether their intervals cover."""
+    for row in _ours(study, VERDICTS):
+        tally = Tally.of(row.cells)
+        yield (
+            f"{row.name}: right in {tally.rate(RIGHT).text} of {pluralize(tally.total, 'verdict')}, wrong with"
+            f" confidence in {tally.rate(WRONG).text}, withheld in {tally.rate(WITHHELD).text}."
+        )
+        completed = [cell for cell in row.cells if cell.outcome not in (CRASH, TIME_OUT)]
+        undeformed = [cell.failure == FALSE_BEND for cell in completed if cell.true_rms == 0]
+        deformed = [cell.failure == MISSED for cell in completed if cell.is_deformed]
+        posed = [cell.failure == WITHHELD_ALTHOUGH_RIGHT for cell in completed if cell.pose_is_right]
+        yield from _failure_sentence(
+            row.name,
+            ("finds a deformation in", undeformed, "undeformed cloud"),
+            ("misses", deformed, "deformed cloud"),
+            ("withholds its verdict on", posed, "right pose"),
+        )
+        yield from _coverage_sentence(row.name, row.cells, "true size")
 
 
-def change_sentences(study: StressStudy) -> Iterator[str]:
+def change_headlines(study: StressStudy) -> Iterator[str]:
     """Yield how often a change is named, and how often one is reported where nothing changed."""
-    for row in stress_rows(study, CHANGES):
-        yield _change_sentence(row)
-        cells = [cell for cell in row.cells if isinstance(cell, ChangeCell) and cell.outcome not in ABORTED]
-        unnamed = Rate(sum(cell.outcome == UNNAMED for cell in cells), sum(cell.has_to_be_named for cell in cells))
-        false = Rate(sum(cell.elsewhere > 0 for cell in cells), len(cells))
-        parts = [
-            *_share_part("does not name", unnamed, "large change"),
-            *_share_part("reports a change where there is none in", false, "run"),
-        ]
-        if parts:
-            yield f"{row.name} {'; it '.join(parts)}."
-        yield from _break_sentence(row, safe_ranges(study, row))
-        yield from _abort_sentence(study, row)
+    for row in _ours(study, CHANGES):
+        tally = Tally.of(row.cells)
+        yield (
+            f"{row.name}: names what changed, or that nothing did, in {tally.rate(RIGHT).text} of"
+            f" {pluralize(tally.total, 'run')}, leaves a large change out in {tally.rate(UNNAMED).text}, and names"
+            f" another kind or place in {tally.rate(WRONG).text}."
+        )
+        completed = [cell for cell in row.cells if cell.outcome not in (CRASH, TIME_OUT)]
+        yield from _failure_sentence(
+            row.name,
+            ("does not name", [c.outcome == UNNAMED for c in completed if c.has_to_be_named], "large change"),
+            ("reports a change where there is none in", [c.elsewhere > 0 for c in completed], "run"),
+        )
 
 
-def reconstruction_sentences(study: StressStudy) -> Iterator[str]:
-    """Yield how far each reconstructor keeps half of its F-score, and what it does beyond."""
+def reconstruction_headlines(study: StressStudy) -> Iterator[str]:
+    """Yield the scores on the unperturbed scene, how far half of them is kept, and how often that is not said."""
+    info, scores, limits, silent = study.photographs, [], [], []
     for row in stress_rows(study, RECONSTRUCTION):
-        yield from limit_sentences(study, row)
-        yield from failure_sentences(study, row)
-        yield from case_sentences(study, row)
+        known = [cell.fscore for cell in row.cells if cell.ladder == UNPERTURBED and cell.fscore is not None]
+        scores.append(f"{row.name} {median(known):.2g}" if known else f"{row.name} none, so its clouds are not judged")
+        ranges = [limit_text(limit) for limit in safe_ranges(study, row) if known and limit.safe_levels]
+        limits += [f"{row.name} {join_words(ranges)}"] if ranges else []
+        perturbed = [cell for cell in row.cells if cell.ladder != UNPERTURBED]
+        if known and perturbed:
+            silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(CONFIDENT))}")
+    if info is not None and scores:
+        yield f"F-score at {info.threshold:.3g} m on the unperturbed scene: {'; '.join(scores)}."
+    if limits:
+        yield f"At least half of it is kept by {'; '.join(limits)}."
+    if silent:
+        yield f"Less than half of it without a warning: {'; '.join(silent)}."
 
 
 def warnings(study: StressStudy) -> Iterator[str]:
@@ -187,207 +173,66 @@ def warnings(study: StressStudy) -> Iterator[str]:
         yield f"Left out: {join_words(names)} ({reason})."
 
 
-def percent(share: float) -> str:
-    """Return a share as a percentage: two digits below 10 %, and no rounding of less than all to 100 %."""
-    return f"{_percent_number(share)} %"
+def _ours(study: StressStudy, subject: Subject[C]) -> list[StressRow[C]]:
+    return [row for row in stress_rows(study, subject) if row.method.is_ours]
 
 
-def rate_text(rate: Rate) -> str:
-    """Return a share with its 95 % interval, such as `0.4 % [0.1, 1.2]`; a dash without runs."""
-    if not rate.total:
-        return "–"
-    low, high = rate.interval
-    return f"{percent(rate.share)} [{_percent_number(low)}, {_percent_number(high)}]"
-
-
-def axis_title(title: str, unit: str) -> str:
-    """Return a quantity with its unit in brackets, if it has one."""
-    return f"{title} [{unit}]" if unit else title
-
-
-def _percent_number(share: float) -> str:
-    value = 100 * share
-    if 99 < value < 100:
-        return f"{min(value, 99.9):.1f}"
-    return f"{value:.2g}" if value < 9.95 else f"{value:.0f}"
-
-
-def _limit_sentence(row: StressRow, ranges: Sequence[SafeRange]) -> Iterator[str]:
-    named = {found.ladder.name: found for found in ranges}
-    chosen = [named[name] for name in _HEADLINES if name in named] or list(ranges[:_MAX_HEADLINES])
+def _limit_sentence(study: StressStudy, row: StressRow[RegistrationCell]) -> Iterator[str]:
+    """Yield the last safe levels of a method, and how runs beyond them end."""
+    ranges = {limit.ladder.name: limit for limit in safe_ranges(study, row)}
+    chosen = [ranges[name] for name in _HEADLINES if name in ranges] or list(ranges.values())[:_MAX_HEADLINES]
     if not chosen:
         return
-    safe, unsafe = ([f for f in chosen if (f.level is None) is none] for none in (False, True))
-    limits = f"safe {join_words([limit_text(found) for found in safe])}" if safe else ""
-    never = f"not safe at any level of {join_words([found.ladder.title for found in unsafe])}" if unsafe else ""
-    start = f"{row.name}: {', '.join(filter(None, (limits, never)))}"
-    beyond = _sum(found.beyond for found in chosen)
-    if not beyond.total:
-        yield f"{start}."
-        return
-    yield f"{start}; {'beyond that' if safe else 'there'} it {_failure_words(beyond)}."
+    safe = [limit_text(limit) for limit in chosen if limit.level is not None]
+    unsafe = [limit.ladder.title for limit in chosen if limit.level is None]
+    parts = [f"safe {join_words(safe)}"] if safe else []
+    parts += [f"not safe at any level of {join_words(unsafe)}"] if unsafe else []
+    levels = [(limit.ladder.name, level) for limit in chosen for level in limit.ladder.levels[limit.safe_levels :]]
+    beyond = Tally.of(cell for cell in row.cells if (cell.ladder, cell.level) in levels)
+    end = f"; {'beyond that' if safe else 'there'} it {_failure_words(beyond)}" if beyond.total else ""
+    yield f"{row.name}: {', '.join(parts)}{end}."
 
 
 def _failure_words(beyond: Tally) -> str:
-    """Return how runs end beyond the safe levels."""
-    said, silent = (beyond.rate(*of[REGISTRATION]) for of in (SAID_SO, CONFIDENT))
+    """Return how registrations end beyond the safe levels."""
     parts = [
-        f"fails and says so in {percent(said.share)}",
-        f"is silently wrong in {rate_text(silent)}",
-        f"is right in {percent(beyond.rate(*SUCCESS[REGISTRATION]).share)}",
+        f"fails and says so in {percent(beyond.of_groups(REGISTRATION, SAID_SO).share)}",
+        f"is silently wrong in {beyond.of_groups(REGISTRATION, CONFIDENT).text}",
+        f"is right in {percent(beyond.of_groups(REGISTRATION, SUCCESS).share)}",
     ]
-    aborted = beyond.rate(*ABORTED)
+    aborted = beyond.of_groups(REGISTRATION, ABORTED)
     if aborted.count:
         parts.append(f"crashes or runs out of time in {percent(aborted.share)}")
     return f"{join_words(parts)} of {pluralize(beyond.total, 'run')}"
 
 
-def _start_sentence(row: StressRow, start: SafeStart) -> str:
-    ladder = start.ladder
-    if start.level is None or start.second is None:
-        return (
-            f"{row.name}: no start is safe, not even the nearest of {ladder.title} and {ladder.second_title};"
-            f" it {_failure_words(start.beyond)}."
-        )
-    inside = start.within.rate(*SUCCESS[REGISTRATION])
-    second = f"{start.second:g} {ladder.second_unit}".rstrip()
-    outside = f"; from others it {_failure_words(start.beyond)}" if start.beyond.total else ""
-    return (
-        f"{row.name}: safe from starts within {ladder.level_text(start.level)} and {second} together"
-        f" ({inside.count} of {pluralize(inside.total, 'run')} right){outside}."
-    )
+def _count_text(study: StressStudy, cells: Sequence[Cell], outcome: str) -> str:
+    """Return how many cells have an outcome, and under which ladders."""
+    rate = Tally.of(cells).rate(outcome)
+    places = ladder_counts(study, cells, outcome)
+    return f"{rate.count} of {pluralize(rate.total, 'run')}, {rate.text}" + (f" ({places})" if places else "")
 
 
-def _break_sentence(row: StressRow, ranges: Sequence[SafeRange]) -> Iterator[str]:
-    """Yield the ladders under which a row breaks first, and those that it withstands."""
-    broken = sorted((found for found in ranges if not found.is_complete), key=lambda found: found.share)
-    withstood = [found.ladder.title for found in ranges if found.is_complete]
+def _failure_sentence(name: str, *failures: tuple[str, Sequence[bool], str]) -> Iterator[str]:
+    """Yield how often each kind of failure occurs: its verb, whether each of its cases failed, and what a case is."""
     parts = []
-    if broken:
-        some = [f"{found.ladder.title} ({_short_limit(found)})" for found in broken[:_MAX_BREAKS]]
-        first = "first " if len(broken) > _MAX_BREAKS else ""
-        parts.append(f"breaks {first}under {join_words(some)}")
-    if withstood:
-        parts.append(f"withstands all levels of {join_words(withstood)}")
+    for verb, failed, noun in failures:
+        if failed:
+            rate = Rate(sum(failed), len(failed))
+            parts.append(f"{verb} {rate.count} of {pluralize(rate.total, noun)}, {rate.text}")
     if parts:
-        yield f"{row.name} {'; it '.join(parts)}."
+        yield f"{name} {'; it '.join(parts)}."
 
 
-def _short_limit(found: SafeRange) -> str:
-    if found.level is None:
-        return "safe at no level"
-    way = "below" if found.ladder.levels[0] > found.ladder.levels[-1] else "beyond"
-    return f"{way} {found.ladder.level_text(found.level)}"
-
-
-def _silent_sentence(study: StressStudy, row: StressRow) -> str:
-    silent = Tally.of(row.cells).rate(SILENT)
-    text = f"{row.name} is wrong with confidence in {silent.count} of {pluralize(silent.total, 'run')}"
-    places = ladder_counts(study, row.cells, SILENT)
-    text = f"{text}, {rate_text(silent)}" + (f": {places}" if places else "")
-    warned = [cell for cell in row.cells if isinstance(cell, RegistrationCell) and cell.warned]
-    codes = Counter(code for cell in warned if cell.outcome == SILENT for code in cell.codes)
-    if not codes:
-        return f"{text}."
-    count = sum(cell.outcome == SILENT for cell in warned)
-    names = join_words([f"{code} ({number})" for code, number in codes.most_common()])
-    return f"{text}; {count} of them with a warning that does not make the pose doubtful: {names}."
-
-
-def _metric_sentence(row: StressRow) -> str:
-    tally = Tally.of(row.cells)
-    return (
-        f"{row.name}: within {percent(MAX_METRIC_ERROR)} of the exact value in {rate_text(tally.rate(RIGHT))} of"
-        f" {pluralize(tally.total, 'run')}; further off, but explained by its floor or its interval, in"
-        f" {rate_text(tally.rate(SAID))}; silently wrong in {rate_text(tally.rate(SILENT))}."
-    )
-
-
-def _verdict_sentence(row: StressRow) -> str:
-    tally = Tally.of(row.cells)
-    return (
-        f"{row.name}: right in {rate_text(tally.rate(RIGHT))} of {pluralize(tally.total, 'verdict')}, wrong with"
-        f" confidence in {rate_text(tally.rate(WRONG))}, withheld in {rate_text(tally.rate(WITHHELD))}."
-    )
-
-
-def _change_sentence(row: StressRow) -> str:
-    tally = Tally.of(row.cells)
-    return (
-        f"{row.name}: names what changed, or that nothing did, in {rate_text(tally.rate(RIGHT))} of"
-        f" {pluralize(tally.total, 'run')}, leaves a large change out in {rate_text(tally.rate(UNNAMED))}, and names"
-        f" another kind or place in {rate_text(tally.rate(WRONG))}."
-    )
-
-
-def _alarm_sentence(row: StressRow) -> Iterator[str]:
-    tally = Tally.of(row.cells)
-    doubted = Rate(tally.counts.get(FALSE_ALARM, 0), tally.rate(RIGHT, FALSE_ALARM).count)
-    refused = tally.counts.get(REFUSED, 0)
-    parts = [*_share_part("doubts", doubted, "right pose")]
-    if refused:
-        other = "another local method" if row.method.scope == LOCAL else "another method"
-        parts.append(f"refuses {pluralize(refused, 'pose')} that {other} found")
-    if parts:
-        yield f"{row.name} {'; it '.join(parts)}."
-
-
-def _abort_sentence(study: StressStudy, row: StressRow) -> Iterator[str]:
-    tally = Tally.of(row.cells)
-    parts = [
-        f"{verb} in {pluralize(tally.counts[outcome], 'run')}: {ladder_counts(study, row.cells, outcome)}"
-        for outcome, verb in ((CRASH, "crashes"), (TIME_OUT, "runs out of time"))
-        if outcome in tally.counts
-    ]
-    if parts:
-        yield f"{row.name} {'; it '.join(parts)}."
-
-
-def _coverage_sentence(row: StressRow) -> Iterator[str]:
-    known = [cell.covers for cell in row.cells if isinstance(cell, MetricCell | VerdictCell) and _has_truth(cell)]
-    covered = Rate(sum(value is True for value in known), sum(value is not None for value in known))
+def _coverage_sentence(name: str, cells: Iterable[Cell], truth: str) -> Iterator[str]:
+    """Yield whether the intervals of cells contain the truth as often as they state."""
+    covered = coverage(cells)
     if not covered.total:
         return
     low, high = covered.interval
     stated = _NOMINAL_COVERAGE
     judgement = "less often than stated" if high < stated else "more often than stated" if low > stated else "as stated"
-    what = "true size" if row.subject == VERDICTS else "exact value"
     yield (
-        f"{row.name}: the 95 % interval contains the {what} in {rate_text(covered)} of"
-        f" {pluralize(covered.total, 'interval')}, {judgement}."
+        f"{name}: the 95 % interval contains the {truth} in {covered.text} of {pluralize(covered.total, 'interval')},"
+        f" {judgement}."
     )
-
-
-def _has_truth(cell: Cell) -> bool:
-    return not isinstance(cell, VerdictCell) or cell.true_rms > 0
-
-
-def _size_sentence(row: StressRow) -> Iterator[str]:
-    """Yield the median of measured over true size, by size of the true deformation in units of the noise."""
-    cells = [cell for cell in row.cells if isinstance(cell, VerdictCell) and cell.ratio is not None]
-    sizes = grouped(cells, lambda cell: round(cell.size_in_noise, 1))
-    parts = [
-        f"{median([cell.ratio or 0.0 for cell in sizes[size]]):.2g} times the true one at {size:g} times the noise"
-        for size in sorted(sizes)
-    ]
-    if parts:
-        yield f"{row.name}: the median of the measured sizes is {join_words(parts)}."
-
-
-def _share_part(verb: str, rate: Rate, noun: str) -> list[str]:
-    if not rate.total:
-        return []
-    return [f"{verb} {rate.count} of {pluralize(rate.total, noun)}, {rate_text(rate)}"]
-
-
-def _failures(cells: Sequence[VerdictCell], failure: str) -> Rate:
-    return Rate(sum(cell.failure == failure for cell in cells), len(cells))
-
-
-def _sum(tallies: Iterable[Tally]) -> Tally:
-    counts: Counter[str] = Counter()
-    total = 0
-    for tally in tallies:
-        counts.update(tally.counts)
-        total += tally.total
-    return Tally(dict(counts), total, None, None)

@@ -1,7 +1,8 @@
-"""Pictures of the worst silent failures: the candidate under the found pose, coloured by its error."""
+"""The worst silent failures: their clouds, and pictures of the candidate under the pose that was found."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -10,16 +11,76 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError, describe_damage
 from pcbench.geometry.arrays import FloatArray
+from pcbench.geometry.transform import Similarity
+from pcbench.io.files import atomic_write
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, rgb
 from pcbench.report.plot.panels import compose
 from pcbench.report.plot.splats import splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
 from pcbench.report.words import length
+from pcbench.studies.stress.cells import RunPlan, build_pair
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.results import SilentFailure, StressStudy
+from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.subject import SILENT, RunResult
 
+_WORST = 3  # number of silent failures to draw
+_PICTURE_POINTS = 20_000  # of each cloud in a picture
 _REFERENCE_COLOR = (88, 92, 100)
 _ERROR_LABEL = "displacement from the true pose"
+
+
+def save_worst(
+    out: Path,
+    study: StressStudy,
+    runs: Sequence[RunPlan],
+    results: Sequence[RunResult],
+    pair: StressPair | None,
+) -> tuple[SilentFailure, ...]:
+    """Save the clouds of the silent failures with the largest errors: at first one of each ladder.
+
+    Args:
+        out: folder of the study, whose former ones are deleted.
+        study: the study.
+        runs: all runs of the study.
+        results: their results.
+        pair: given pair, or None for the built-in scenes.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    registrations = [
+        (run, result.pose) for run, result in zip(runs, results, strict=True) if run.subject == REGISTRATION.name
+    ]
+    silent = [
+        (cell, run, pose)
+        for cell, (run, pose) in zip(study.registrations, registrations, strict=True)
+        if cell.outcome == SILENT and pose is not None
+    ]
+    silent.sort(key=lambda failure: -(failure[0].error or 0.0))
+    largest = {cell.ladder: cell for cell, _, _ in reversed(silent)}
+    silent.sort(key=lambda failure: failure[0] is not largest[failure[0].ladder])
+    for former in out.glob("worst_*.npz"):
+        former.unlink()
+    failures = []
+    for number, (cell, run, pose) in enumerate(silent[:_WORST], 1):
+        perturbed = build_pair(run, pair)
+        found = Similarity.from_matrix(pose).apply(perturbed.candidate)
+        file = f"worst_{number}.npz"
+        rng = np.random.default_rng(0)
+        fixed, moving = (
+            np.sort(rng.permutation(len(points))[:_PICTURE_POINTS]) for points in (perturbed.reference, found)
+        )
+        with atomic_write(out / file) as stream:
+            np.savez_compressed(
+                stream,
+                reference=perturbed.reference[fixed],
+                found=found[moving],
+                true=perturbed.points[moving],
+            )
+        failures.append(SilentFailure(cell, file))
+    return tuple(failures)
 
 
 def draw_worst(study: StressStudy, failure: SilentFailure, folder: Path, path: Path) -> None:

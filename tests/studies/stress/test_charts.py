@@ -11,7 +11,7 @@ from stress_studies import LADDERS, MAP, crowded_study, study
 import_or_skip("matplotlib")
 
 from pcbench.errors import InputError  # noqa: E402
-from pcbench.report import to_json  # noqa: E402
+from pcbench.io.json_values import to_json  # noqa: E402
 from pcbench.studies.stress.charts import draw_charts  # noqa: E402
 from pcbench.studies.stress.curves import (  # noqa: E402
     coverage_chart,
@@ -22,8 +22,10 @@ from pcbench.studies.stress.curves import (  # noqa: E402
     speed_chart,
 )
 from pcbench.studies.stress.grids import basin_chart, matrix_chart, outcome_chart  # noqa: E402
-from pcbench.studies.stress.results import KIND, REGISTRATION, SILENT, SilentFailure  # noqa: E402
-from pcbench.studies.stress.worst import failure_title  # noqa: E402
+from pcbench.studies.stress.registration import REGISTRATION  # noqa: E402
+from pcbench.studies.stress.results import KIND, SilentFailure  # noqa: E402
+from pcbench.studies.stress.subject import SILENT  # noqa: E402
+from pcbench.studies.stress.worst import draw_worst, failure_title  # noqa: E402
 
 
 def silent_failure(folder, points=3000):
@@ -149,14 +151,13 @@ def test_titles_labels_and_legends_do_not_overlap(chart, made):
         assert figure.bbox.x0 - 1 <= box.x0 < box.x1 <= figure.bbox.x1 + 1
 
 
-@pytest.mark.long
 def test_pictures_of_silent_failures_say_what_failed(tmp_path):
     failure = silent_failure(tmp_path)
     title = "icp: rotation of the start 90 deg; city, seed 2; 90 m RMS and 54 deg off, not doubted"
     assert failure_title(study(), failure) == title
     (tmp_path / "worst_1.npz").write_bytes(b"no archive")
     with pytest.raises(InputError, match="damaged"):
-        draw_charts(study(worst=(failure,)), tmp_path)
+        draw_worst(study(), failure, tmp_path, tmp_path / "worst_1.png")
 
 
 def test_all_kinds_of_ladders_are_in_the_study():

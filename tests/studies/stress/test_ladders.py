@@ -9,8 +9,8 @@ from pcbench.geometry.mesh import MeshIndex
 from pcbench.geometry.neighbors import Index
 from pcbench.studies.stress.ladders import LADDERS, displaced, selected
 from pcbench.studies.stress.ladders.warps import split_observable_affine
-from pcbench.studies.stress.results import SUBJECTS
 from pcbench.studies.stress.scenes import SCENES, WOODED, degenerate_pair, extent_of, scene_pair
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 from pcbench.studies.stress.surfaces import DEGENERATE
 
 POINTS = 4000
@@ -240,12 +240,12 @@ def test_the_exact_part_has_the_stated_share_and_no_error(city):
 
 def test_ladders_are_described_alike():
     for name, ladder in LADDERS.items():
-        assert name == ladder.name and set(ladder.subjects) <= set(SUBJECTS)
+        assert name == ladder.name and set(ladder.subjects) <= set(PAIR_SUBJECTS.values())
         assert set(ladder.quick) <= set(ladder.levels) and set(ladder.quick_second) <= set(ladder.second_levels)
         assert len(ladder.quick) <= 3 <= len(ladder.levels)
         info = ladder.info(quick=False)
         assert info.levels == ladder.levels and info.is_map == (ladder.perturb_map is not None)
-    assert {subject for ladder in LADDERS.values() for subject in ladder.subjects} == set(SUBJECTS)
+    assert {subject for ladder in LADDERS.values() for subject in ladder.subjects} == set(PAIR_SUBJECTS.values())
     info = LADDERS["degenerate"].info(quick=True)
     assert [info.level_text(level) for level in info.levels] == ["plane", "half-turn building"]
 
@@ -260,7 +260,7 @@ def test_documented_ladders():
         ladder = LADDERS[name]
         texts = ladder.level_names or [f"{level:g}" for level in ladder.levels]
         assert levels.startswith(", ".join(texts)) and levels.endswith(ladder.second_unit or ladder.unit), name
-        assert subjects == ", ".join(ladder.subjects), name
+        assert subjects == ", ".join(subject.name for subject in ladder.subjects), name
 
 
 def test_choice_of_ladders():

@@ -4,7 +4,10 @@ import pytest
 from stress_studies import MAP, OVERLAP, ROTATION, registrations, study
 
 from pcbench.studies.stress.limits import safe_ranges, safe_starts, stress_rows
-from pcbench.studies.stress.results import FALSE_ALARM, METRICS, REGISTRATION, RIGHT, SAID, SILENT, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
+from pcbench.studies.stress.subject import FALSE_ALARM, RIGHT, SAID, SILENT
+from pcbench.studies.stress.verdicts import VERDICTS
 
 
 def limit(ladder, levels):

@@ -6,7 +6,8 @@ from stress_studies import study
 
 from pcbench.report.article import markdown
 from pcbench.studies.stress.page import article
-from pcbench.studies.stress.results import SILENT, SilentFailure
+from pcbench.studies.stress.results import SilentFailure
+from pcbench.studies.stress.subject import SILENT
 from pcbench.studies.stress.words import answer, sentences
 
 

@@ -9,15 +9,8 @@ from wording import check_error
 
 from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.scenes import read_scene
-from pcbench.studies.stress.reconstructors.ladders import (
-    PHOTO_LADDERS,
-    Photographs,
-    linear_light,
-    selected,
-    srgb,
-)
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, Photographs, linear_light, selected, srgb
 from pcbench.studies.stress.reconstructors.scenes import base_settings, write_photographs
-from pcbench.studies.stress.results import RECONSTRUCTION
 
 COUNT, WIDTH, HEIGHT = 400, 24, 16
 
@@ -74,7 +67,7 @@ def test_levels_are_ordered_and_those_of_the_quick_plan_lie_between_them(name):
     assert (np.diff([ladder.start, *ladder.levels]) * sign > 0).all()
     if ladder.quick:
         assert (np.diff([ladder.start, *ladder.quick]) * sign > 0).all()
-    assert ladder.info(quick=False).subjects == (RECONSTRUCTION,)
+    assert ladder.info(quick=False).subjects == ("reconstruction",)
     assert len(ladder.level_names) in (0, len(ladder.levels))
 
 

@@ -13,18 +13,13 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import write_cloud
+from pcbench.io.ply import write_ply_mesh
 from pcbench.plugins.run import Description, Run
-from pcbench.scenes.synthetic.files import write_mesh_ply
 from pcbench.studies.stress.reconstructors import runs
 from pcbench.studies.stress.reconstructors import study as studies
-from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED, Photographs
-from pcbench.studies.stress.reconstructors.runs import (
-    PhotoRuns,
-    ReconstructorMethod,
-    plan_photo_runs,
-    run_photo_plans,
-    settle,
-)
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, Photographs
+from pcbench.studies.stress.reconstructors.reconstruction import UNPERTURBED, ReconstructionCell, settle
+from pcbench.studies.stress.reconstructors.runs import PhotoRuns, ReconstructorMethod, plan_photo_runs, run_photo_plans
 from pcbench.studies.stress.reconstructors.scenes import (
     base_settings,
     read_photographs,
@@ -33,17 +28,8 @@ from pcbench.studies.stress.reconstructors.scenes import (
     write_photographs,
 )
 from pcbench.studies.stress.reconstructors.study import PhotoPlan, run_reconstructor_stress
-from pcbench.studies.stress.results import (
-    CRASH,
-    DEGRADED,
-    KIND,
-    REFUSED,
-    RIGHT,
-    TIME_OUT,
-    WARNED,
-    ReconstructionCell,
-    StressSettings,
-)
+from pcbench.studies.stress.results import KIND, StressSettings
+from pcbench.studies.stress.subject import CRASH, DEGRADED, REFUSED, RIGHT, TIME_OUT, WARNED
 from pcbench.studies.stress.words import warnings
 
 # A reconstructor whose cloud depends on the number of images.
@@ -94,26 +80,33 @@ def scene(tmp_path_factory):
     write_photographs(folder, Photographs(cameras, images))
     (folder / "truth").mkdir()
     corners = np.array([[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]])
-    write_mesh_ply(folder / "truth" / "mesh.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m"))
+    write_ply_mesh(folder / "truth" / "mesh.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m"))
     points = np.column_stack([rng.uniform(-50, 50, (5000, 2)), np.zeros(5000)])
     write_cloud(folder / "truth" / "cloud.ply", Cloud(points, unit="m"))
     return folder
 
 
-@pytest.fixture
-def plugin(tmp_path, monkeypatch, scene):
-    monkeypatch.setattr(runs, "rendered_scene", lambda _folder, _settings: scene)
-    monkeypatch.setattr(studies, "check_renderer", lambda: None)
-    path = tmp_path / "fickle.py"
+@pytest.fixture(scope="module")
+def plugin(tmp_path_factory, scene):
+    path = tmp_path_factory.mktemp("plugin") / "fickle.py"
     path.write_text(PLUGIN)
-    return f"{path}:Fickle"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "rendered_scene", lambda _folder, _settings: scene)
+        patch.setattr(studies, "check_renderer", lambda: None)
+        yield f"{path}:Fickle"
+
+
+@pytest.fixture(scope="module")
+def alone(plugin, tmp_path_factory):
+    """The folder of a study whose runs went on one after another, and its outcome."""
+    out = tmp_path_factory.mktemp("alone") / "out"
+    return out, run_reconstructor_stress(out, replace(SETTINGS, methods=(plugin,)), figures=False)
 
 
 @pytest.mark.long
-def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, tmp_path, monkeypatch):
+def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, alone, monkeypatch):
     settings = replace(SETTINGS, methods=(plugin,))
-    out = tmp_path / "out"
-    outcome = run_reconstructor_stress(out, settings, figures=False)
+    out, outcome = alone
     cells = {(cell.ladder, cell.level): cell for cell in outcome.study.reconstructions}
     # 80, 60, 40, 30 and 20 % of ten images.
     assert [cells["fewer-images", level].images for level in (80, 60, 40, 30, 20)] == [8, 6, 4, 3, 2]
@@ -147,17 +140,16 @@ def test_each_end_of_a_run_is_an_outcome_and_records_are_reused(plugin, tmp_path
 
 
 @pytest.mark.long
-def test_workers_give_the_same_results(plugin, tmp_path, tasks_in_process):  # noqa: F811
-    settings = replace(SETTINGS, methods=(plugin,))
-    alone = run_reconstructor_stress(tmp_path / "alone", settings, figures=False).study
-    shared = run_reconstructor_stress(tmp_path / "shared", replace(settings, workers=2), figures=False).study
+def test_workers_give_the_same_results(plugin, alone, tmp_path, tasks_in_process):  # noqa: F811
+    settings = replace(SETTINGS, methods=(plugin,), workers=2)
+    shared = run_reconstructor_stress(tmp_path / "shared", settings, figures=False).study
 
     def results(study):
         return [replace(cell, cpu_s=None, wall_s=None, memory_bytes=None) for cell in study.reconstructions]
 
-    assert results(shared) == results(alone)
+    assert results(shared) == results(alone[1].study)
     assert KIND.read(tmp_path / "shared").settings.workers == 2
-    (warning,) = set(warnings(shared)) - set(warnings(alone))
+    (warning,) = set(warnings(shared)) - set(warnings(alone[1].study))
     check_text(warning)
     assert not (tmp_path / "shared" / "work").exists()
 

@@ -1,6 +1,7 @@
 """Runs in child processes: crashes and time-outs are outcomes, and records are reused."""
 
 import json
+import shutil
 import time
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ from wording import check_error
 
 from pcbench.studies.stress import runs
 from pcbench.studies.stress.cells import RunPlan
-from pcbench.studies.stress.results import CRASH, METRICS, REGISTRATION, RIGHT, TIME_OUT, VERDICTS
+from pcbench.studies.stress.subject import CRASH, RIGHT, TIME_OUT
 from pcbench.systems import cpu_count
 from pcbench.tasks import Workers, runner
 
@@ -37,7 +38,22 @@ def misbehave(reference, candidate, seed):
 METHODS["icp"] = replace(METHODS["icp"], run=misbehave)
 child.main(sys.argv[1])
 """
-PLANS = [RunPlan(REGISTRATION, "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
+PLANS = [RunPlan("registration", "object", "density", level, None, "icp", 0, 3000) for level in (1.0, 2.0, 3.0, 5.0)]
+
+# Enough registrations for two batches, and the other subjects that have several cells for each run.
+SEEDS = [RunPlan("registration", "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
+OTHERS = [
+    RunPlan("metrics", "object", "density", 1.0, None, "pcbench", 0, 3000),
+    RunPlan("verdicts", "object", "density", 1.0, None, "deform", 0, 3000),
+]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with the records of runs, and their results by plan."""
+    out = tmp_path_factory.mktemp("records")
+    plans = [*SEEDS, *OTHERS]
+    return out, dict(zip(plans, runs.run_all(plans, runs.RunSettings(out, time_limit_s=60.0)), strict=True))
 
 
 @pytest.fixture
@@ -73,24 +89,25 @@ def test_crashes_and_time_outs_are_outcomes_and_the_next_runs_go_on(settings, mo
         runs.run_all(PLANS, replace(settings, time_limit_s=5.0))
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda record: record.pop("cells"),
-        lambda record: record.update(cells=[]),
-        lambda record: record["cells"][0].pop("error"),
-        lambda record: record["cells"][0].update(outcome=CRASH, message="SIGKILL"),
-    ],
+DAMAGES = (
+    lambda record: record.pop("cells"),
+    lambda record: record.update(cells=[]),
+    lambda record: record["cells"][0].pop("error"),
+    lambda record: record["cells"][0].update(outcome=CRASH, message="SIGKILL"),
 )
-def test_damaged_records_and_killed_runs_are_repeated(damage, tmp_path):
-    settings = runs.RunSettings(tmp_path, time_limit_s=60.0)
-    (whole,) = runs.run_all(PLANS[:1], settings)
-    path = settings.record(PLANS[0])
-    record = json.loads(path.read_text())
-    damage(record)
-    path.write_text(json.dumps(record))
-    (again,) = runs.run_all(PLANS[:1], settings)
-    assert again.pose == whole.pose and again.cells[0].outcome == RIGHT
+
+
+def test_damaged_records_and_killed_runs_are_repeated(made, tmp_path):
+    out, results = made
+    shutil.copytree(out, tmp_path / "out")
+    settings = runs.RunSettings(tmp_path / "out", time_limit_s=60.0)
+    for plan, damage in zip(SEEDS, DAMAGES, strict=False):
+        path = settings.record(plan)
+        record = json.loads(path.read_text())
+        damage(record)
+        path.write_text(json.dumps(record))
+    for plan, again in zip(SEEDS, runs.run_all(SEEDS, settings), strict=True):
+        assert again.pose == results[plan].pose and again.cells[0].outcome == RIGHT
 
 
 def test_an_interrupted_study_stops_after_the_current_runs(tmp_path, monkeypatch):
@@ -120,30 +137,19 @@ def test_a_library_that_cannot_be_loaded_ends_the_study(settings):
     assert not settings.record(plan).exists()
 
 
-def test_metrics_and_verdicts_have_records_too(tmp_path):
-    settings = runs.RunSettings(tmp_path, time_limit_s=60.0)
-    plans = [
-        RunPlan(METRICS, "object", "density", 1.0, None, "pcbench", 0, 3000),
-        RunPlan(VERDICTS, "object", "density", 1.0, None, "deform", 0, 3000),
-    ]
-    metrics, verdicts = runs.run_all(plans, settings)
+def test_metrics_and_verdicts_have_records_too(made):
+    metrics, verdicts = (made[1][plan] for plan in OTHERS)
     assert len(metrics.cells) == 2 and len(verdicts.cells) == 3
     assert all(cell.value > 0 and cell.exact > 0 for cell in metrics.cells)
     assert {cell.pose_is_right for cell in verdicts.cells} == {True}
 
 
 @pytest.mark.long
-def test_any_number_of_workers_gives_the_same_results(tmp_path):
-    plans = [RunPlan(REGISTRATION, "object", "density", 1.0, None, "icp", seed, 3000) for seed in range(18)]
-    found = []
-    for count in (1, 2):
-        out = tmp_path / str(count)
-        out.mkdir()
-        results = runs.run_all(plans, runs.RunSettings(out, time_limit_s=60.0), workers=Workers(count))
-        found.append(
-            [
-                (result.pose, [replace(cell, cpu_s=None, memory_bytes=None) for cell in result.cells])
-                for result in results
-            ]
-        )
-    assert found[0] == found[1]
+def test_any_number_of_workers_gives_the_same_results_in_any_folder(made, tmp_path):
+    results = runs.run_all(SEEDS, runs.RunSettings(tmp_path, time_limit_s=60.0), workers=Workers(1))
+    for plan, alone in zip(SEEDS, results, strict=True):
+        others = made[1][plan]
+        assert alone.pose == others.pose
+        assert [replace(cell, cpu_s=None, memory_bytes=None) for cell in alone.cells] == [
+            replace(cell, cpu_s=None, memory_bytes=None) for cell in others.cells
+        ]

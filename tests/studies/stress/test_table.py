@@ -3,8 +3,12 @@
 import pytest
 from stress_studies import study
 
-from pcbench.studies.stress.results import METRICS, REGISTRATION, SUBJECTS, SceneInfo
-from pcbench.studies.stress.table import limits_table, outcome_table, preset_table, stress_table, text_table
+from pcbench.studies.frame.tables import text_table
+from pcbench.studies.stress.descriptions import SceneInfo
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
+from pcbench.studies.stress.subjects import PAIR_SUBJECTS
+from pcbench.studies.stress.table import limits_table, outcome_table, preset_table, stress_table
 
 
 def test_limits_show_the_last_safe_level_and_confident_errors():
@@ -40,7 +44,7 @@ def test_the_printed_tables_are_aligned():
     head = next(line for line in lines if line.startswith("registration: outcomes"))
     icp = next(line for line in lines if line.startswith("icp"))
     assert head.index("runs") + len("runs") == icp.index("49") + len("49")
-    for subject in SUBJECTS:
+    for subject in PAIR_SUBJECTS:
         assert any(line.startswith(f"{subject}: safe up to") for line in lines)
 
 

@@ -9,14 +9,14 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import MeshIndex
 from pcbench.studies.stress.cells import load_pair, plan_runs, save_pair
 from pcbench.studies.stress.ladders import LADDERS
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS, StressSettings
+from pcbench.studies.stress.results import StressSettings
 from pcbench.studies.stress.scenes import WOODED, given_pair, scene_pair
 from pcbench.studies.stress.study import GivenClouds, run_stress
 from pcbench.studies.stress.surfaces import wooded_surface
 from pcbench.studies.stress.vegetation import crowns, plants_of
 
 LADDER = LADDERS["missing-vegetation"]
-METHODS = {REGISTRATION: ("icp",), METRICS: (), VERDICTS: ("deform",)}
+METHODS = {"registration": ("icp",), "metrics": (), "verdicts": ("deform",)}
 
 
 def cone(x, y, height, radius=2.0):

@@ -15,10 +15,11 @@ from pcbench.changes.result import ADDED, MOVED, REMOVED
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
+from pcbench.studies.stress.changes import CHANGES
 from pcbench.studies.stress.ladders.ladder import Ladder
 from pcbench.studies.stress.ladders.warps import WARP_LADDERS
-from pcbench.studies.stress.results import CHANGES, VERDICTS
 from pcbench.studies.stress.scenes import StressPair, TrueChange
+from pcbench.studies.stress.verdicts import VERDICTS
 
 _PART_SHARE = 0.1  # diameter of a raised part, and side of an object that moves, over the extent
 _LEVEL = 0.7  # vertical component of the normal from which a surface counts as level

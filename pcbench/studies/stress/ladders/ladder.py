@@ -1,24 +1,28 @@
-"""The type of a ladder, and the start poses that all ladders share."""
+"""The types of ladders, and the start poses that all ladders share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
+from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.transform import Similarity
-from pcbench.studies.stress.results import REGISTRATION, LadderInfo
+from pcbench.studies.stress.descriptions import LadderInfo
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.subject import Subject
 
 Perturbation = Callable[[StressPair, float, np.random.Generator], StressPair]
 Perturbation2 = Callable[[StressPair, float, float, np.random.Generator], StressPair]
 
 
 @dataclass(frozen=True)
-class Ladder:
-    """A perturbation of a pair, with levels from nothing to certain failure.
+class PlannedLadder:
+    """Levels of a perturbation, from nothing to certain failure.
 
     Attributes:
         name: identifier, in lower case with hyphens.
@@ -27,16 +31,6 @@ class Ladder:
         unit: unit of the levels.
         levels: levels in order of severity.
         quick: levels of the quick plan; empty if it leaves the ladder out.
-        perturb: function of pair, level and random generator that returns the perturbed pair.
-        subjects: subjects that it is run for.
-        level_names: names of the levels of a list of cases.
-        sets_start: whether it sets the start pose; any other ladder starts from a small displacement.
-        sets_shape: whether it replaces the scene by another surface.
-        needs_vegetation: whether it runs on scenes with vegetation alone.
-        second_title, second_unit, second_levels: second coordinate of a map.
-        perturb_map: for a map, function of pair, level, second coordinate and random generator.
-        scopes: scopes of the registration methods that it is run for.
-        quick_second: second coordinates of the quick plan.
     """
 
     name: str
@@ -45,18 +39,88 @@ class Ladder:
     unit: str
     levels: tuple[float, ...]
     quick: tuple[float, ...]
+
+    def describe(self, subjects: Iterable[Subject[Any]], level_names: tuple[str, ...], *, quick: bool) -> LadderInfo:
+        """Return the description for results, with the levels of the quick or of the full plan.
+
+        Args:
+            subjects: subjects that the ladder is run for.
+            level_names: names of all levels of a list of cases; otherwise empty.
+            quick: whether the plan is the quick one.
+        """
+        levels = self.quick if quick else self.levels
+        names = tuple(level_names[self.levels.index(level)] for level in levels) if level_names else ()
+        subject_names = tuple(subject.name for subject in subjects)
+        return LadderInfo(self.name, self.title, self.kind, subject_names, self.unit, levels, names)
+
+
+LadderT = TypeVar("LadderT", bound=PlannedLadder)
+
+
+def choose(
+    ladders: Iterable[LadderT],
+    only: str | None,
+    *,
+    quick: bool,
+    texts_of: Callable[[LadderT], Iterable[str]],
+    searched: str,
+) -> tuple[LadderT, ...]:
+    """Return the ladders of the full or of the quick plan that contain one of several texts; without texts, all.
+
+    Args:
+        ladders: all ladders.
+        only: texts separated by commas; None for all ladders of the plan.
+        quick: whether the plan is the quick one, which has the ladders with `quick` levels.
+        texts_of: function that returns the texts of a ladder to search.
+        searched: these texts in words, for the error.
+
+    Raises:
+        InputError: no ladder of the plan matches.
+    """
+    ladders = tuple(ladders)
+    planned = tuple(ladder for ladder in ladders if ladder.quick or not quick)
+    if only is None:
+        return planned
+    words = [word.strip() for word in only.split(",") if word.strip()]
+    matching = [ladder for ladder in ladders if any(word in text for word in words for text in texts_of(ladder))]
+    chosen = tuple(ladder for ladder in matching if ladder.quick or not quick)
+    if not chosen:
+        names = ", ".join(ladder.name for ladder in planned)
+        if matching:
+            raise InputError(f"--only {only} is not in the quick plan: leave out --quick, or choose from {names}")
+        raise InputError(f"expected --only as part of a ladder's {searched}, got {only!r}: {names}")
+    return chosen
+
+
+@dataclass(frozen=True)
+class Ladder(PlannedLadder):
+    """A perturbation of a pair.
+
+    Attributes:
+        perturb: function of pair, level and random generator that returns the perturbed pair.
+        subjects: subjects that it is run for.
+        level_names: names of the levels of a list of cases.
+        sets_start: whether it sets the start pose; any other ladder starts from a small displacement.
+        sets_shape: whether it replaces the scene by another surface.
+        needs_vegetation: whether it runs on scenes with vegetation alone.
+        needs_start: whether it is run for methods that start from the given pose alone.
+        second_title, second_unit, second_levels: second coordinate of a map.
+        quick_second: second coordinates of the quick plan.
+        perturb_map: for a map, function of pair, level, second coordinate and random generator.
+    """
+
     perturb: Perturbation
-    subjects: tuple[str, ...] = (REGISTRATION,)
+    subjects: tuple[Subject[Any], ...] = (REGISTRATION,)
     level_names: tuple[str, ...] = ()
     sets_start: bool = False
     sets_shape: bool = False
     needs_vegetation: bool = False
+    needs_start: bool = False
     second_title: str = ""
     second_unit: str = ""
     second_levels: tuple[float, ...] = ()
     quick_second: tuple[float, ...] = ()
     perturb_map: Perturbation2 | None = None
-    scopes: tuple[str, ...] = ("local", "global")
 
     def apply(self, pair: StressPair, level: float, second: float | None, rng: np.random.Generator) -> StressPair:
         """Return the pair perturbed to a level, and for a map to a second coordinate."""
@@ -70,19 +134,11 @@ class Ladder:
 
     def info(self, *, quick: bool) -> LadderInfo:
         """Return the description for results, with the levels of the quick or of the full plan."""
-        levels = self.quick if quick else self.levels
-        names = tuple(self.level_names[self.levels.index(level)] for level in levels) if self.level_names else ()
-        return LadderInfo(
-            self.name,
-            self.title,
-            self.kind,
-            self.subjects,
-            self.unit,
-            levels,
-            names,
-            self.second_title,
-            self.second_unit,
-            self.quick_second if quick else self.second_levels,
+        return replace(
+            self.describe(self.subjects, self.level_names, quick=quick),
+            second_title=self.second_title,
+            second_unit=self.second_unit,
+            second_levels=self.quick_second if quick else self.second_levels,
         )
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pcbench.studies.stress.ladders.changes import CHANGE_LADDERS
-from pcbench.studies.stress.ladders.choice import choose
 from pcbench.studies.stress.ladders.degenerate import DEGENERATE_LADDERS
-from pcbench.studies.stress.ladders.ladder import Ladder
+from pcbench.studies.stress.ladders.ladder import Ladder, choose
 from pcbench.studies.stress.ladders.noise import NOISE_LADDERS
 from pcbench.studies.stress.ladders.parts import PART_LADDERS
 from pcbench.studies.stress.ladders.photogrammetric import PHOTOGRAMMETRIC_LADDERS
@@ -36,6 +35,6 @@ def selected(only: str | None, *, quick: bool) -> tuple[Ladder, ...]:
         LADDERS.values(),
         only,
         quick=quick,
-        texts_of=lambda ladder: (ladder.name, ladder.kind, *ladder.subjects),
+        texts_of=lambda ladder: (ladder.name, ladder.kind, *(subject.name for subject in ladder.subjects)),
         searched="name, kind or subject",
     )

@@ -11,8 +11,10 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.studies.stress.ladders.ladder import Ladder
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 _ALL = (REGISTRATION, METRICS, VERDICTS)
 _LEVELS = (0, 0.25, 0.5, 1, 2, 4, 8)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.voxels import robust_bounds
 from pcbench.studies.stress.ladders.ladder import Ladder
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 _ALL = (REGISTRATION, METRICS, VERDICTS)
 _MIN_POINTS = 200  # a candidate keeps at least these

@@ -5,7 +5,7 @@ surfaces and beside edges. A block bootstrap keeps all of this: whole patches of
 surface, chosen at random among those of the same stratum (Künsch, "The jackknife and the bootstrap for general
 stationary observations", Annals of Statistics 17, 1989; for spatial data Lahiri, "Resampling Methods for Dependent
 Data", 2003, chapter 12). A stratum is level or steep, beside an edge or away from it.
-`tests/bench/photogrammetric_noise.py` measures the patches.
+`benchmarks/photogrammetric_noise.py` measures the patches.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
 from pcbench.measure.metrics import nmad
 from pcbench.studies.stress.ladders.ladder import Ladder
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 PATCHES = "photogrammetric_noise.npz"
 PATCH_CELLS = 32  # cells along each side of a patch; a cell is as wide as the point spacing

@@ -11,8 +11,10 @@ import numpy as np
 
 from pcbench.geometry.transform import Similarity
 from pcbench.studies.stress.ladders.ladder import Ladder, displaced
-from pcbench.studies.stress.results import METRICS, REGISTRATION, VERDICTS
+from pcbench.studies.stress.metrics import METRICS
+from pcbench.studies.stress.registration import REGISTRATION
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 
 def _rotated(pair: StressPair, level: float, rng: np.random.Generator) -> StressPair:
@@ -80,7 +82,7 @@ START_LADDERS = (
         second_levels=(0, 2, 5, 10, 20, 40),
         quick_second=(0, 5, 20),
         perturb_map=_rotated_and_shifted,
-        scopes=("local",),
+        needs_start=True,
     ),
     Ladder(
         name="scale",

@@ -14,8 +14,8 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray
 from pcbench.scenes.synthetic.warp import make_warp
 from pcbench.studies.stress.ladders.ladder import Ladder
-from pcbench.studies.stress.results import VERDICTS
 from pcbench.studies.stress.scenes import StressPair
+from pcbench.studies.stress.verdicts import VERDICTS
 
 Field = Callable[[FloatArray, np.random.Generator], FloatArray]
 

@@ -6,20 +6,19 @@ from collections.abc import Iterator, Sequence
 from statistics import median
 from typing import Any
 
-from pcbench.studies.stress.canvas import RowStyle, canvas, legend, plain_log_ticks, row_styles
-from pcbench.studies.stress.limits import StressRow, stress_rows
-from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED
-from pcbench.studies.stress.reconstructors.words import reconstructions
-from pcbench.studies.stress.results import (
-    DEGRADED,
+from pcbench.studies.frame.canvas import canvas, legend, plain_log_ticks
+from pcbench.studies.stress.canvas import RowStyle, row_styles
+from pcbench.studies.stress.descriptions import LadderInfo, axis_title
+from pcbench.studies.stress.limits import StressRow, grouped, stress_rows
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS
+from pcbench.studies.stress.reconstructors.reconstruction import (
     MIN_SCORE_SHARE,
     RECONSTRUCTION,
-    LadderInfo,
+    UNPERTURBED,
     ReconstructionCell,
-    StressStudy,
-    grouped,
 )
-from pcbench.studies.stress.words import axis_title
+from pcbench.studies.stress.results import StressStudy
+from pcbench.studies.stress.subject import DEGRADED
 
 _DODGE = 0.08  # shift between methods, in levels
 _LABEL_ANGLE_DEG = 20  # of the names of cases
@@ -46,8 +45,10 @@ def score_charts(study: StressStudy) -> Iterator[tuple[str, Any]]:
         yield kind, figure
 
 
-def _draw_row(axes: Sequence[Any], ladder: LadderInfo, row: StressRow, style: RowStyle, shift: float) -> None:
-    groups = grouped(reconstructions(row), lambda cell: (cell.ladder, cell.level))
+def _draw_row(
+    axes: Sequence[Any], ladder: LadderInfo, row: StressRow[ReconstructionCell], style: RowStyle, shift: float
+) -> None:
+    groups = grouped(row.cells, lambda cell: (cell.ladder, cell.level))
     places = [groups.get((UNPERTURBED, 0.0), [])] + [groups.get((ladder.name, level), []) for level in ladder.levels]
     for axis, quantity in zip(axes, _QUANTITIES, strict=True):
         values = [_median([quantity(cell) for cell in cells]) for cells in places]
@@ -104,7 +105,7 @@ def _finish(axes: Sequence[Any], ladder: LadderInfo, study: StressStudy) -> None
         axis.set_yscale("log")
         low, high = axis.get_ylim()
         axis.set_ylim(0.8 * low, 1.25 * high)
-        plain_log_ticks(axis, which="y")
+        plain_log_ticks(axis.yaxis)
 
 
 def _start_label(ladder: LadderInfo) -> str:

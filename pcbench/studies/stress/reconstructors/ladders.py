@@ -16,11 +16,10 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import Similarity
 from pcbench.scenes.synthetic.files import SceneSettings
-from pcbench.studies.stress.ladders.choice import choose
-from pcbench.studies.stress.ladders.ladder import rotation
-from pcbench.studies.stress.results import RECONSTRUCTION, LadderInfo
+from pcbench.studies.stress.descriptions import LadderInfo
+from pcbench.studies.stress.ladders.ladder import PlannedLadder, choose, rotation
+from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION
 
-UNPERTURBED = "unperturbed"
 _BLUR_REACH = 4.0  # standard deviations at which the kernel of a blur ends
 _MAX_GREY = 255.0
 
@@ -53,29 +52,17 @@ Render = Callable[[SceneSettings, float], SceneSettings]
 
 
 @dataclass(frozen=True)
-class PhotoLadder:
-    """A perturbation of a scene of photographs.
+class PhotoLadder(PlannedLadder):
+    """A perturbation of a scene of photographs; its levels leave out the one that changes nothing.
 
     Attributes:
-        name: identifier, in lower case with hyphens.
-        title: what is perturbed.
-        kind: group of ladders, as in `LadderInfo`.
-        unit: unit of the levels.
         start: level that changes nothing, as the unperturbed run has it.
-        levels: other levels in order of severity.
-        quick: levels of the quick plan; empty if it leaves the ladder out.
         perturb: function of photographs, level and random generator; None if the scene is rendered again.
         render: function of the settings of the scene and the level; None if the photographs are perturbed.
         level_names: names of the levels of a list of cases.
     """
 
-    name: str
-    title: str
-    kind: str
-    unit: str
     start: float
-    levels: tuple[float, ...]
-    quick: tuple[float, ...] = ()
     perturb: Perturb | None = None
     render: Render | None = None
     level_names: tuple[str, ...] = ()
@@ -95,9 +82,7 @@ class PhotoLadder:
 
     def info(self, *, quick: bool) -> LadderInfo:
         """Return the description for results, with the levels of the quick or of the full plan."""
-        levels = self.quick if quick else self.levels
-        names = tuple(self.level_names[self.levels.index(level)] for level in levels) if self.level_names else ()
-        return LadderInfo(self.name, self.title, self.kind, (RECONSTRUCTION,), self.unit, levels, names)
+        return self.describe((RECONSTRUCTION,), self.level_names, quick=quick)
 
 
 def selected(only: str | None, *, quick: bool) -> tuple[PhotoLadder, ...]:
@@ -232,32 +217,24 @@ def _difficult(base: SceneSettings, level: float) -> SceneSettings:
 PHOTO_LADDERS = {
     ladder.name: ladder
     for ladder in (
-        PhotoLadder("fewer-images", "images kept", "images", "%", 100, (80, 60, 40, 30, 20), (80, 40), perturb=_fewer),
-        PhotoLadder("crop", "side of the images kept", "images", "%", 100, (80, 65, 50, 35, 25), perturb=_cropped),
-        PhotoLadder("blur", "blur", "images", "px", 0, (0.5, 1, 2, 4, 8), (1, 4), perturb=_blurred),
-        PhotoLadder("exposure", "exposure jitter", "images", "stops", 0, (0.25, 0.5, 1, 2, 4), perturb=_exposed),
+        PhotoLadder("fewer-images", "images kept", "images", "%", (80, 60, 40, 30, 20), (80, 40), 100, _fewer),
+        PhotoLadder("crop", "side of the images kept", "images", "%", (80, 65, 50, 35, 25), (), 100, _cropped),
+        PhotoLadder("blur", "blur", "images", "px", (0.5, 1, 2, 4, 8), (1, 4), 0, _blurred),
+        PhotoLadder("exposure", "exposure jitter", "images", "stops", (0.25, 0.5, 1, 2, 4), (), 0, _exposed),
         PhotoLadder(
-            "positions",
-            "errors of camera positions",
-            "cameras",
-            "m",
-            0,
-            (0.1, 0.3, 1, 3, 10),
-            (0.3, 3),
-            perturb=_shifted,
+            "positions", "errors of camera positions", "cameras", "m", (0.1, 0.3, 1, 3, 10), (0.3, 3), 0, _shifted
         ),
-        PhotoLadder(
-            "rotations", "errors of camera rotations", "cameras", "deg", 0, (0.1, 0.3, 1, 3, 10), perturb=_turned
-        ),
-        PhotoLadder("focal-length", "error of the focal length", "cameras", "%", 0, (1, 2, 5, 10, 30), perturb=_zoomed),
-        PhotoLadder("texture", "texture", "surface", "", 1, (0.5, 0.25, 0.1, 0), render=_textured),
+        PhotoLadder("rotations", "errors of camera rotations", "cameras", "deg", (0.1, 0.3, 1, 3, 10), (), 0, _turned),
+        PhotoLadder("focal-length", "error of the focal length", "cameras", "%", (1, 2, 5, 10, 30), (), 0, _zoomed),
+        PhotoLadder("texture", "texture", "surface", "", (0.5, 0.25, 0.1, 0), (), 1, render=_textured),
         PhotoLadder(
             "difficult",
             "difficult surface",
             "surface",
             "",
-            -1,
             (0, 1, 2, 3, 4),
+            (),
+            -1,
             render=_difficult,
             level_names=("repeated facades", "lakes", "lakes that reflect", "half-turn symmetry", "hard city"),
         ),

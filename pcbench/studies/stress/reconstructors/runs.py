@@ -27,7 +27,14 @@ from pcbench.studies.bench.score import EvaluationProtocol, score
 from pcbench.studies.frame.cells import map_cells
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.stress.cells import RunPlan
-from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, UNPERTURBED, PhotoLadder
+from pcbench.studies.stress.descriptions import PhotographInfo
+from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, PhotoLadder
+from pcbench.studies.stress.reconstructors.reconstruction import (
+    RECONSTRUCTION,
+    UNPERTURBED,
+    ReconstructionCell,
+    settle,
+)
 from pcbench.studies.stress.reconstructors.scenes import (
     base_settings,
     perturbed_photographs,
@@ -37,20 +44,9 @@ from pcbench.studies.stress.reconstructors.scenes import (
     rendered_scene,
     write_photographs,
 )
-from pcbench.studies.stress.results import (
-    CRASH,
-    DEGRADED,
-    RECONSTRUCTION,
-    REFUSED,
-    RIGHT,
-    TIME_OUT,
-    WARNED,
-    PhotographInfo,
-    ReconstructionCell,
-    reconstruction_cell,
-)
 from pcbench.studies.stress.runs import RECORDS, WORK
 from pcbench.studies.stress.study import RENDERED
+from pcbench.studies.stress.subject import CRASH, REFUSED, RIGHT, TIME_OUT
 from pcbench.tasks import Workers
 
 SCENE = "photographs"
@@ -142,7 +138,7 @@ def plan_photo_runs(
     places = [(UNPERTURBED, 0.0)]
     places += [(ladder.name, level) for ladder in ladders for level in ladder.info(quick=quick).levels]
     return [
-        RunPlan(RECONSTRUCTION, SCENE, ladder, level, None, name, seed, base_settings(seed, quick=quick).points)
+        RunPlan(RECONSTRUCTION.name, SCENE, ladder, level, None, name, seed, base_settings(seed, quick=quick).points)
         for seed in seeds
         for ladder, level in places
         for name in names
@@ -172,34 +168,18 @@ def run_photo_plans(
     (settings.out / RECORDS).mkdir(exist_ok=True)
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
     keys = {plan: settings.key(plan, methods[plan.method]) for plan in plans}
-    found = {plan: read_record(settings.record(plan), keys[plan], dict[str, Any]) for plan in plans}
-    missing = [(plan, methods[plan.method], keys[plan]) for plan in plans if found[plan] is None]
+    cells = {plan: read_record(settings.record(plan), keys[plan], ReconstructionCell) for plan in plans}
+    missing = [(plan, methods[plan.method], keys[plan]) for plan in plans if cells[plan] is None]
     if workers is not None:  # each scene is rendered once, before several runs need it
         for seed in {plan.seed for plan, _, _ in missing}:
             settings.info(seed)
         for plan, _, _ in missing:
             settings.rendered(settings.scene(plan))
-    cells = map_cells(_run_plan, settings, missing, out=settings.out, workers=workers, step=step, cell_seconds=_RUN_S)
-    for (plan, _, _), cell in zip(missing, cells, strict=True):
-        found[plan] = asdict(cell)
+    made = map_cells(_run_plan, settings, missing, out=settings.out, workers=workers, step=step, cell_seconds=_RUN_S)
+    for (plan, _, _), cell in zip(missing, made, strict=True):
+        cells[plan] = cell
     shutil.rmtree(settings.out / WORK, ignore_errors=True)
-    return settle([reconstruction_cell(values) for values in found.values() if values is not None])
-
-
-def settle(cells: Sequence[ReconstructionCell]) -> list[ReconstructionCell]:
-    """Return the cells with the outcomes of delivered clouds, which the unperturbed run of the method decides."""
-    standards = {(cell.method, cell.seed): cell for cell in cells if cell.ladder == UNPERTURBED}
-    return [_settled(cell, standards[cell.method, cell.seed]) for cell in cells]
-
-
-def _settled(cell: ReconstructionCell, standard: ReconstructionCell) -> ReconstructionCell:
-    cell = replace(cell, standard=standard.fscore)
-    if cell.outcome == RIGHT and standard.outcome != RIGHT:
-        text = f"not judged: the run on unperturbed photographs ended as {standard.outcome}"
-        return replace(cell, outcome=standard.outcome, message=text)
-    if cell.outcome != RIGHT or cell.is_good:
-        return cell
-    return replace(cell, outcome=WARNED if cell.warns else DEGRADED)
+    return settle([cell for cell in cells.values() if cell is not None])
 
 
 def _run_plan(
@@ -215,7 +195,7 @@ def _run_plan(
         cell = _reconstruct(plan, method, settings, work)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    write_record(settings.record(plan), key, asdict(cell))
+    write_record(settings.record(plan), key, cell)
     return cell
 
 
@@ -240,11 +220,11 @@ def _reconstruct(plan: RunPlan, method: ReconstructorMethod, settings: PhotoRuns
 
 
 def _measured(
-    cell: ReconstructionCell, found: Reconstruction, protocol: EvaluationProtocol, workspace: Path
+    cell: ReconstructionCell, result: Reconstruction, protocol: EvaluationProtocol, workspace: Path
 ) -> ReconstructionCell:
-    cell = replace(cell, points=len(found.cloud), cameras=len(found.cameras), notes=tuple(found.notes))
+    cell = replace(cell, points=len(result.cloud), cameras=len(result.cameras), notes=tuple(result.notes))
     try:
-        values = score(protocol, found, workspace)
+        values = score(protocol, result, workspace)
     except (InputError, RegistrationError) as error:
         return replace(cell, message=f"the cloud cannot be measured: {record_error(error)}")
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways

@@ -17,8 +17,8 @@ from pcbench.scenes.synthetic.files import SceneSettings, write_scene
 from pcbench.scenes.synthetic.plan import CitySettings
 from pcbench.studies.bench.score import EvaluationProtocol, Rules
 from pcbench.studies.bench.truth import Truth, read_truth
+from pcbench.studies.stress.descriptions import PhotographInfo
 from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, Photographs
-from pcbench.studies.stress.results import PhotographInfo
 
 THRESHOLD_PIXELS = 2.0
 """Threshold of the F-score, in pixels on the surface of the unperturbed scene."""

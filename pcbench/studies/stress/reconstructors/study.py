@@ -13,22 +13,16 @@ from pcbench.report.document import provenance
 from pcbench.scenes.synthetic.render import check_renderer
 from pcbench.studies.bench.plan import labels
 from pcbench.studies.frame.folder import study_folder
-from pcbench.studies.stress.reconstructors.ladders import UNPERTURBED, PhotoLadder, selected
+from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo, MissingMethod
+from pcbench.studies.stress.reconstructors.ladders import PhotoLadder, selected
+from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION, UNPERTURBED
 from pcbench.studies.stress.reconstructors.runs import (
     PhotoRuns,
     ReconstructorMethod,
     plan_photo_runs,
     run_photo_plans,
 )
-from pcbench.studies.stress.results import (
-    KIND,
-    RECONSTRUCTION,
-    LadderInfo,
-    MethodInfo,
-    MissingMethod,
-    StressSettings,
-    StressStudy,
-)
+from pcbench.studies.stress.results import KIND, StressSettings, StressStudy
 from pcbench.studies.stress.study import PHOTOGRAPHS, StressOutcome, check_study, write_study
 
 DEFAULT_METHODS = ("sfm", "mvs", "splat")
@@ -36,7 +30,9 @@ QUICK_METHODS = ("sfm", "mvs")
 # Settings that differ from the defaults. `sfm` solves for its cameras, because its points alone test little. `splat`
 # trains for less time, on images that are small anyway.
 _SETTINGS: Mapping[str, Mapping[str, str]] = {"sfm": {"poses": "solve"}, "splat": {"steps": "600"}}
-_UNPERTURBED_INFO = LadderInfo(UNPERTURBED, UNPERTURBED, UNPERTURBED, (RECONSTRUCTION,), "", (0.0,), (UNPERTURBED,))
+_UNPERTURBED_INFO = LadderInfo(
+    UNPERTURBED, UNPERTURBED, UNPERTURBED, (RECONSTRUCTION.name,), "", (0.0,), (UNPERTURBED,)
+)
 
 
 @dataclass(frozen=True)
@@ -135,5 +131,5 @@ def _info(name: str, description: Description) -> MethodInfo:
     """Return the description of a method for results; our own are those of pcbench's version."""
     version = installed_versions(["pcbench"]).get("pcbench", "")
     if description.origin == f"pcbench {version}":
-        return MethodInfo(name, RECONSTRUCTION, "", "pcbench", version)
-    return MethodInfo(name, RECONSTRUCTION, "", description.origin, "")
+        return MethodInfo(name, RECONSTRUCTION.name, "", "pcbench", version)
+    return MethodInfo(name, RECONSTRUCTION.name, "", description.origin, "")
