@@ -215,16 +215,10 @@ class _Inputs:
             "cameras": hashlib.sha256(true).hexdigest(),
             "rules": asdict(job.rules),
             "measures": _MEASURE_VERSION,
-            "named_files": [digest(path) for path in _named_files(job.rules)],
+            "named_files": [digest(path) for path in protocol.files],
             "global": import_problem("kiss_matcher") is None,
         }
         return cls(run, measured)
-
-
-def _named_files(rules: Rules) -> list[Path]:
-    """Return the files with matrices, point pairs and polygons that the rules name."""
-    paths = [Path(text.partition(":")[2]) for text in (rules.register, rules.crop)]
-    return [path for path in paths if is_regular_file(path)]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.crop import points_inside
 from pcbench.geometry.neighbors import Index
-from pcbench.geometry.region_text import parse_region
+from pcbench.geometry.region_text import parse_region, region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
 from pcbench.io.files import atomic_write
 from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
-from pcbench.registration import METHODS, Registration, parse_method
+from pcbench.registration import METHODS, Method, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import document
 from pcbench.studies.bench.results import Score, ThresholdScore
@@ -113,7 +113,7 @@ class EvaluationProtocol:
 
     Args:
         truth: reference of the evaluation.
-        rules: rules of the evaluation.
+        method: registration method for all clouds; None: by the gauge of each.
         thresholds: at least one; tables and charts use the last one.
         region: evaluated region; None for everything.
         visible_points: (M, 3) points evenly spread over the part of the region that the cameras saw; None if unknown.
@@ -121,7 +121,7 @@ class EvaluationProtocol:
     """
 
     truth: Truth
-    rules: Rules
+    method: Method | None
     thresholds: tuple[Threshold, ...]
     region: Region | None
     visible_points: FloatArray | None
@@ -135,18 +135,21 @@ class EvaluationProtocol:
             InputError: the registration, region or threshold does not exist, or the region holds no point of the
                 reference.
         """
-        kind, _, path = rules.register.partition(":")
-        names_file = path and kind in ("points", "matrix")
-        if not names_file and rules.register not in (BY_GAUGE, *METHODS):
+        if ":" not in rules.register and rules.register not in (BY_GAUGE, *METHODS):
             expected = ", ".join((BY_GAUGE, *METHODS))
             raise InputError(f"expected a registration method ({expected}), got {rules.register!r}")
-        if names_file:
-            parse_method(rules.register)  # reads the file, to check it early
+        method = None if rules.register == BY_GAUGE else parse_method(rules.register)
         region = parse_region(rules.crop, truth.cloud)
         points_inside(truth.cloud.points, region, rules.crop, "the reference's")
         thresholds = _thresholds(rules.threshold, truth)
         visible = truth.sample_visible(min(t.length for t in thresholds), region)
-        return cls(truth, rules, thresholds, region, *(visible or (None, None)))
+        return cls(truth, method, thresholds, region, *(visible or (None, None)))
+
+    @property
+    def files(self) -> list[Path]:
+        """Files with matrices, point pairs and polygons that the rules name."""
+        method = None if self.method is None else self.method.file
+        return [*filter(None, (method, None if self.region is None else region_file(self.region)))]
 
 
 def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
@@ -185,13 +188,11 @@ def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: 
         InputError: the cloud cannot be measured.
         RegistrationError: the cloud cannot be registered.
     """
-    truth, rules = protocol.truth, protocol.rules
-    chosen = (
-        choose_alignment(reconstruction, truth.cameras) if rules.register == BY_GAUGE else Alignment(rules.register)
-    )
+    truth, method = protocol.truth, protocol.method
+    chosen = choose_alignment(reconstruction, truth.cameras) if method is None else Alignment(method.text)
     settings = Settings(
-        register=chosen.method if chosen.transform is None else chosen.transform,
-        crop=rules.crop,
+        register=chosen.transform or method or chosen.method,
+        crop=protocol.region or "none",
         thresholds=tuple(t.length for t in protocol.thresholds),
     )
     comparison = compare(truth.cloud, {"cloud": reconstruction.cloud}, settings)
