@@ -15,6 +15,7 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region, parse_region
 from pcbench.io import read_cloud
+from pcbench.io.json_values import to_json
 from pcbench.plugins import find_plugin
 from pcbench.plugins.stages import stage
 from pcbench.progress import Step
@@ -57,7 +58,8 @@ from pcbench.studies.gao.results import (
 from pcbench.studies.gao.sentences import sentences
 from pcbench.studies.gao.table import csv_text, failures
 from pcbench.studies.views.pictures import PICTURES as VIEW_PICTURES
-from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_files, score_views
+from pcbench.studies.views.scores import KIND as SCORES
+from pcbench.studies.views.scores import ScoredScene, ViewStudy, score_views, scores_csv
 from pcbench.tasks import Workers
 
 _SCENES_FOLDER, _VIEWS_FOLDER = "scenes", "views"
@@ -262,7 +264,8 @@ def _score_views(folders: Sequence[Path], out: Path, step: Callable[[str], None]
         return None
     study = score_views(folders, step)
     (out / _VIEWS_FOLDER).mkdir(exist_ok=True)
-    write_files(out / _VIEWS_FOLDER, score_files(study))
+    texts = {"scores.csv": scores_csv(study), SCORES.document: to_json(SCORES.values(study))}
+    write_files(out / _VIEWS_FOLDER, texts)
     return study
 
 
