@@ -66,14 +66,14 @@ def choose_alignment(reconstruction: Reconstruction, cameras: Mapping[str, Camer
     names = sorted(set(reconstruction.cameras) & set(cameras))
     notes: tuple[str, ...] = ()
     if names:
-        found = np.stack([reconstruction.cameras[name].position for name in names])
+        solved = np.stack([reconstruction.cameras[name].position for name in names])
         true = np.stack([cameras[name].position for name in names])
         try:
-            fit = robust_similarity(found, true, with_scale=free_scale)
+            fit = robust_similarity(solved, true, with_scale=free_scale)
         except InputError as error:
             notes = (f"cannot register by cameras: {record_error(error)}",)
         else:
-            errors = np.linalg.norm(fit.apply(found) - true, axis=1)
+            errors = np.linalg.norm(fit.apply(solved) - true, axis=1)
             spread = f"{np.median(errors):.3g} (median) and {errors.max():.3g} (largest)"
             note = f"registered by {len(names)} cameras; position errors: {spread}, in the reference's unit"
             return Alignment("cameras", fit, (note,))
@@ -159,7 +159,7 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
         if truth.spacing == 0:
             raise InputError("the median spacing of the reference is 0, so it gives no threshold; set --threshold")
         return tuple(Threshold(n * truth.spacing) for n in DEFAULT_PIXELS)
-    found = []
+    thresholds = []
     for word in text.split(","):
         number, in_pixels = (word.strip().removesuffix("px"), word.strip().endswith("px"))
         try:
@@ -172,8 +172,8 @@ def _thresholds(text: str | None, truth: Truth) -> tuple[Threshold, ...]:
             raise InputError(
                 f"--threshold {text}: no camera of the scene sees the reference, so pixels have no size on it"
             )
-        found.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
-    return tuple(found)
+        thresholds.append(Threshold(value * truth.pixel, value) if in_pixels and truth.pixel else Threshold(value))
+    return tuple(thresholds)
 
 
 def score(protocol: EvaluationProtocol, reconstruction: Reconstruction, folder: Path) -> Score:

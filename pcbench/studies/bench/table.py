@@ -73,10 +73,10 @@ def _table_rows(study: Bench, columns: Sequence[_Column]) -> Iterator[_TableRow]
 
 def _ranks(values: Sequence[float | None], direction: int) -> list[int]:
     """Rank values: 1 for the best, 2 for the second, else 0; all 0 if fewer than two values differ."""
-    known = sorted({value for value in values if value is not None}, reverse=direction > 0)
-    if direction == 0 or len(known) < 2:
+    ordered = sorted({value for value in values if value is not None}, reverse=direction > 0)
+    if direction == 0 or len(ordered) < 2:
         return [0] * len(values)
-    return [0 if value is None else (1 if value == known[0] else 2 if value == known[1] else 0) for value in values]
+    return [0 if value is None else (1 if value == ordered[0] else 2 if value == ordered[1] else 0) for value in values]
 
 
 def _cell_text(value: float | None, column: _Column, c: Configuration) -> str:

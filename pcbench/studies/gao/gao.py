@@ -151,10 +151,10 @@ def _run(
     scenes: list[SceneResult] = []
     reports: list[Path] = []
     rendered: dict[tuple[str, str], Path] = {}
-    for found in outcomes:
-        scenes.append(found.result)
-        reports += found.reports
-        rendered |= {(found.result.name, workspace): views for workspace, views in found.views.items()}
+    for scene_outcome in outcomes:
+        scenes.append(scene_outcome.result)
+        reports += scene_outcome.reports
+        rendered |= {(scene_outcome.result.name, name): views for name, views in scene_outcome.views.items()}
     views = _score_views(list(rendered.values()), out, step)
     scored = {} if views is None else dict(zip(rendered, views.scenes, strict=True))
     of_splats = {name: _new_views(scene) for (name, workspace), scene in scored.items() if workspace == SPLAT}

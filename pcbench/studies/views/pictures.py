@@ -88,8 +88,8 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
     """
     rows = [_row(word, scored) for word, scored in views.items()]
     limits = [robust_maximum(row.error[np.isfinite(row.error)]) for row in rows]
-    found = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
-    scale = found if look.range is None else Range(0.0, look.range, "range as set")
+    default = Range(0.0, max(*limits, _MIN_ERROR_RANGE), "largest 95th percentile")
+    scale = default if look.range is None else Range(0.0, look.range, "range as set")
     figure, axis, color, height = _canvas(rows, look)
     width = 3 * _MAX_WIDTH + 2 * _GAP
     axis.text(0, height - 0.22, title, color=color, fontsize=13, ha="left", va="center", parse_math=False)
@@ -113,11 +113,11 @@ def draw_views(views: Mapping[str, ScoredView], title: str, path: Path, look: Fi
 
 
 def _row(word: str, scored: ScoredView) -> _Row:
-    found = scored.view.read()
-    error = absolute_error(found.rendering, found.photograph)
-    if found.mask is not None:
-        error[~found.mask] = np.nan
-    return _Row(f"{word}: {_short_name(scored.view)}, {_scores_text(scored.scores)}", found, error)
+    images = scored.view.read()
+    error = absolute_error(images.rendering, images.photograph)
+    if images.mask is not None:
+        error[~images.mask] = np.nan
+    return _Row(f"{word}: {_short_name(scored.view)}, {_scores_text(scored.scores)}", images, error)
 
 
 def _short_name(view: RenderedView) -> str:

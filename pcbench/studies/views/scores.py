@@ -46,8 +46,8 @@ class ScoredScene:
 
         Views without a score, for example because they are masked entirely, are left out.
         """
-        found = [scored.scores for scored in self.select(test=test)]
-        return mean_scores(found) if found else None
+        chosen = [scored.scores for scored in self.select(test=test)]
+        return mean_scores(chosen) if chosen else None
 
     def standard_error(self) -> float | None:
         """Return the standard error of the mean PSNR of the held-out views, in dB; None for fewer than two blocks.
