@@ -53,10 +53,13 @@ class Quantity:
     @property
     def known_interval(self) -> Interval | None:
         """95 % confidence interval; that of a root follows from its mean square."""
-        if self.square is None or self.square.interval is None:
-            return self.interval
-        return Interval(*(math.sqrt(max(end, 0.0)) for end in self.square.interval))
+        return self.interval if self.square is None else root_interval(self.square.interval)
 
     def unit_name(self, length: str) -> str:
         """Return the unit in words; `length` is the unit of lengths."""
         return {LENGTH: length, SQUARED_LENGTH: f"{length}^2"}.get(self.unit, self.unit)
+
+
+def root_interval(interval: Interval | None) -> Interval | None:
+    """Return the interval of a root from that of the mean square; None if it is unknown."""
+    return None if interval is None else Interval(*(math.sqrt(max(end, 0.0)) for end in interval))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from pcbench.measure.budget import MAX_NOISE_RATIO
 from pcbench.measure.intervals import Interval
+from pcbench.measure.quantity import root_interval
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.registration.result import (
@@ -21,12 +22,20 @@ from pcbench.registration.result import (
     UNKNOWN_SCALE,
 )
 from pcbench.registration.rounding import COARSE_STEP
-from pcbench.report.budget import budget_sentence, changes_sentence, largest_part, source_words
+from pcbench.report.budget import budget_sentence, changes_of, changes_sentence, largest_part, source_words
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.moved import is_offset, place_sentence
-from pcbench.report.notes import CLAIMS, bend_sentence, is_open, overlaps_little
+from pcbench.report.notes import CLAIMS, deformation_sentence, is_open, overlaps_little
 from pcbench.report.ranking import leaders
-from pcbench.report.words import join_words, length, percentage, rounding_limit, shorten_name
+from pcbench.report.words import (
+    interval_text,
+    join_words,
+    length,
+    percentage,
+    position_text,
+    rounding_limit,
+    shorten_name,
+)
 
 _MAX_SENTENCES = 4  # besides the one on changes
 _MIN_OUTLIER_RATIO = 2.0  # an RMS above this multiple of the NMAD indicates outliers
@@ -39,6 +48,15 @@ _ALTERNATIVE_METHODS = {  # values of --register to suggest, by method
     "matrix": "matrix:FILE (a known pose)",
 }
 
+_GIVEN_POSES = {"none": "Not registered", "matrix": "In the given pose"}  # by method
+_VERDICTS = {  # of one and of several candidates, deformed ones first
+    "non-affine": ("is deformed", "are deformed"),
+    "affine": ("is sheared or stretched", "are sheared or stretched"),
+    "similarity": ("has another scale", "have another scale"),
+    "none": ("is not deformed", "are not deformed"),
+    _UNPROVEN: ("shows no deformation as a whole", "show no deformation as a whole"),
+    "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
+}
 _DOUBTS = {  # why poses are doubtful, by the code of the warning
     FEW_POINTS: "too few points overlap",
     UNKNOWN_SCALE: "the geometry does not fix the scale",
@@ -88,8 +106,7 @@ def answer(comparison: SourcedComparison) -> list[str]:
         return [*writer.places([c for c in doubtful if c.registration.is_given]), *writer.of_doubtful(doubtful)]
     sentences = writer.cautions(doubtful, [c for c in trusted if is_open(c)])
     sentences += writer.of_one(trusted[0]) if len(trusted) == 1 else writer.of_several(trusted)
-    most = _MAX_SENTENCES + any(c.changes is not None and c.changes.found for c in trusted)
-    return [*writer.places(trusted), *sentences[:most]]
+    return [*writer.places(trusted), *sentences[: _MAX_SENTENCES + any(map(changes_of, trusted))]]
 
 
 class _Writer:
@@ -143,18 +160,19 @@ class _Writer:
 
     def _doubt(self, doubtful: Sequence[Candidate]) -> str:
         """Return which registrations are doubtful and why: one in the words of its warning, several in short."""
-        first = [c.registration.doubts[0] for c in doubtful]
         if len(doubtful) == 1:
-            why = first[0].text.partition("; ")[0]  # what follows is a remedy
+            reason = doubtful[0].registration.doubts[0].text.partition("; ")[0]  # what follows is a remedy
             return (
-                f"The registration of {self.name_list(doubtful)} is doubtful: {why}. Its numbers describe a pose that"
-                " may be wrong"
+                f"The registration of {self.name_list(doubtful)} is doubtful: {reason}. Its numbers describe a pose"
+                " that may be wrong"
             )
-        clauses = []
-        for code in dict.fromkeys(notice.code for notice in first):
-            whose = [c for c, notice in zip(doubtful, first, strict=True) if notice.code == code]
-            subject = "" if len(whose) == len(doubtful) else f"{self.name_list(whose)}: "
-            clauses.append(f"{subject}{_DOUBTS[code]}")
+        by_code: dict[str, list[Candidate]] = {}
+        for candidate in doubtful:
+            by_code.setdefault(candidate.registration.doubts[0].code, []).append(candidate)
+        clauses = [
+            f"{'' if len(by_code) == 1 else f'{self.name_list(group)}: '}{_DOUBTS[code]}"
+            for code, group in by_code.items()
+        ]
         return (
             f"The registrations of {self.name_list(doubtful)} are doubtful ({'; '.join(clauses)}): their numbers"
             " describe poses that may be wrong"
@@ -162,19 +180,22 @@ class _Writer:
 
     def places(self, candidates: Sequence[Candidate]) -> list[str]:
         """Return one sentence on where candidates lie as a whole, or none if all lie on the reference as given."""
-        found = [place_sentence(self.comparison, c, self.names[c.name]) for c in candidates]
-        found = [sentence for sentence in found if sentence]
-        more = f" So do {len(found) - _MAX_PLACES} others." if len(found) > _MAX_PLACES else ""
-        return [f"{' '.join(found[:_MAX_PLACES])}{more}"] if found else []
+        places = [place_sentence(self.comparison, c, self.names[c.name]) for c in candidates]
+        sentences = list(filter(None, places))
+        ending = f" So do {len(sentences) - _MAX_PLACES} others." if len(sentences) > _MAX_PLACES else ""
+        return [f"{' '.join(sentences[:_MAX_PLACES])}{ending}"] if sentences else []
 
     def of_one(self, candidate: Candidate) -> list[str]:
         """Return the sentences for one candidate: distance, missing parts, deformation and pose."""
         if candidate.metrics.hausdorff.symmetric_max <= rounding_limit(self.comparison):
-            same = f"{self.names[candidate.name]} coincides with the reference up to rounding."
-            return [same, self._pose(candidate)]
-        bend = bend_sentence(self.comparison, candidate, self.names[candidate.name])
-        changes = self._changes([candidate])
-        return [self._how_far(candidate), *changes, self._how_complete(candidate), f"{bend}.", self._pose(candidate)]
+            return [f"{self.names[candidate.name]} coincides with the reference up to rounding.", self._pose(candidate)]
+        return [
+            self._how_far(candidate),
+            *self._changes([candidate]),
+            self._how_complete(candidate),
+            f"{deformation_sentence(self.comparison, candidate, self.names[candidate.name])}.",
+            self._pose(candidate),
+        ]
 
     def _how_far(self, candidate: Candidate) -> str:
         name, off = self.names[candidate.name], _off_surface(candidate, with_planes=_has_d2(candidate))
@@ -182,7 +203,7 @@ class _Writer:
             return f"Each point of {name} lies on the reference's {off.target}, up to rounding."
         if candidate.censored.get(CANDIDATE_TO_REFERENCE):
             return f"{name} lies at least {self.length(off.value)} {off.label} off the reference's {off.target}."
-        interval = "" if off.interval is None else f" [{off.interval.low:.3g}, {off.interval.high:.3g}]"
+        interval = "" if off.interval is None else f" {interval_text(off.interval)}"
         text = f"{name} lies {self.length(off.value)}{interval} {off.label} off the reference's {off.target}"
         if partly := self._overlap_warning(candidate):
             text = f"{partly[0].upper()}{partly[1:]}; the complete cloud {text.removeprefix(f'{name} ')}"
@@ -199,12 +220,11 @@ class _Writer:
 
     def _changes(self, candidates: Sequence[Candidate]) -> list[str]:
         """Return the most important changes of candidates, in one text; none if there are none."""
-        found = {c.name: c.changes.found for c in candidates if c.changes is not None and c.changes.found}
         unit = self.comparison.reference.unit
+        sentences = {c.name: changes_sentence(changes, unit) for c in candidates if (changes := changes_of(c))}
         if len(candidates) == 1:
-            return [changes_sentence(changes, unit) for changes in found.values()]
-        texts = [f"{self.names[name]}: {changes_sentence(changes, unit)}" for name, changes in found.items()]
-        return [" ".join(texts)] if texts else []
+            return list(sentences.values())
+        return [" ".join(f"{self.names[name]}: {text}" for name, text in sentences.items())] if sentences else []
 
     def _how_complete(self, candidate: Candidate) -> str:
         away = _away(candidate)
@@ -215,12 +235,11 @@ class _Writer:
         if away.is_sampling and not at_least:
             return f"{text}, about what {self._sampling_words([candidate])} ({self.length(away.floor)})."
         worst = candidate.metrics.hausdorff.completeness
-        position = ", ".join(f"{x:.1f}" for x in worst.worst_point)
         floor = f"{self._sampling_words([candidate])} {self.length(away.floor)}"
         return (
             f"{text}, of which {floor}: parts are missing. 5% of the reference is"
             f" farther than {self.length(worst.p95)} from the candidate; the farthest point,"
-            f" {at_least}{self.length(worst.largest)} away, is at ({position})."
+            f" {at_least}{self.length(worst.largest)} away, is at {position_text(worst.worst_point)}."
         )
 
     def _step_words(self, candidate: Candidate) -> str:
@@ -233,29 +252,24 @@ class _Writer:
 
     def _sampling_words(self, candidates: Sequence[Candidate]) -> str:
         """Return what explains the floors of candidates, with the verb."""
-        steps = [words for words in map(self._step_words, candidates) if words]
-        return (
-            f"point spacing and rounding of coordinates to {steps[0]} explain"
-            if steps
-            else "the point spacing explains"
-        )
+        step = next(filter(None, map(self._step_words, candidates)), "")
+        return f"point spacing and rounding of coordinates to {step} explain" if step else "the point spacing explains"
 
     def _pose(self, candidate: Candidate) -> str:
-        found, least = candidate.registration, rounding_limit(self.comparison)
-        how = found.method.partition(":")[0]
-        given = {"none": "Not registered", "matrix": "In the given pose"}
-        pose = given.get(how, f"Registered by {'control points' if how == 'points' else how}")
+        registration, least = candidate.registration, rounding_limit(self.comparison)
+        method = registration.method.partition(":")[0]
+        pose = _GIVEN_POSES.get(method, f"Registered by {'control points' if method == 'points' else method}")
         parts = []
         if not self._overlap_warning(candidate):  # _how_far states a small overlap
-            parts.append(f"{found.overlap:.1%} of the candidate lies on the reference")
-        if found.weakest_sigma is not None and found.weakest_sigma > least and how not in given:
-            sigma = self.length(found.weakest_sigma)
-            parts.append(f"the standard error of the pose is {sigma} in its weakest direction")
+            parts.append(f"{registration.overlap:.1%} of the candidate lies on the reference")
+        sigma = registration.weakest_sigma
+        if sigma is not None and sigma > least and method not in _GIVEN_POSES:
+            parts.append(f"the standard error of the pose is {self.length(sigma)} in its weakest direction")
         text = f"{pose}: {', and '.join(parts)}." if parts else f"{pose}."
         value, floor, *_ = candidate.metrics.mean_distance.accuracy
         if value is not None and floor is not None and least < value <= MAX_NOISE_RATIO * floor:
-            what = "density and rounding" if self._step_words(candidate) else "density"
-            text += f" Point distances mainly reflect {what}; use surface distances to judge error."
+            cause = "density and rounding" if self._step_words(candidate) else "density"
+            text += f" Point distances mainly reflect {cause}; use surface distances to judge error."
         return text
 
     def of_several(self, candidates: Sequence[Candidate]) -> list[str]:
@@ -268,73 +282,75 @@ class _Writer:
         complete = self._ranking(away, "more complete", "most complete", "completeness")
         missing = [c for c in candidates if not away[c.name].is_sampling]
         if missing:
-            why = f"parts are missing in {self.name_list(missing)}"
+            cause = f"parts are missing in {self.name_list(missing)}"
         else:
-            why = f"{self._sampling_words(candidates).removeprefix('the ')} these distances"
+            cause = f"{self._sampling_words(candidates).removeprefix('the ')} these distances"
         ends = [self.comparison[pick(off, key=lambda name: off[name].value)] for pick in (min, max)]
         notes = [*map(self._overlap_warning, ends), self._robust_order(candidates, off)]
         return [
             f"{'; '.join(filter(None, [accuracy, *notes]))}. {self._largest_parts(candidates)}".rstrip(),
             *self._changes(candidates),
-            f"{complete}; {why}.",
+            f"{complete}; {cause}.",
             f"{self._deformations(candidates)}.",
         ]
 
     def _largest_parts(self, candidates: Sequence[Candidate]) -> str:
         """Return the largest part of D2 besides noise in each candidate that noise does not explain."""
-        names: dict[str, list[str]] = {}
+        names_by_source: dict[str, list[str]] = {}
         for candidate in candidates:
             if candidate.budget is not None and not candidate.is_noise:
                 part, share = largest_part(candidate)
                 name = f"{self.names[candidate.name]} ({percentage(share)})"
-                names.setdefault(source_words(candidate, part), []).append(name)
-        sources = [f"from {source} in {join_words(of)}" for source, of in names.items()]
+                names_by_source.setdefault(source_words(candidate, part), []).append(name)
+        sources = [f"from {source} in {join_words(names)}" for source, names in names_by_source.items()]
         return f"Beyond noise, most of the mean square comes {', '.join(sources)}." if sources else ""
 
-    def _ranking(self, found: Mapping[str, _Distance], more: str, most: str, quantity: str) -> str:
+    def _ranking(self, distances: Mapping[str, _Distance], more: str, most: str, quantity: str) -> str:
         """Return the order of candidates as far as their paired differences are significant.
 
         Two intervals may overlap although the paired difference is significant. A candidate whose interval is so wide
         that it does not differ from the best, while better ones do, is not ranked.
         """
-        order = sorted(found, key=lambda name: found[name].value)
-        first = found[order[0]]
+        order = sorted(distances, key=lambda name: distances[name].value)
+        smallest = distances[order[0]]
 
         def differ(a: str, b: str) -> bool:
-            return self._differ(a, b, first.metric)
+            return self._differ(a, b, smallest.metric)
 
-        like = leaders(order, differ)
-        unranked = [name for name in order[len(like) :] if not differ(order[0], name)]
+        best_ones = leaders(order, differ)
+        unranked = [name for name in order[len(best_ones) :] if not differ(order[0], name)]
         if unranked:
-            ranked = self._ranking({name: found[name] for name in order if name not in unranked}, more, most, quantity)
-            whose = "its interval is" if len(unranked) == 1 else "their intervals are"
-            wide = [f"{self.names[name]} ({self.length(found[name].value)})" for name in unranked]
-            return f"{ranked}; {join_words(wide)} cannot be ranked, because {whose} too wide"
-        values = [self.length(found[name].value) for name in order]
+            others = {name: distances[name] for name in order if name not in unranked}
+            subject = "its interval is" if len(unranked) == 1 else "their intervals are"
+            wide = join_words([f"{self.names[name]} ({self.length(distances[name].value)})" for name in unranked])
+            ranking = self._ranking(others, more, most, quantity)
+            return f"{ranking}; {wide} cannot be ranked, because {subject} too wide"
+        values = [self.length(distances[name].value) for name in order]
         best, worst = self.names[order[0]], self.names[order[-1]]
-        words = f" {first.label}" + ("" if first.floor is None else f" (floor {self.length(first.floor)})")
-        if len(like) == len(order) == 2:
+        words = f" {smallest.label}" + ("" if smallest.floor is None else f" (floor {self.length(smallest.floor)})")
+        if len(best_ones) == len(order) == 2:
             return f"No significant difference in {quantity}: {best} {values[0]}, {worst} {values[1]}{words}"
         if len(order) == 2:
             return f"{best} is {more} than {worst}: {values[0]} against {values[1]}{words}"
-        if len(like) == len(order):
+        if len(best_ones) == len(order):
             return f"No significant difference in {quantity}: {values[0]} ({best}) to {values[-1]} ({worst}){words}"
-        tied = leaders(order[::-1], differ)[::-1]
-        last = "" if order[-1] in like else self._last([name for name in tied if name not in like], found)
-        if len(like) == 1:
-            then = "" if order[1] in tied else f", then {self.names[order[1]]} ({values[1]})"
-            return f"{best} is {most}: {values[0]}{words}{then}{last}"
-        these, farthest = join_words([self.names[name] for name in like]), self.length(found[like[-1]].value)
-        return f"{these} are {most}, without a significant difference: {values[0]} to {farthest}{words}{last}"
+        worst_ones = leaders(order[::-1], differ)[::-1]
+        ending = ""
+        if order[-1] not in best_ones:
+            ending = self._last([name for name in worst_ones if name not in best_ones], distances)
+        if len(best_ones) == 1:
+            second = "" if order[1] in worst_ones else f", then {self.names[order[1]]} ({values[1]})"
+            return f"{best} is {most}: {values[0]}{words}{second}{ending}"
+        names = join_words([self.names[name] for name in best_ones])
+        ends = f"{values[0]} to {values[len(best_ones) - 1]}"
+        return f"{names} are {most}, without a significant difference: {ends}{words}{ending}"
 
-    def _last(self, tied: Sequence[str], found: Mapping[str, _Distance]) -> str:
-        names, ends = (
-            join_words([self.names[k] for k in tied]),
-            [self.length(found[k].value) for k in (tied[0], tied[-1])],
-        )
+    def _last(self, tied: Sequence[str], distances: Mapping[str, _Distance]) -> str:
+        names = join_words([self.names[name] for name in tied])
+        nearest, farthest = (self.length(distances[name].value) for name in (tied[0], tied[-1]))
         if len(tied) == 1:
-            return f"; {names} is last ({ends[0]})"
-        return f"; {names} are last, without a significant difference ({' to '.join(ends)})"
+            return f"; {names} is last ({nearest})"
+        return f"; {names} are last, without a significant difference ({nearest} to {farthest})"
 
     def _overlap_warning(self, candidate: Candidate) -> str:
         """Return a warning if little of a candidate lies on the reference: the rest dominates its distances."""
@@ -355,16 +371,8 @@ class _Writer:
 
     def _deformations(self, candidates: Sequence[Candidate]) -> str:
         """Return the verdicts on deformation, deformed candidates first."""
-        verdicts = {
-            "non-affine": ("is deformed", "are deformed"),
-            "affine": ("is sheared or stretched", "are sheared or stretched"),
-            "similarity": ("has another scale", "have another scale"),
-            "none": ("is not deformed", "are not deformed"),
-            _UNPROVEN: ("shows no deformation as a whole", "show no deformation as a whole"),
-            "undecided": ("may or may not be deformed (undecided)", "may or may not be deformed (undecided)"),
-        }
         sentences = []
-        for verdict, (singular, plural) in verdicts.items():
+        for verdict, (singular, plural) in _VERDICTS.items():
             chosen = [c for c in candidates if _claim(c) == verdict]
             if not chosen:
                 continue
@@ -377,8 +385,8 @@ class _Writer:
                 text += f"; a smooth deformation above {self.length(limit)} RMS would have been detected"
             problems = dict.fromkeys(c.deformation.limit_problem for c in chosen if verdict in ("none", _UNPROVEN))
             for problem in filter(None, problems):
-                whose = [c for c in chosen if c.deformation.limit_problem == problem]
-                text += f"; {problem if whose == chosen else f'for {self.name_list(whose)} {problem}'}"
+                limited = [c for c in chosen if c.deformation.limit_problem == problem]
+                text += f"; {problem if limited == chosen else f'for {self.name_list(limited)} {problem}'}"
             sentences.append(text)
         return ". ".join(sentences)
 
@@ -386,15 +394,15 @@ class _Writer:
         result, notes = candidate.deformation, []
         if result.amplitude is not None and _verdict(candidate) == "non-affine":
             notes.append(f"{self.length(result.amplitude.rms)} RMS")
-        if changes := () if candidate.changes is None else candidate.changes.found:
+        if changes := changes_of(candidate):
             notes.append(f"{pluralize(len(changes), 'part')} changed")
         return f"{self.names[candidate.name]} ({', '.join(notes)})" if notes else self.names[candidate.name]
 
     def _differ(self, a: str, b: str, metric: str) -> bool:
         """Return whether the paired difference of two candidates is significant; True if it is unknown."""
-        for found in self.comparison.differences:
-            if found.metric == metric and {found.a, found.b} == {a, b}:
-                return not found.interval.low <= 0 <= found.interval.high
+        for difference in self.comparison.differences:
+            if difference.metric == metric and {difference.a, difference.b} == {a, b}:
+                return not difference.interval.low <= 0 <= difference.interval.high
         return True
 
 
@@ -416,15 +424,12 @@ def _has_d2(candidate: Candidate) -> bool:
 
 def _off_surface(candidate: Candidate, *, with_planes: bool) -> _Distance:
     """Return the RMS distance to the reference's surface, or the mean distance to its points."""
-    d2 = candidate.metrics.d2_mse.accuracy
+    d2, mean = candidate.metrics.d2_mse.accuracy, candidate.metrics.mean_distance.accuracy
     if with_planes and d2.value is not None:
-        floor = None if d2.floor is None else d2.floor**0.5
-        ends = None if d2.interval is None else Interval(d2.interval.low**0.5, d2.interval.high**0.5)
-        return _Distance(d2.value**0.5, floor, ends, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")
-    mean = candidate.metrics.mean_distance.accuracy
-    return _Distance(
-        mean.value or 0.0, mean.floor, mean.interval, f"mean_distance/{CANDIDATE_TO_REFERENCE}", "on average"
-    )
+        floor, interval = None if d2.floor is None else d2.floor**0.5, root_interval(d2.interval)
+        return _Distance(d2.value**0.5, floor, interval, f"d2_mse/{CANDIDATE_TO_REFERENCE}", "RMS", "surface")
+    metric = f"mean_distance/{CANDIDATE_TO_REFERENCE}"
+    return _Distance(mean.value or 0.0, mean.floor, mean.interval, metric, "on average")
 
 
 def _away(candidate: Candidate) -> _Distance:

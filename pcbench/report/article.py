@@ -176,8 +176,8 @@ def _bullets(sentences: Iterable[str]) -> str:
 def _cell(cell: str | TableCell) -> str:
     if isinstance(cell, str):
         return _text(cell)
-    around = {"": "", "best": "**", "second": "_"}[cell.mark]
-    return f"{around}{_text(cell.text)}{around}"
+    emphasis = {"": "", "best": "**", "second": "_"}[cell.mark]
+    return f"{emphasis}{_text(cell.text)}{emphasis}"
 
 
 def _link(text: str, file: str) -> str:
@@ -188,5 +188,5 @@ def _text(text: str) -> str:
     return _MARKDOWN.sub(_escaped, one_line(text))
 
 
-def _escaped(found: re.Match[str]) -> str:
-    return f"\\{found[0]}"
+def _escaped(match: re.Match[str]) -> str:
+    return f"\\{match[0]}"

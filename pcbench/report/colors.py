@@ -13,8 +13,10 @@ from pcbench.geometry.arrays import FloatArray
 MAX_SHARED_RATIO = 5.0
 """Largest ratio of the 95th percentiles of candidates that share a colour range."""
 
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
-"""Colours of curves and markers: the colour-blind safe palette of Okabe and Ito, and grey."""
+# The colour-blind safe palette of Okabe and Ito.
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, "#7f7f7f")
+"""Colours of curves and markers."""
 
 # viridis (van der Walt and Smith 2015), sampled evenly over its upper 87 %, which contrasts with a dark background. Its
 # lightness grows evenly, so it is readable in grey and with any colour blindness.
@@ -110,7 +112,7 @@ def robust_maximum(values: FloatArray) -> float:
 
 
 def ranges(
-    highest: Mapping[str, float], *, spacing: float = 0.0, signed: bool = False, given: float | None = None
+    highest: Mapping[str, float], *, spacing: float = 0.0, signed: bool = False, end: float | None = None
 ) -> dict[str, Range]:
     """Return the colour range of each candidate; candidates with similar maxima share one.
 
@@ -120,10 +122,10 @@ def ranges(
         highest: robust maximum of each candidate's values.
         spacing: spacing of the reference. A maximum below a millionth of it is rounding; its range ends at the spacing.
         signed: whether values can be negative.
-        given: the end of all ranges, if the user sets it.
+        end: the end of all ranges, if the user sets it.
     """
-    if given is not None:
-        return {name: _range(given, signed, "range set by the user") for name in highest}
+    if end is not None:
+        return {name: _range(end, signed, "range set by the user") for name in highest}
     rounding = 1e-6 * spacing
     result: dict[str, Range] = {}
     remaining = sorted(highest, key=lambda name: highest[name])
@@ -135,9 +137,10 @@ def ranges(
         if high > rounding:
             note = f"up to the {'largest ' if len(group) > 1 else ''}95th percentile"
             if len(group) > 1:
-                everyone = "both candidates" if len(group) == 2 else f"all {len(group)} candidates"
-                some = f"{len(group)} of {len(highest)} candidates"
-                note += f", shared by {everyone if len(group) == len(highest) else some}"
+                sharing = "both candidates" if len(group) == 2 else f"all {len(group)} candidates"
+                if len(group) < len(highest):
+                    sharing = f"{len(group)} of {len(highest)} candidates"
+                note += f", shared by {sharing}"
             elif len(highest) > 1:
                 note += ", of this candidate only"
         else:
@@ -146,20 +149,18 @@ def ranges(
     return {name: result[name] for name in highest}
 
 
-def ranges_of(
-    values: Mapping[str, FloatArray], *, spacing: float = 0.0, given: float | None = None
-) -> dict[str, Range]:
+def ranges_of(values: Mapping[str, FloatArray], *, spacing: float = 0.0, end: float | None = None) -> dict[str, Range]:
     """Return the colour range of each candidate's values, which are signed if any of them is negative.
 
     Args:
         values: values of each candidate, NaN if unknown; at least one is known.
         spacing: as in `ranges`.
-        given: as in `ranges`.
+        end: as in `ranges`.
     """
     finite = {name: scalars[np.isfinite(scalars)] for name, scalars in values.items()}
     signed = any(bool((scalars < 0).any()) for scalars in finite.values())
     highest = {name: robust_maximum(scalars) for name, scalars in finite.items()}
-    return ranges(highest, spacing=spacing, signed=signed, given=given)
+    return ranges(highest, spacing=spacing, signed=signed, end=end)
 
 
 def has_colors(colors: NDArray[np.uint8] | None) -> bool:

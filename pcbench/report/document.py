@@ -163,8 +163,8 @@ def _measurements(candidate: Candidate) -> dict[str, Any]:
     if candidate.budget is not None:
         budget["keeps_pose"] = candidate.budget.keeps_pose
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            found = candidate.budget[direction]
-            budget[direction] |= {key: getattr(found, key) for key in ("mean_square", "floor", "of_changes")}
+            directed = candidate.budget[direction]
+            budget[direction] |= {key: getattr(directed, key) for key in ("mean_square", "floor", "of_changes")}
     metrics["hausdorff"]["worst_point"] = {
         direction: m.hausdorff[direction].worst_point for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE)
     }
@@ -172,10 +172,10 @@ def _measurements(candidate: Candidate) -> dict[str, Any]:
         CANDIDATE_TO_REFERENCE: m.percentiles_accuracy,
         REFERENCE_TO_CANDIDATE: m.percentiles_completeness,
     }
-    for kind, both in m.spreads.items():
+    for kind, spread in m.spreads.items():
         for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
             values = metrics["spreads"][kind][direction]
-            values["percentiles"] = both[direction].percentiles
+            values["percentiles"] = spread[direction].percentiles
             values.setdefault("bias", None)  # unsigned distances have a mean instead
     if m.d2_samples:
         metrics["d2_mse"]["sample"] = {direction: sample._asdict() for direction, sample in m.d2_samples.items()}
@@ -248,15 +248,15 @@ def _motion(registration: Registration) -> dict[str, Any] | None:
     }
 
 
-def _m3c2(found: M3C2) -> dict[str, Any]:
+def _m3c2(m3c2: M3C2) -> dict[str, Any]:
     return {
-        "core_points": len(found.cores),
-        "valid": int(np.isfinite(found.distances).sum()),
-        "radius": found.radius,
-        "half_length": found.half_length,
-        "registration_error": found.registration_error,
+        "core_points": len(m3c2.cores),
+        "valid": int(np.isfinite(m3c2.distances).sum()),
+        "radius": m3c2.radius,
+        "half_length": m3c2.half_length,
+        "registration_error": m3c2.registration_error,
         "sign": "positive along the reference's normal",
-        "percentiles": found.spread.percentiles,
+        "percentiles": m3c2.spread.percentiles,
     }
 
 

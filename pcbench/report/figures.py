@@ -90,9 +90,9 @@ def recorded_figures(settings_file: Path) -> Figures:
 def _figures(recorded: Any) -> Figures:
     if not isinstance(recorded, dict):
         raise InputError(f"expected the appearance of pictures as an object, got {recorded!r}")
-    known = [item.name for item in fields(Figures)]
-    if unknown := [name for name in recorded if name not in known]:
-        raise InputError(f"expected {', '.join(known)} as appearance of pictures, got {unknown[0]!r}")
+    names = [item.name for item in fields(Figures)]
+    if unknown := [name for name in recorded if name not in names]:
+        raise InputError(f"expected {', '.join(names)} as appearance of pictures, got {unknown[0]!r}")
     return Figures(**recorded)
 
 

@@ -200,7 +200,7 @@ def _write_maps(folder: Path, comparison: SourcedComparison, figures: Figures) -
         {name: robust_maximum(map_.even_values("distance")) for name, map_ in by_name.items()} for by_name in maps
     ]
     to_reference, to_candidate = (
-        ranges(maxima, spacing=reference.spacing_median, given=figures.range) for maxima in highest
+        ranges(maxima, spacing=reference.spacing_median, end=figures.range) for maxima in highest
     )
     for candidate in comparison.candidates:
         deviation = candidate.deviation

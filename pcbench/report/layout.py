@@ -185,8 +185,8 @@ class LineQuantities(NamedTuple):
     def cells(self, cell: Callable[[Quantity], Cell]) -> list[tuple[Cell, Cell]]:
         """Return the cells of both columns for each candidate; a column without any quantity is empty."""
         empty = [Cell("" if all(pair[k] is None for pair in self.pairs) else UNKNOWN) for k in (0, 1)]
-        left, right = ([empty[k] if (q := pair[k]) is None else cell(q) for pair in self.pairs] for k in (0, 1))
-        return list(zip(left, right, strict=True))
+        columns = ([empty[k] if (q := pair[k]) is None else cell(q) for pair in self.pairs] for k in (0, 1))
+        return list(zip(*columns, strict=True))
 
 
 def label_of(quantity: Quantity) -> Label | None:

@@ -87,7 +87,7 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
             f" {pluralize(comparison.reference.points, 'point')}."
         )
     computed = comparison.candidates[0].metrics.presets
-    if missing := [name for name in comparison.settings.presets if name not in computed]:
+    if missing := [name for name in comparison.settings.measured_presets if name not in computed]:
         text += f" Not computed in tiles: {'the preset' if len(missing) == 1 else 'the presets'} {join_words(missing)}."
     return text
 
@@ -95,7 +95,7 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
 def details(comparison: SourcedComparison) -> Iterator[str]:
     """Yield the verdict on each candidate, and the differences of each pair whose registrations are not doubtful."""
     for candidate in comparison:
-        yield bend_sentence(comparison, candidate, candidate.name)
+        yield deformation_sentence(comparison, candidate, candidate.name)
     doubtful = {c.name for c in comparison if c.registration.doubtful}
     labels = {}
     for quantity in quantities(comparison.candidates[0]):
@@ -106,7 +106,7 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
             yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
-def bend_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
+def deformation_sentence(comparison: SourcedComparison, candidate: Candidate, name: str) -> str:
     """Return the verdict on deformation as a sentence without a period.
 
     There is no verdict if a candidate looks deformed but the geometry does not determine its pose.

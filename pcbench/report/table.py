@@ -97,17 +97,17 @@ def markdown(comparison: SourcedComparison) -> str:
 
 def html(comparison: SourcedComparison) -> str:
     """Return the table of a notebook: answer, warnings, all metrics, and differences, with escaped names."""
-    right, left = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
+    number_style, label_style = "text-align:right;padding:1px 10px", "text-align:left;padding:1px 10px"
     names = "".join(f'<th colspan="2" style="text-align:center">{escape(c.name)}</th>' for c in comparison)
     directions = "".join(
-        f'<th style="{right}">{_DIRECTIONS[direction]} {arrow}</th>'
+        f'<th style="{number_style}">{_DIRECTIONS[direction]} {arrow}</th>'
         for _ in comparison
         for direction, arrow in ARROWS.items()
     )
     body = []
     for line in filter(None, lines(comparison)):
-        style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if line.level else left
-        cells = "".join(f'<td style="{right}">{escape(text)}</td>' for text in line.texts)
+        style = f"{label_style};font-weight:normal;padding-left:2em;opacity:0.75" if line.level else label_style
+        cells = "".join(f'<td style="{number_style}">{escape(text)}</td>' for text in line.texts)
         body.append(f'<tr><th scope="row" style="{style}">{escape(line.label)}</th>{cells}</tr>')
     sentences = [
         *answer(comparison),

@@ -61,12 +61,12 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
         _print_lines(console, [c.name for c in comparison], unit, list(rows))
     else:
         names, *others = main_columns(comparison, console.width)
-        left = max(map(columns, [unit, *names.cells]))
+        label_width = max(map(columns, [unit, *names.cells]))
         for head in (0, 1):
             cells = [column.head[head].rjust(column.width) for column in others]
-            _print_row(console, [(unit if head else "").ljust(left), *cells], "bold")
+            _print_row(console, [(unit if head else "").ljust(label_width), *cells], "bold")
         for row, name in enumerate(names.cells):
-            _print_row(console, [pad(name, left), *(column.cells[row].rjust(column.width) for column in others)])
+            _print_row(console, [pad(name, label_width), *(column.cells[row].rjust(column.width) for column in others)])
     console.print()
     if full:
         for sentence in details(comparison):

@@ -93,5 +93,5 @@ def test_rounding_errors_have_one_colour():
 
 
 def test_a_given_range_applies_to_all_candidates():
-    scales = ranges({"a": 0.02, "b": 40.0}, signed=True, given=0.3)
+    scales = ranges({"a": 0.02, "b": 40.0}, signed=True, end=0.3)
     assert {(scale.low, scale.high) for scale in scales.values()} == {(-0.3, 0.3)}

@@ -42,16 +42,16 @@ def test_tiles_summarise_all_points_although_few_are_shown(comparison, monkeypat
     parsed = Page(text)
     assert sum(head["shown"] for head in parsed.view["layers"]) < 2000
     assert all(f"<title>{tile.text}</title>" in text for tile in full.tiles)
-    assert np.allclose(np.reshape(parsed.view["tiles"]["at"], (-1, 3)), [tile.found.at for tile in full.tiles])
+    assert np.allclose(np.reshape(parsed.view["tiles"]["at"], (-1, 3)), [tile.statistics.at for tile in full.tiles])
 
 
 def test_the_worst_tile_is_where_the_cloud_is_off(comparison):
     maps = tile_maps(comparison)
     worst = maps.tiles[0]
-    assert worst.candidate == "b" and worst.found.median == pytest.approx(0.3, abs=0.05)
-    assert worst.found.at[:2] == (500_002.5, 5_000_002.5)
+    assert worst.candidate == "b" and worst.statistics.median == pytest.approx(0.3, abs=0.05)
+    assert worst.statistics.at[:2] == (500_002.5, 5_000_002.5)
     map_ = comparison["b"].deviation
-    inside = (np.abs(map_.points[:, :2] - worst.found.at[:2]) <= maps.grid.size / 2).all(axis=1)
+    inside = (np.abs(map_.points[:, :2] - worst.statistics.at[:2]) <= maps.grid.size / 2).all(axis=1)
     values = map_.scalars["plane_distance"][inside]
     assert worst.text == (
         f"{len(values):,} points, median {np.median(values):.3g} m,"
@@ -73,7 +73,7 @@ def test_tiles_are_round_and_few(comparison):
 
 def test_all_points_are_counted(comparison):
     maps = tile_maps(comparison)
-    assert sum(tile.found.count for tile in maps.tiles) + maps.sparse == 8000
+    assert sum(tile.statistics.count for tile in maps.tiles) + maps.sparse == 8000
     said = "points lie in them or outside the maps"
     assert (f"; {maps.sparse:,} {said}" in words_of(page(comparison, PROVENANCE))) == (maps.sparse > 1)
 
@@ -167,9 +167,9 @@ def test_the_same_tiles_have_the_same_colors(comparison):
     same = replace(comparison["b"], name="same")
     maps = tile_maps(replace(comparison, candidates=(comparison["b"], same), differences=()))
     (_, first), (_, second) = maps.maps
-    colors = [{tile.found.tile: tile.color for _, tile in tiles} for tiles in (first, second)]
+    colors = [{tile.statistics.tile: tile.color for _, tile in tiles} for tiles in (first, second)]
     assert colors[0] == colors[1] and len(set(colors[0].values())) > 3
-    assert max(abs(tile.found.median) for tile in maps.tiles) == pytest.approx(maps.scale.high)
+    assert max(abs(tile.statistics.median) for tile in maps.tiles) == pytest.approx(maps.scale.high)
 
 
 def test_names_that_print_alike_have_maps_of_their_own(comparison):

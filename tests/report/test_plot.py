@@ -19,7 +19,7 @@ from pcbench.errors import MissingExtra, PcbenchError
 from pcbench.opengl import NoFiguresError
 from pcbench.report import Figures, plot
 from pcbench.report.plot import bends, draw, worker
-from pcbench.report.plot.maps import frame
+from pcbench.report.plot.maps import Framing, frame
 
 
 @pytest.fixture(scope="module")
@@ -237,6 +237,12 @@ def test_a_cloud_against_itself_has_no_empty_panel(tmp_path):
     assert (np.abs(image - image[2, 2]) > 0.05).any(axis=2).mean() > 0.05
 
 
+def framing(background=None):
+    """Return the framing of a picture of a unit square."""
+    corners = Cloud(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]))
+    return Framing(frame(None, {"a": corners}), "m", Figures(background))
+
+
 def test_evidence_has_panels_for_available_data_only(report, tmp_path):
     """Unknown growth of errors, and tiles with too few pairs, leave no empty axes."""
     import_or_skip("matplotlib")
@@ -245,7 +251,7 @@ def test_evidence_has_panels_for_available_data_only(report, tmp_path):
     def drawn_size(document):
         field = Cloud(np.zeros((3, 3)), attributes={name: np.full(3, 100.0) for name in ("pairs", "local", "changed")})
         path = tmp_path / "deformation.png"
-        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures())
+        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", framing(), path)
         return imread(path).shape[:2] if is_drawn else None
 
     document = json.loads((report / "comparison.json").read_text())["candidates"][0]["deformation"]
@@ -270,7 +276,7 @@ def test_changed_tiles_are_visible_on_any_background(report, tmp_path, backgroun
         attributes = {"pairs": np.full(3, 2), "local": np.array(residuals), "changed": np.zeros(3)}
         field = Cloud(np.array([[0.0, 0, 0], [10, 10, 0], [5, 5, 0]]), attributes=attributes)
         path = tmp_path / "deformation.png"
-        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", "m", path, Figures(background))
+        is_drawn = bends.evidence(Deformation.from_json(document), field, "title", framing(background), path)
         return imread(path)[..., :3] if is_drawn else None
 
     partial_image, untested_image = draw_tiles([0.5, 1.0, 0.6]), draw_tiles([0.5, 1.0, np.nan])
@@ -296,7 +302,8 @@ def test_displacements_are_visible_from_all_sides(tmp_path):
     columns = {"displacement_x": 0 * rise, "displacement_y": 0 * rise, "displacement_z": rise}
     cloud, field = Cloud(rng.uniform(-10, 10, (5000, 3)) * [1, 1, 0.1]), Cloud(positions, attributes=columns)
     path = tmp_path / "displacement.png"
-    assert bends.arrows(cloud, field, "title", "m", frame(None, {"a": cloud}), path, Figures())
+    cloud_framing = Framing(frame(None, {"a": cloud}), "m", Figures())
+    assert bends.arrows(cloud, field, "title", cloud_framing, path)
     image = imread(path)[..., :3]
     red, blue = image[..., 0] - image[..., 2] > 0.3, image[..., 2] - image[..., 0] > 0.3
     top_view = slice(0, image.shape[1] // 4)
@@ -305,4 +312,4 @@ def test_displacements_are_visible_from_all_sides(tmp_path):
     # Red is where the surface rises.
     assert np.nonzero(red[:, top_view])[1].mean() > np.nonzero(blue[:, top_view])[1].mean()
     zero_field = Cloud(positions, attributes=dict.fromkeys(columns, 0 * rise))
-    assert not bends.arrows(cloud, zero_field, "title", "m", frame(None, {"a": cloud}), path, Figures())
+    assert not bends.arrows(cloud, zero_field, "title", cloud_framing, path)

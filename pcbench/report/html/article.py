@@ -85,13 +85,13 @@ def _table(table: DataTable) -> dict[str, Any]:
     """Return the header of a table, and its rows in groups that have a title if a row is a title alone."""
     head, *rows = [[cell if isinstance(cell, TableCell) else TableCell(cell) for cell in row] for row in table.rows]
     groups: list[dict[str, Any]] = []
-    for is_title, found in groupby(rows, key=lambda row: len(row) > 1 and not any(cell.text for cell in row[1:])):
+    for is_title, group in groupby(rows, key=lambda row: len(row) > 1 and not any(cell.text for cell in row[1:])):
         if is_title:
-            groups += [{"title": row[0].text, "rows": []} for row in found]
+            groups += [{"title": row[0].text, "rows": []} for row in group]
         elif groups and not groups[-1]["rows"]:
-            groups[-1]["rows"] = _styled(found, table.labels)
+            groups[-1]["rows"] = _styled(group, table.labels)
         else:
-            groups.append({"title": "", "rows": _styled(found, table.labels)})
+            groups.append({"title": "", "rows": _styled(group, table.labels)})
     heads = [_StyledCell(cell.text, "text" if k < table.labels else "") for k, cell in enumerate(head)]
     return {"head": heads, "groups": groups}
 

@@ -7,15 +7,16 @@ from typing import NamedTuple
 from pcbench.measure.budget import PARTS, D2Budget
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
 from pcbench.report.budget import changes_of, kind_words
+from pcbench.report.colors import BLUE, GREEN, PURPLE, SKY, VERMILION
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.words import UNKNOWN, area, length, percentage, printable, rounding_limit
 
-_LABELS = {  # of the parts in the legend, with their colours: of Okabe and Ito, and greys for what has no shape
-    "unmatched": ("no counterpart", "#cc79a7"),
-    "changed": ("changes", "#d55e00"),
-    "motion": ("motion", "#0072b2"),
-    "affine": ("stretch, shear", "#56b4e9"),
-    "smooth": ("smooth beyond affine", "#009e73"),
+_LABELS = {  # of the parts in the legend, with their colours: greys for what has no shape
+    "unmatched": ("no counterpart", PURPLE),
+    "changed": ("changes", VERMILION),
+    "motion": ("motion", BLUE),
+    "affine": ("stretch, shear", SKY),
+    "smooth": ("smooth beyond affine", GREEN),
     "noise": ("noise", "#c9ccd2"),
     "unexplained": ("unexplained", "#82868e"),
 }
@@ -110,7 +111,6 @@ def _segments(budget: D2Budget, unit: str | None) -> list[BudgetSegment]:
         title = (
             f"{label}: {percentage(share)}, {length(part.rms, unit)} RMS of {percentage(part.point_share)} of points"
         )
-        segments.append(
-            BudgetSegment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title)
-        )
+        ink = "#fff" if name in _DARK else "#1c1e22"
+        segments.append(BudgetSegment(round(100 * share, 2), color, ink, text, title))
     return segments

@@ -24,8 +24,8 @@ _MAX_SERIES = 7  # further candidates would repeat colours
 class Tick:
     """A mark on an axis of a chart: its position in SVG units, and its text."""
 
-    def __init__(self, at: float, text: str) -> None:
-        self.at, self.text = round(at, 1), text
+    def __init__(self, position: float, text: str) -> None:
+        self.position, self.text = round(position, 1), text
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def charts(comparison: SourcedComparison) -> list[LogChart]:
     omitted = len(comparison) - len(shown)
     unit = f" [{comparison.reference.unit}]" if comparison.reference.unit else ""
     spacing = comparison.reference.spacing_median
-    marks = [Tick(axis.at(spacing), "reference spacing")] if axis.low < spacing < axis.high else []
+    marks = [Tick(axis.position(spacing), "reference spacing")] if axis.low < spacing < axis.high else []
     return [
         _histogram(names, forth, axis, unit, marks, omitted),
         _fscores(names, forth, back, axis, unit, marks, omitted),
@@ -82,13 +82,13 @@ class _LogAxis:
     low: float
     high: float
 
-    def at(self, value: float) -> float:
+    def position(self, value: float) -> float:
         share = math.log(value / self.low) / math.log(self.high / self.low)
         return _LEFT + (WIDTH - _LEFT - _RIGHT) * share
 
     def ticks(self) -> list[Tick]:
         """Return marks at round values."""
-        return [Tick(self.at(value), f"{value:g}") for value in log_ticks(self.low, self.high)]
+        return [Tick(self.position(value), f"{value:g}") for value in log_ticks(self.low, self.high)]
 
 
 def _histogram(
@@ -104,7 +104,7 @@ def _histogram(
     top = max(float(share.max()) for share in shares) or 1.0
     series = []
     for name, color, share in zip(names, SERIES, shares, strict=False):
-        xs = [axis.at(float(edge)) for edge in bins]
+        xs = [axis.position(float(edge)) for edge in bins]
         ys = [_y(float(value) / top) for value in share]
         steps = " ".join(f"V{y:.1f}H{x:.1f}" for y, x in zip(ys, xs[1:], strict=True))
         series.append(Series(name, color, f"M{xs[0]:.1f} {_y(0):.1f}{steps}V{_y(0):.1f}"))
@@ -130,7 +130,7 @@ def _fscores(
         precision, recall = (_shares_within(values, thresholds) for values in (there, here))
         total = precision + recall
         scores = np.divide(2 * precision * recall, total, out=np.zeros_like(total), where=total > 0)
-        points = [f"{axis.at(float(t)):.1f} {_y(float(s)):.1f}" for t, s in zip(thresholds, scores, strict=True)]
+        points = [f"{axis.position(float(t)):.1f} {_y(float(s)):.1f}" for t, s in zip(thresholds, scores, strict=True)]
         series.append(Series(name, color, f"M{'L'.join(points)}"))
     ticks = [Tick(_y(k / 4), f"{k / 4:g}") for k in range(5)]
     return LogChart("F-score against its threshold", f"threshold{unit}", "0 to 1", series, axis.ticks(), ticks, marks,

@@ -45,19 +45,19 @@ def embed(folder: Path, files: Sequence[str], limit: int = MAX_BYTES) -> dict[st
         OSError: a file cannot be read.
     """
     contents = {file: (folder / file).read_bytes() for file in files}
-    found: dict[str, EmbeddedPicture] = {}
+    pictures: dict[str, EmbeddedPicture] = {}
     for number, (file, content) in enumerate(sorted(contents.items(), key=lambda item: len(item[1]))):
         share = limit // (len(contents) - number)
         picture = content if len(content) <= share else _reduced(content, share)
         width, height = (int.from_bytes(content[_SIZE_AT][k : k + 4], "big") for k in (0, 4))
         if picture is None:
-            found[file] = EmbeddedPicture("", width, height, f"Too large for this page: see the file {file}.")
+            pictures[file] = EmbeddedPicture("", width, height, f"Too large for this page: see the file {file}.")
             continue
         limit -= len(picture)
         data = f"data:image/png;base64,{base64.b64encode(picture).decode()}"
         note = "" if picture is content else f"Reduced for this page; as drawn: {file}."
-        found[file] = EmbeddedPicture(data, width, height, note)
-    return found
+        pictures[file] = EmbeddedPicture(data, width, height, note)
+    return pictures
 
 
 def _reduced(content: bytes, limit: int) -> bytes | None:

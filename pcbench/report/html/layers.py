@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray, even_rows
 from pcbench.report.colors import Range, ranges_of
-from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, scalar_codes
+from pcbench.report.html.packing import CodeGrid, levels, morton_order, pack, rounded, scalar_codes
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.views import COORDINATES, SceneAxes
 
@@ -27,12 +27,12 @@ _DIRECTIONS = 100  # in which the outermost points are found
 
 
 class _Scalar(NamedTuple):
-    """A scalar with its colour range; `of` is the candidate that a scalar of the reference belongs to."""
+    """A scalar with its colour range; `candidate` is the one that a scalar of the reference belongs to."""
 
     key: str
     values: FloatArray
     scale: Range
-    of: str = ""
+    candidate: str = ""
 
 
 class _Source(NamedTuple):
@@ -62,36 +62,36 @@ class Layer:
     rows: IntArray
 
 
-def layers(comparison: SourcedComparison, given: float | None = None, axes: SceneAxes = COORDINATES) -> list[Layer]:
+def layers(comparison: SourcedComparison, end: float | None = None, axes: SceneAxes = COORDINATES) -> list[Layer]:
     """Return the layers of a comparison, candidates first.
 
     Args:
         comparison: the comparison.
-        given: the end of the colour ranges, if the user sets it.
+        end: the end of the colour ranges, if the user sets it.
         axes: the axes along which the scene is framed.
     """
-    sources = [source for source in _sources(comparison, given) if len(source.points)]
+    sources = [source for source in _sources(comparison, end) if len(source.points)]
     limits = _point_limits([len(s.points) for s in sources], [len(s.scalars) for s in sources])
     return [_layer(source, limit, axes.rows) for source, limit in zip(sources, limits, strict=True)]
 
 
-def _sources(comparison: SourcedComparison, given: float | None) -> Iterator[_Source]:
+def _sources(comparison: SourcedComparison, end: float | None) -> Iterator[_Source]:
     spacing = comparison.reference.spacing_median
     maps = {c.name: c.deviation for c in comparison}
     scales = {}
     for key in dict.fromkeys(key for map_ in maps.values() for key in map_.scalars):
-        having = {name: map_.even_values(key) for name, map_ in maps.items() if key in map_.scalars}
-        scales[key] = ranges_of(having, spacing=spacing, given=given)
+        values = {name: map_.even_values(key) for name, map_ in maps.items() if key in map_.scalars}
+        scales[key] = ranges_of(values, spacing=spacing, end=end)
     for name, map_ in maps.items():
         scalars = [_Scalar(key, values, scales[key][name]) for key, values in map_.scalars.items()]
         yield _Source(name, map_.points, scalars, map_.sampled_from)
     cores = {name: map_.m3c2 for name, map_ in maps.items() if map_.m3c2 is not None}
-    along = ranges_of({name: found.distances for name, found in cores.items()}, spacing=spacing, given=given)
-    for name, found in cores.items():
-        yield _Source(f"{name}, M3C2", found.cores, [_Scalar("m3c2_distance", found.distances, along[name])])
+    scales_m3c2 = ranges_of({name: m3c2.distances for name, m3c2 in cores.items()}, spacing=spacing, end=end)
+    for name, m3c2 in cores.items():
+        yield _Source(f"{name}, M3C2", m3c2.cores, [_Scalar("m3c2_distance", m3c2.distances, scales_m3c2[name])])
     backward = {c.name: c.completeness for c in comparison}
     to_candidates = ranges_of(
-        {name: map_.even_values("distance") for name, map_ in backward.items()}, spacing=spacing, given=given
+        {name: map_.even_values("distance") for name, map_ in backward.items()}, spacing=spacing, end=end
     )
     shared, *others = backward.values()
     points, missing = shared.points, {name: map_.scalars["distance"] for name, map_ in backward.items()}
@@ -116,12 +116,12 @@ def _point_limits(sizes: Sequence[int], scalars: Sequence[int]) -> list[int]:
 
 def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
     points, scalars = source.points, source.scalars
-    near = np.flatnonzero(_near_core(points))
-    far = np.zeros(len(near), dtype=bool)
+    core_rows = np.flatnonzero(_near_core(points))
+    is_beyond = np.zeros(len(core_rows), dtype=bool)
     for scalar in scalars:
-        far |= np.abs(scalar.values[near]) > scalar.scale.high  # false for NaN
-    kept = _thin(points[near], far, limit)
-    rows = near[kept]
+        is_beyond |= np.abs(scalar.values[core_rows]) > scalar.scale.high  # false for NaN
+    kept = _thin(points[core_rows], is_beyond, limit)
+    rows = core_rows[kept]
     grid = CodeGrid.of(points[rows])
     codes = grid.codes(points[rows])
     order = morton_order(codes)
@@ -135,9 +135,9 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
         "total": source.sampled_from or len(points),
         "is_sample": source.sampled_from is not None,
         "shown": len(rows),
-        "outside": len(points) - len(near),
-        "beyond": int(far.sum()),
-        "beyond_shown": int(far[kept].sum()),
+        "outside": len(points) - len(core_rows),
+        "beyond": int(is_beyond.sum()),
+        "beyond_shown": int(is_beyond[kept].sum()),
         "low": grid.low.tolist(),
         "step": grid.step.tolist(),
         "core": core.tolist(),
@@ -146,12 +146,12 @@ def _layer(source: _Source, limit: int, axes: FloatArray) -> Layer:
         "scalars": [
             {
                 "key": s.key,
-                "of": s.of,
+                "of": s.candidate,
                 "low": s.scale.low,
                 "high": s.scale.high,
                 "signed": s.scale.signed,
                 "note": s.scale.note,
-                "levels": [float(f"{level:.6g}") for level in table],
+                "levels": rounded(table, 6),
             }
             for s, table in zip(scalars, tables, strict=True)
         ],
@@ -164,11 +164,11 @@ def _near_core(points: FloatArray) -> NDArray[np.bool_]:
     sample = points[:: max(1, len(points) // 200_000)]
     low, high = np.percentile(sample, _CORE_RANKS, axis=0)
     margin = _CORE_GROWTH * (high - low).max() + 1e-9 * np.abs(high).max() + np.finfo(np.float64).tiny
-    near: NDArray[np.bool_] = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
-    return near
+    is_near: NDArray[np.bool_] = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+    return is_near
 
 
-def _thin(points: FloatArray, far: NDArray[np.bool_], limit: int) -> IntArray:
+def _thin(points: FloatArray, is_beyond: NDArray[np.bool_], limit: int) -> IntArray:
     """Return the rows of at most `limit` points.
 
     Points beyond the legend's limit are kept, unless they would take more than half of the points. The rest is
@@ -176,9 +176,9 @@ def _thin(points: FloatArray, far: NDArray[np.bool_], limit: int) -> IntArray:
     """
     if len(points) <= limit:
         return np.arange(len(points))
-    far_rows, near_rows = np.flatnonzero(far), np.flatnonzero(~far)
-    kept = _evenly_in_space(points, far_rows, max(int(_MAX_FAR_SHARE * limit), limit - len(near_rows)))
-    return np.concatenate([kept, _evenly_in_space(points, near_rows, limit - len(kept))])
+    far_rows, near_rows = np.flatnonzero(is_beyond), np.flatnonzero(~is_beyond)
+    far_rows = _evenly_in_space(points, far_rows, max(int(_MAX_FAR_SHARE * limit), limit - len(near_rows)))
+    return np.concatenate([far_rows, _evenly_in_space(points, near_rows, limit - len(far_rows))])
 
 
 def _evenly_in_space(points: FloatArray, rows: IntArray, count: int) -> IntArray:
@@ -204,8 +204,8 @@ def _extremes(points: FloatArray) -> list[list[float]]:
     level = np.sqrt(1 - height**2)
     directions = np.stack([level * np.cos(angle), level * np.sin(angle), height])
     rows = np.unique(((points - points[0]) @ directions).argmax(axis=0))
-    found: list[list[float]] = points[rows].tolist()
-    return found
+    extremes: list[list[float]] = points[rows].tolist()
+    return extremes
 
 
 def _finite(values: FloatArray) -> FloatArray:

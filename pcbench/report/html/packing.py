@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 
@@ -80,9 +80,9 @@ def levels(values: FloatArray, limit: float, *, signed: bool) -> FloatArray:
 def scalar_codes(values: FloatArray, table: FloatArray) -> NDArray[np.uint8]:
     """Return the row of the nearest level of each value (N,), and `UNKNOWN_CODE` for NaN."""
     middles = 0.5 * (table[1:] + table[:-1])
-    known = np.isfinite(values)
-    codes = np.searchsorted(middles, np.where(known, values, 0.0))
-    return np.where(known, codes, UNKNOWN_CODE).astype(np.uint8)
+    is_known = np.isfinite(values)
+    codes = np.searchsorted(middles, np.where(is_known, values, 0.0))
+    return np.where(is_known, codes, UNKNOWN_CODE).astype(np.uint8)
 
 
 def pack(codes: Codes, scalars: Sequence[NDArray[np.uint8]]) -> str:
@@ -94,3 +94,8 @@ def pack(codes: Codes, scalars: Sequence[NDArray[np.uint8]]) -> str:
         planes += [(folded & 0xFF).astype(np.uint8), (folded >> 8).astype(np.uint8)]
     data = np.concatenate([*planes, *scalars]).tobytes()
     return base64.b64encode(zlib.compress(data, _COMPRESSION)).decode("ascii")
+
+
+def rounded(values: ArrayLike, digits: int = 9) -> list[float]:
+    """Return values with the significant digits that a picture needs, in one list."""
+    return [float(f"{value:.{digits}g}") for value in np.ravel(values)]

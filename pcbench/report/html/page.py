@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.geometry.arrays import FloatArray, even_rows
+from pcbench.deformation import Deformation
+from pcbench.geometry.arrays import even_rows
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
 from pcbench.report.answer import answer
@@ -17,16 +18,17 @@ from pcbench.report.html.budget import bars, change_rows, legend
 from pcbench.report.html.charts import charts
 from pcbench.report.html.layers import Layer, layers
 from pcbench.report.html.metrics_table import MAX_ACROSS, columns_of, main_rows
+from pcbench.report.html.packing import rounded
 from pcbench.report.html.places import Place, worst_places
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.notes import bend_sentence, details, remarks, warnings
+from pcbench.report.notes import deformation_sentence, details, remarks, warnings
 from pcbench.report.plot.views import SceneAxes, scene_axes
 from pcbench.report.scalars import scalar_of
 from pcbench.report.table import lines
 from pcbench.report.viewing import ViewingCameras
-from pcbench.report.words import UNKNOWN, join_words, length, printable, title
+from pcbench.report.words import UNKNOWN, interval_text, join_words, length, printable, title
 
 SCRIPTS = ("decode", "camera", "lines", "panes", "webgl", "painter", "scene", "controls", "main")
 _MAX_ARROWS = 2000  # of a candidate's displacement field
@@ -94,8 +96,10 @@ def _heading(comparison: SourcedComparison) -> str:
 
 def _motions(comparison: SourcedComparison) -> str:
     """Return under which poses the motions remain."""
-    kept = [c.registration.keeps_pose for c in comparison]
-    return "under the given pose" if all(kept) else "under the pose in use" if any(kept) else "after registration"
+    keeps_pose = [c.registration.keeps_pose for c in comparison]
+    if all(keeps_pose):
+        return "under the given pose"
+    return "under the pose in use" if any(keeps_pose) else "after registration"
 
 
 def _shown(clouds: list[Layer]) -> str:
@@ -113,8 +117,8 @@ def _share_shown(layer: Layer) -> str:
     if head["is_sample"]:  # how many of the other points lie beyond is unknown
         return f"{text}, a sample with the largest deviations"
     if head["beyond"]:
-        kept = "all" if head["beyond_shown"] == head["beyond"] else f"{head['beyond_shown']:,} of"
-        text += f", with {kept} {head['beyond']:,} beyond the legend's limit"
+        share = "all" if head["beyond_shown"] == head["beyond"] else f"{head['beyond_shown']:,} of"
+        text += f", with {share} {head['beyond']:,} beyond the legend's limit"
     if head["outside"]:
         text += f"; {head['outside']:,} are far outside the scene and not shown"
     return text
@@ -150,9 +154,9 @@ def _cameras(cameras: ViewingCameras | None) -> dict[str, Any]:
     if cameras is None:
         return {"up": None, "cameras": None}
     rows = even_rows(len(cameras.centers), _MAX_CAMERAS)
-    centers, directions = (_digits(vectors[rows]) for vectors in (cameras.centers, cameras.directions))
+    centers, directions = (rounded(vectors[rows]) for vectors in (cameras.centers, cameras.directions))
     return {
-        "up": None if cameras.up is None else _digits(cameras.up),
+        "up": None if cameras.up is None else rounded(cameras.up),
         "cameras": {"centers": centers, "directions": directions},
     }
 
@@ -163,42 +167,40 @@ def _arrows(candidate: Candidate) -> dict[str, Any] | None:
     if field is None or result.verdict in ("none", "undecided") or not len(field.places):
         return None
     rows = even_rows(len(field.places), _MAX_ARROWS)
-    moved = field.displacements[rows]
-    known = np.isfinite(moved).all(axis=1)
-    if not known.any():
+    vectors = field.displacements[rows]
+    is_known = np.isfinite(vectors).all(axis=1)
+    if not is_known.any():
         return None
-    values = np.hstack([field.places[rows], moved])[known]
-    return {"name": candidate.name, "values": _digits(values)}
-
-
-def _digits(values: FloatArray) -> list[float]:
-    """Return values with the digits that a picture needs, in one list."""
-    return [float(f"{value:.9g}") for value in values.ravel()]
+    values = np.hstack([field.places[rows], vectors])[is_known]
+    return {"name": candidate.name, "values": rounded(values)}
 
 
 def _deformations(comparison: SourcedComparison) -> list[dict[str, Any]]:
     """Return the verdict on each candidate in words, with its numbers."""
-    unit = comparison.reference.unit
+    verdicts = []
+    for candidate in comparison:
+        name = printable(candidate.name)
+        sentence = f"{deformation_sentence(comparison, candidate, name)}."
+        verdicts.append({"name": name, "sentence": sentence, "facts": _facts(candidate.deformation, comparison)})
+    return verdicts
 
-    def of(candidate: Candidate) -> dict[str, Any]:
-        bend = candidate.deformation
-        size = bend.amplitude
-        facts = {
-            "verdict": f"{bend.label} ({bend.model} model)",
-            "p-value": _p_value(bend.p_value),
-            "RMS beyond affine": UNKNOWN if size is None else
-            f"{length(size.rms, unit)} [{size.ci[0]:.3g}, {size.ci[1]:.3g}]",
-            "detectable from": length(bend.size_limit, unit),
-            "noise": UNKNOWN if bend.noise is None else length(bend.noise.sigma, unit),
-            "independent pairs": UNKNOWN if bend.noise is None else f"{bend.noise.n_eff:,.0f} of {bend.pairs or 0:,}",
-        }  # fmt: skip
-        return {
-            "name": printable(candidate.name),
-            "sentence": f"{bend_sentence(comparison, candidate, printable(candidate.name))}.",
-            "facts": facts,
-        }
 
-    return [of(candidate) for candidate in comparison]
+def _facts(deformation: Deformation, comparison: SourcedComparison) -> dict[str, str]:
+    """Return the numbers of a verdict by their names."""
+    unit, size, noise = comparison.reference.unit, deformation.amplitude, deformation.noise
+    rms, sigma, pairs = UNKNOWN, UNKNOWN, UNKNOWN
+    if size is not None:
+        rms = f"{length(size.rms, unit)} {interval_text(size.ci)}"
+    if noise is not None:
+        sigma, pairs = length(noise.sigma, unit), f"{noise.n_eff:,.0f} of {deformation.pairs or 0:,}"
+    return {
+        "verdict": f"{deformation.label} ({deformation.model} model)",
+        "p-value": _p_value(deformation.p_value),
+        "RMS beyond affine": rms,
+        "detectable from": length(deformation.size_limit, unit),
+        "noise": sigma,
+        "independent pairs": pairs,
+    }
 
 
 def _p_value(value: float | None) -> str:

@@ -68,9 +68,9 @@ def _places(comparison: SourcedComparison, count: int) -> Iterator[Place]:
                 points = np.concatenate([extremes.worst_point[None], points])
                 distances = np.concatenate([[extremes.largest], distances])
             for row in _peaks(points, distances, radius, count, least):
-                far, at = float(distances[row]), _tuple(points[row])
-                size = f"{'≥ ' if far >= limit else ''}{length(far, unit)}"
-                yield Place(name, what, far, size, at, *layer, radius)
+                distance = float(distances[row])
+                size = f"{'≥ ' if distance >= limit else ''}{length(distance, unit)}"
+                yield Place(name, what, distance, size, _tuple(points[row]), *layer, radius)
         local = candidate.deformation.local
         if local is not None and local.largest is not None and local.at is not None:
             size = length(local.largest, unit)
@@ -84,11 +84,11 @@ def _peaks(points: FloatArray, distances: FloatArray, radius: float, count: int,
         farthest = np.argpartition(distances, -_FARTHEST)[-_FARTHEST:]
     farthest = farthest[np.argsort(-distances[farthest], kind="stable")]
     farthest = farthest[distances[farthest] > least]
-    found: list[int] = []
-    while len(farthest) and len(found) < count:
-        found.append(int(farthest[0]))
+    peaks: list[int] = []
+    while len(farthest) and len(peaks) < count:
+        peaks.append(int(farthest[0]))
         farthest = farthest[np.linalg.norm(points[farthest] - points[farthest[0]], axis=1) > radius]
-    return found
+    return peaks
 
 
 def _tuple(point: FloatArray) -> tuple[float, float, float]:

@@ -14,6 +14,7 @@ from pcbench.geometry.voxels import robust_bounds
 from pcbench.measure.results import Candidate
 from pcbench.measure.tiles import MIN_TILE_POINTS, TileDeviations, TileGrid, deviations_by_tile
 from pcbench.report.colors import Range, ranges
+from pcbench.report.html.packing import rounded
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.rounding import round_length
 from pcbench.report.plot.views import COORDINATES, SceneAxes
@@ -37,7 +38,7 @@ class Tile:
 
     Attributes:
         candidate: name of the candidate.
-        found: its statistics.
+        statistics: its statistics.
         column, row: its place on the map, from the left and from the top.
         color: colour of the median.
         ink: colour of a number on it.
@@ -46,7 +47,7 @@ class Tile:
     """
 
     candidate: str
-    found: TileDeviations
+    statistics: TileDeviations
     column: int
     row: int
     color: str
@@ -64,7 +65,7 @@ class Tile:
     @property
     def text(self) -> str:
         """The statistics as one line."""
-        return f"{self.found.count:,} points, median {self.median}, NMAD {self.nmad}, 95th percentile {self.p95}"
+        return f"{self.statistics.count:,} points, median {self.median}, NMAD {self.nmad}, 95th percentile {self.p95}"
 
 
 @dataclass(frozen=True)
@@ -145,57 +146,58 @@ class TileMaps:
             "size": self.grid.size,
             "names": self.candidates,
             "of": [self.candidates.index(tile.candidate) for tile in self.tiles],
-            "at": [float(f"{x:.9g}") for tile in self.tiles for x in self._position(tile).tolist()],
+            "at": rounded([self._position(tile) for tile in self.tiles]),
         }
 
     def _position(self, tile: Tile) -> FloatArray:
         """Return the centre (3,) of a tile in the coordinates of the clouds."""
-        position: FloatArray = (self.origin + tile.found.at) @ self.scene.rows
+        position: FloatArray = (self.origin + tile.statistics.at) @ self.scene.rows
         return position
 
 
 def tile_maps(
-    comparison: SourcedComparison, given: float | None = None, axes: SceneAxes = COORDINATES
+    comparison: SourcedComparison, end: float | None = None, axes: SceneAxes = COORDINATES
 ) -> TileMaps | None:
     """Return the tiles of a comparison; None if no tile has enough points.
 
     Args:
         comparison: the comparison.
-        given: the end of the colour range, if the user sets it.
+        end: the end of the colour range, if the user sets it.
         axes: the axes of the scene; a wall is mapped along its own.
     """
-    shown = [c for c in comparison if len(c.deviation.points)]
-    places = {c.name: c.deviation.points[c.deviation.is_even] @ axes.rows.T for c in shown}
+    candidates = [c for c in comparison if len(c.deviation.points)]
+    places = {c.name: c.deviation.points[c.deviation.is_even] @ axes.rows.T for c in candidates}
     grid, origin = _grid(places, axes)
     if grid is None:
         return None
-    key = next(key for key in _PREFERRED_SCALARS if key == "distance" or all(_knows(c, key) for c in shown))
-    by_name = {c.name: deviations_by_tile(grid, places[c.name] - origin, c.deviation.even_values(key)) for c in shown}
+    key = next(key for key in _PREFERRED_SCALARS if key == "distance" or all(_knows(c, key) for c in candidates))
+    values = {c.name: c.deviation.even_values(key) for c in candidates}
+    by_name = {name: deviations_by_tile(grid, places[name] - origin, values[name]) for name in values}
     largest_first = sorted(filter(by_name.get, by_name), key=lambda name: -by_name[name][0].p95)
     if not largest_first:
         return None
-    found = {name: tiles for name, tiles in by_name.items() if name in largest_first[:_MAX_CANDIDATES]}
-    signed = any(bool((c.deviation.even_values(key) < 0).any()) for c in shown if c.name in found)
-    largest = max(abs(tile.median) for tiles in found.values() for tile in tiles)
+    mapped = {name: tiles for name, tiles in by_name.items() if name in largest_first[:_MAX_CANDIDATES]}
+    signed = any(bool((values[name] < 0).any()) for name in mapped)
+    largest = max(abs(tile.median) for tiles in mapped.values() for tile in tiles)
     spacing = comparison.reference.spacing_median
-    scale = ranges({"": largest}, spacing=spacing, signed=signed, given=given)[""]
+    scale = ranges({"": largest}, spacing=spacing, signed=signed, end=end)[""]
     unit = comparison.reference.unit
-    tiles = [_tile(name, tile, grid, scale, unit) for name, tiles in found.items() for tile in tiles]
-    known = sum(int(np.isfinite(c.deviation.even_values(key)).sum()) for c in shown if c.name in found)
+    tiles = [_tile(name, tile, grid, scale, unit) for name, tiles in mapped.items() for tile in tiles]
+    known_count = sum(int(np.isfinite(values[name]).sum()) for name in mapped)
     least = rounding_limit(comparison)
     return TileMaps(
         axes,
         origin,
         grid,
         SCALARS[key].plural,
-        sorted(tiles, key=lambda tile: -tile.found.p95),
-        list(found),
-        len(largest_first) - len(found),
-        min(_MAX_RANKED, sum(tile.found.p95 > least for tile in tiles)),
-        known - sum(tile.found.count for tile in tiles),
+        sorted(tiles, key=lambda tile: -tile.statistics.p95),
+        list(mapped),
+        len(largest_first) - len(mapped),
+        min(_MAX_RANKED, sum(tile.statistics.p95 > least for tile in tiles)),
+        known_count - sum(tile.statistics.count for tile in tiles),
         scale,
         unit,
-        any(c.deviation.sampled_from is not None for c in shown),
+        any(c.deviation.sampled_from is not None for c in candidates),
     )
 
 
@@ -226,21 +228,21 @@ def _grid(places: Mapping[str, FloatArray], axes: SceneAxes) -> tuple[TileGrid |
     return TileGrid.covering(low - origin, high - origin, round_length(longest / _MIN_TILES_ALONG)), origin
 
 
-def _tile(name: str, found: TileDeviations, grid: TileGrid, scale: Range, unit: str | None) -> Tile:
-    above, column = divmod(found.tile, grid.shape[0])
+def _tile(name: str, statistics: TileDeviations, grid: TileGrid, scale: Range, unit: str | None) -> Tile:
+    above, column = divmod(statistics.tile, grid.shape[0])
     decimals = max(0, 1 - math.floor(math.log10(grid.size)))  # centres lie at half the size
-    first, second = (f"{found.at[axis]:,.{decimals}f}" for axis in grid.axes)
+    first, second = (f"{statistics.at[axis]:,.{decimals}f}" for axis in grid.axes)
     return Tile(
         name,
-        found,
+        statistics,
         column,
         grid.shape[1] - 1 - above,
-        _css(scale, np.array([found.median]))[0],
-        _ink(scale, found.median),
+        _css(scale, np.array([statistics.median]))[0],
+        _ink(scale, statistics.median),
         (first, second),
-        length(found.median, unit),
-        length(found.nmad, unit),
-        length(found.p95, unit),
+        length(statistics.median, unit),
+        length(statistics.nmad, unit),
+        length(statistics.p95, unit),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,80 +13,60 @@ from numpy.typing import NDArray
 from pcbench.deformation import Deformation, Growth, Trend
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.report.colors import Range
-from pcbench.report.figures import Figures, ink, rgb
-from pcbench.report.plot.panels import compose, save
+from pcbench.report.colors import BLUE, VERMILION, Range
+from pcbench.report.figures import ink, rgb
+from pcbench.report.plot.maps import Framing
+from pcbench.report.plot.panels import compose, new_figure, save
 from pcbench.report.plot.rounding import axis_title, round_length, round_origin
 from pcbench.report.plot.splats import splat
-from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
-from pcbench.report.words import printable
+from pcbench.report.plot.views import AxisBox, Viewpoint
+from pcbench.report.words import interval_text, printable
 
-_BLUE, _RED, _GREY = "#0072b2", "#d55e00", "#777777"  # after Okabe and Ito
+_GREY = "#777777"
 _MIN_CONTRAST_SHARE = 0.12  # of the contrast, for a tile without a residual
 _ARROW_SHARE = 0.07  # length of the arrow at the 95th percentile, as a share of the scene's size
 
 
 def evidence(
-    bend: Deformation,
-    field: Cloud,
-    title: str,
-    unit: str,
-    path: Path,
-    look: Figures,
-    axes: tuple[str, str] = ("x", "y"),
+    deformation: Deformation, field: Cloud, title: str, framing: Framing, path: Path, axes: tuple[str, str] = ("x", "y")
 ) -> bool:
     """Draw growth with distance and height, cross-validation and local changes, as far as they exist.
 
     Args:
-        bend: the verdict.
+        deformation: the verdict.
         field: the cells with their displacements.
         title: title of the picture.
-        unit: unit of lengths.
+        framing: unit and appearance of the picture.
         path: the file to write.
-        look: appearance of the picture.
         axes: names of the horizontal axes.
 
     Returns:
         Whether there was anything to draw.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    factor, short = _display_unit(bend, unit)
-    growth = bend.growth or Growth(None, None)
+    unit = framing.unit
+    displayed = _DisplayUnit.of(deformation, unit)
+    growth = deformation.growth or Growth(None, None)
     panels: list[Callable[[Any], None]] = []
     for trend, along in (
         (growth.with_distance, "horizontal distance from the centre"),
         (growth.with_height, "height above the lowest cell"),
     ):
         if trend is not None and len(trend.profile) > 1:
-            panels.append(partial(_growth, trend=trend, along=along, unit=unit, factor=factor, short=short))
+            panels.append(partial(_growth, trend=trend, label=f"{along} [{unit}]", displayed=displayed))
     growth_panels = len(panels)
-    if bend.rungs:
-        panels.append(lambda axis: _cross_validation(axis, bend, factor, short))
+    if deformation.rungs:
+        panels.append(partial(_cross_validation, deformation=deformation, displayed=displayed))
     tested = np.isfinite(np.asarray(field.attributes["local"], np.float64))
     if tested.any():
-        tested_cells = field.select(tested)
-        ground = look.ground("white")
-        panels.append(
-            partial(
-                _changes,
-                bend=bend,
-                field=tested_cells,
-                unit=unit,
-                factor=factor,
-                short=short,
-                ground=ground,
-                names=axes,
-            )
-        )
+        cells, ground = field.select(tested), framing.look.ground("white")
+        panels.append(partial(_changes, deformation=deformation, field=cells, unit=unit, displayed=displayed,
+                              ground=ground, names=axes))  # fmt: skip
     if not panels:
         return False
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     width, height = 6.8 * columns, 0.9 + 4.2 * rows
-    figure = Figure(figsize=(width, height), dpi=110)
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, height, dpi=110)
     figure.suptitle(printable(title), fontsize=13, y=1 - 0.22 / height, va="center")
     figure.subplots_adjust(left=1.02 / width, right=1 - 0.3 / width, top=1 - 0.75 / height,
                            bottom=(1.0 if growth_panels else 0.65) / height, hspace=0.28, wspace=0.22)  # fmt: skip
@@ -101,22 +81,21 @@ def evidence(
     return True
 
 
-def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path: Path, look: Figures) -> bool:
+def arrows(cloud: Cloud, field: Cloud, title: str, framing: Framing, path: Path) -> bool:
     """Draw exaggerated displacements over the aligned candidate.
 
     Args:
         cloud: the aligned candidate.
         field: the cells with their displacements.
         title: title of the picture.
-        unit: unit of lengths.
-        frame: the frame of the picture.
+        framing: frame, unit and appearance of the picture.
         path: the file to write.
-        look: appearance of the picture.
 
     Returns:
         Whether the chosen model has displacements.
     """
-    vectors = np.stack([np.asarray(field.attributes[f"displacement_{k}"], np.float64) for k in "xyz"], axis=1)
+    frame, unit, look = framing
+    vectors = displacement_vectors(field)
     lengths = np.linalg.norm(vectors, axis=1)
     inside = frame.box.holds(field.points) & (lengths > 0)
     if not inside.any():
@@ -127,13 +106,13 @@ def arrows(cloud: Cloud, field: Cloud, title: str, unit: str, frame: Frame, path
     tails = field.points[inside] - frame.box.center
     scale = Range(-typical, typical, "blue: below the reference, red: above it", signed=True)
     colors = scale.colors(vectors[:, 2]) / 255
-    behind = rgb(look.ground("dark"))
+    ground = rgb(look.ground("dark"))
     # The cloud is only background for the arrows: between the background colour and a middle grey.
-    faint = np.broadcast_to(np.rint(0.7 * behind + 0.3 * 138).astype(np.uint8), cloud.points.shape)
-    about = cloud.points - frame.box.center
+    faint = np.broadcast_to(np.rint(0.7 * ground + 0.3 * 138).astype(np.uint8), cloud.points.shape)
+    centered = cloud.points - frame.box.center
 
     def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
-        return splat(about, faint, view, window, pixels, behind)
+        return splat(centered, faint, view, window, pixels, ground)
 
     def over(axis: Any, view: Viewpoint, placed: Callable[[FloatArray], FloatArray], factor: float) -> None:
         flat = view.axes[:2].T
@@ -154,73 +133,89 @@ def round_exaggeration(typical: float, box: AxisBox) -> float:
     return round_length(_ARROW_SHARE * float(np.linalg.norm(box.high - box.low)) / typical)
 
 
-def _display_unit(bend: Deformation, unit: str) -> tuple[float, str]:
-    """Return factor and name of the unit for displacements: millimetres for small displacements in metres."""
-    return (1000.0, "mm") if unit == "m" and (bend.remaining_rms or 1.0) < 0.5 else (1.0, unit)
+def displacement_vectors(field: Cloud) -> FloatArray:
+    """Return the displacements (N, 3) of the cells in a report's NAME_deformation.ply.
+
+    Raises:
+        KeyError: the file lacks an attribute.
+    """
+    return np.stack([np.asarray(field.attributes[f"displacement_{axis}"], np.float64) for axis in "xyz"], axis=1)
 
 
-def _growth(axis: Any, trend: Trend, along: str, unit: str, factor: float, short: str) -> None:
-    axis.set_xlabel(f"{along} [{unit}]")
-    axis.set_ylabel(f"vertical displacement [{short}]")
+class _DisplayUnit(NamedTuple):
+    """The unit of displacements in a picture: its name, and the factor from the clouds' unit."""
+
+    factor: float
+    name: str
+
+    @classmethod
+    def of(cls, deformation: Deformation, unit: str) -> _DisplayUnit:
+        """Return the clouds' unit, or millimetres for small displacements in metres."""
+        is_small = unit == "m" and (deformation.remaining_rms or 1.0) < 0.5
+        return cls(1000.0, "mm") if is_small else cls(1.0, unit)
+
+
+def _growth(axis: Any, trend: Trend, label: str, displayed: _DisplayUnit) -> None:
+    axis.set_xlabel(label)
+    axis.set_ylabel(f"vertical displacement [{displayed.name}]")
     axis.axhline(0, color=_GREY, linewidth=0.8)
     x = np.array([row.at for row in trend.profile])
-    mean = factor * np.array([row.mean for row in trend.profile])
-    low, high = factor * np.array([row.ci for row in trend.profile]).T
-    null = factor * np.array([row.null for row in trend.profile])
+    mean = displayed.factor * np.array([row.mean for row in trend.profile])
+    low, high = displayed.factor * np.array([row.ci for row in trend.profile]).T
+    null = displayed.factor * np.array([row.null for row in trend.profile])
     axis.fill_between(x, -null, null, color=_GREY, alpha=0.3, linewidth=0, label="noise alone (95 %)")
-    axis.fill_between(x, low, high, color=_BLUE, alpha=0.25, linewidth=0, label="95 % interval")
-    axis.plot(x, mean, color=_BLUE, marker="o", markersize=4, linewidth=1.6, label="mean of the candidate")
-    bounds = trend.ci
-    scale = 1000.0  # to thousandths: mm per m
-    text = f"slope {scale * trend.slope:.3g} [{scale * bounds[0]:.3g}, {scale * bounds[1]:.3g}] ‰"
+    axis.fill_between(x, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 % interval")
+    axis.plot(x, mean, color=BLUE, marker="o", markersize=4, linewidth=1.6, label="mean of the candidate")
+    interval = interval_text(1000.0 * np.array(trend.ci))  # in thousandths: mm per m
+    text = f"slope {1000.0 * trend.slope:.3g} {interval} ‰"
     axis.set_title(text, fontsize=10, loc="left")
     axis.grid(alpha=0.25)
 
 
-def _cross_validation(axis: Any, bend: Deformation, factor: float, short: str) -> None:
-    score = np.sqrt([row.cv_score for row in bend.rungs])
-    error = np.array([row.cv_se for row in bend.rungs]) / np.maximum(2 * score, 1e-300)
-    position = np.arange(len(bend.rungs))
-    axis.errorbar(position, factor * score, factor * error, color=_BLUE, marker="o", capsize=4, linewidth=1.4)
-    chosen = [row.model for row in bend.rungs].index(bend.model)
-    axis.plot(chosen, factor * score[chosen], "o", color=_RED, markersize=11, fillstyle="none", markeredgewidth=2)
-    axis.set_xticks(position, [f"{row.model}\n{row.parameters}" for row in bend.rungs])
+def _cross_validation(axis: Any, deformation: Deformation, displayed: _DisplayUnit) -> None:
+    rungs, factor = deformation.rungs, displayed.factor
+    score = np.sqrt([row.cv_score for row in rungs])
+    error = np.array([row.cv_se for row in rungs]) / np.maximum(2 * score, 1e-300)
+    position = np.arange(len(rungs))
+    axis.errorbar(position, factor * score, factor * error, color=BLUE, marker="o", capsize=4, linewidth=1.4)
+    chosen = [row.model for row in rungs].index(deformation.model)
+    axis.plot(chosen, factor * score[chosen], "o", color=VERMILION, markersize=11, fillstyle="none", markeredgewidth=2)
+    axis.set_xticks(position, [f"{row.model}\n{row.parameters}" for row in rungs])
     axis.set_xlabel("model, parameters")
-    axis.set_ylabel(f"residual of held-out tiles, RMS [{short}]")
+    axis.set_ylabel(f"residual of held-out tiles, RMS [{displayed.name}]")
     axis.set_title("cross-validation, ± standard error; the chosen model is circled", fontsize=10, loc="left")
     axis.grid(alpha=0.25)
 
 
 def _changes(
     axis: Any,
-    bend: Deformation,
+    deformation: Deformation,
     field: Cloud,
     unit: str,
-    factor: float,
-    short: str,
+    displayed: _DisplayUnit,
     ground: str,
     names: tuple[str, str],
 ) -> None:
     from matplotlib.colors import LinearSegmentedColormap, to_rgb
 
-    local = factor * np.asarray(field.attributes["local"], np.float64)
+    local = displayed.factor * np.asarray(field.attributes["local"], np.float64)
     changed = np.asarray(field.attributes["changed"]) > 0
     origin = round_origin(field.points[:, :2].min(axis=0), field.points[:, :2].max(axis=0))
     x, y = (field.points[:, :2] - origin).T
     order = np.argsort(local)
     limit = float(np.percentile(local, 98)) or 1.0
-    least, most = (np.array(to_rgb(color)) for color in (ground, ink(ground)))
+    background, foreground = (np.array(to_rgb(color)) for color in (ground, ink(ground)))
     # All tiles are visible on the background, and the largest residuals have the highest contrast.
-    cmap = LinearSegmentedColormap.from_list("changes", [least + _MIN_CONTRAST_SHARE * (most - least), most])
+    faintest = background + _MIN_CONTRAST_SHARE * (foreground - background)
+    cmap = LinearSegmentedColormap.from_list("changes", [faintest, foreground])
     dots = axis.scatter(x[order], y[order], c=local[order], s=26, marker="s", cmap=cmap, vmin=0, vmax=limit)
-    axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=_RED, linewidths=1.8)
-    axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{short}]", shrink=0.9)
+    axis.scatter(x[changed], y[changed], s=80, marker="s", facecolors="none", edgecolors=VERMILION, linewidths=1.8)
+    axis.figure.colorbar(dots, ax=axis, label=f"residual of the largest model [{displayed.name}]", shrink=0.9)
     axis.set_aspect("equal")
     axis.set_xlabel(axis_title(names[0], origin[0], unit))
     axis.set_ylabel(axis_title(names[1], origin[1], unit))
-    if bend.local is None:
+    if (changes := deformation.local) is None:
         return
-    changes = bend.local
     axis.set_title(
         f"tiles off the model: {changes.tiles_changed} of {changes.tiles_tested} (orange; false discovery rate"
         f" {100 * changes.fdr:g} %)",

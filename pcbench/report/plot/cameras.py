@@ -12,13 +12,15 @@ from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera
 from pcbench.io.files import atomic_write
+from pcbench.report.colors import BLUE, VERMILION
 from pcbench.report.plot.outputs import METADATA, check_picture
+from pcbench.report.plot.panels import new_figure
 from pcbench.report.viewing import ViewingCameras
 
 if TYPE_CHECKING:
     from pcbench.scenes import Scene
 
-_CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = "#0072b2", "#d55e00", "#8a8a8a"  # Okabe and Ito, and grey
+_CAMERA_COLOR, _PATH_COLOR, _POINT_COLOR = BLUE, VERMILION, "#8a8a8a"
 _MAX_POINTS = 20_000
 
 
@@ -36,13 +38,10 @@ def draw_cameras(scene: Scene, path: Path) -> None:
     check_picture(path)
     picture = camera_drawing(scene)
     require("matplotlib.figure")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     positions, points, axes = picture.positions, picture.points, picture.axes
-    figure = Figure(figsize=(14, 6.4), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(14, 6.4, layout="constrained")
     side: Any = figure.add_subplot(1, 2, 1, projection="3d")
     above = figure.add_subplot(1, 2, 2)
     if len(points):
@@ -112,25 +111,25 @@ def _cameras(scene: Scene) -> CameraDrawing:
     points = (
         _nearby_points(scene.points.points @ rotation.T, positions) if scene.points is not None else np.zeros((0, 3))
     )
-    known = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
+    count = f"{len(cameras)} cameras" + (f" of {len(scene)} images" if len(cameras) < len(scene) else "")
     return CameraDrawing(
         positions,
         [_outline(camera, size) @ rotation.T for camera in cameras],
         points,
         ("east", "north", "up") if scene.origin is not None and turn is None else viewing.axis_names,
         "m" if scene.origin is not None else None,
-        known + (f", {len(scene.points):,} points" if scene.points is not None else ""),
+        count + (f", {len(scene.points):,} points" if scene.points is not None else ""),
     )
 
 
 def _gps_positions(scene: Scene) -> CameraDrawing:
-    found, frame = scene.measured_positions()
-    if not found:
+    measured, frame = scene.measured_positions()
+    if not measured:
         raise InputError(
             f"{scene.folder}: expected cameras (such as a COLMAP model or transforms.json), or GPS positions in the"
             " images' EXIF or in gps.txt, got neither"
         )
-    positions = np.stack([found[name] for name in scene.images if name in found])
+    positions = np.stack([measured[name] for name in scene.images if name in measured])
     axes = ("x", "y", "z") if scene.positions else ("east", "north", "up")
     title = f"no cameras, GPS positions of {len(positions)} of {len(scene)} images, {frame}"
     return CameraDrawing(positions, [], np.zeros((0, 3)), axes, "m", title)

@@ -10,7 +10,7 @@ import numpy as np
 from pcbench.geometry.arrays import even_rows
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures, ink
-from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.panels import new_figure, save
 from pcbench.report.plot.rounding import log_ticks
 from pcbench.report.read import Report
 from pcbench.report.words import printable
@@ -30,8 +30,6 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
     Returns:
         False if all distances are zero.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
@@ -39,8 +37,7 @@ def distribution(report: Report, path: Path, look: Figures) -> bool:
     positive = [v[v > 0] for v in values if (v > 0).any()]
     if not positive:
         return False
-    figure = Figure(figsize=(14, 4.8), dpi=DPI)
-    FigureCanvasAgg(figure)
+    figure = new_figure(14, 4.8)
     # An automatic layout would take as long as the rest of the picture.
     margins = {"left": 0.045, "right": 0.81, "bottom": 0.12, "top": 0.93, "wspace": 0.14}
     density, cumulative = figure.subplots(1, 2, gridspec_kw=margins)

@@ -58,7 +58,7 @@ def classes_of(name: str, values: FloatArray, *, is_integer: bool) -> Classes | 
     evenly = SEQUENTIAL[np.rint(np.linspace(0, len(SEQUENTIAL) - 1, len(codes))).astype(np.int64)]
     if name != CLASSIFICATION:
         return Classes(distinct, tuple(map(str, codes)), evenly)
-    known = [_STANDARD.get(code) for code in codes]
-    names = [str(code) if found is None else f"{code} {found[0]}" for code, found in zip(codes, known, strict=True)]
-    table = [color if found is None else found[1] for color, found in zip(evenly, known, strict=True)]
+    standard = [_STANDARD.get(code) for code in codes]
+    names = [str(code) if entry is None else f"{code} {entry[0]}" for code, entry in zip(codes, standard, strict=True)]
+    table = [color if entry is None else entry[1] for color, entry in zip(evenly, standard, strict=True)]
     return Classes(distinct, tuple(names), np.array(table, dtype=np.float64))

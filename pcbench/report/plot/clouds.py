@@ -56,19 +56,20 @@ def draw_cloud(
     if cameras is not None:
         rotation, cameras = cameras.upright()
         cloud = cloud if rotation is None else cloud.transformed(rotation)
-    frame, unit = maps.frame(None, {name: cloud}, cameras), cloud.unit or UNKNOWN_UNIT
+    unit = cloud.unit or UNKNOWN_UNIT
+    framing = maps.Framing(maps.frame(None, {name: cloud}, cameras), unit, look)
     with TemporaryDirectory() as folder, drawing_style(look):
         picture = Path(folder) / f"picture{path.suffix.lower()}"
         if scalar is None or values is None:
-            maps.draw_own_colors(name, cloud, unit, frame, picture, look)
+            maps.draw_own_colors(name, cloud, framing, picture)
         else:
             label = scalar_of(scalar).label + (f" [{unit}]" if scalar in SCALARS else "")
             title = f"{name} ({pluralize(int(np.isfinite(values).sum()), 'point')})"
-            scenery = maps.Scenery(cloud.points, frame, look)
+            scenery = maps.Scenery(cloud.points, framing)
             is_integer = np.issubdtype(cloud.attributes[scalar].dtype, np.integer)
             classes = classes_of(scalar, values, is_integer=is_integer) if look.range is None else None
             scale = classes or _range(values, look.range)
-            maps.draw_coloured_cloud(cloud, values, title, scale, label, unit, scenery, picture, look)
+            maps.draw_coloured_cloud(cloud, values, title, scale, label, scenery, picture)
         with atomic_write(path) as file:
             file.write(picture.read_bytes())
 
@@ -88,16 +89,16 @@ def attribute_values(cloud: Cloud, name: str) -> FloatArray:
     return values
 
 
-def _range(values: FloatArray, given: float | None) -> Range:
+def _range(values: FloatArray, end: float | None) -> Range:
     """Return the colour range of an attribute: that of distances, or the inner 99 % of values far from zero."""
-    known = values[np.isfinite(values)]
-    if not known.any():
-        return Range(0.0, given or 1.0, "all values are 0", is_closed=True)
-    low, high = np.percentile(known, [0.5, 99.5])
-    if given is None and low > _MIN_ZERO_RATIO * high:
-        scale = replace(height_range(known), note="inner 99 %")
+    finite = values[np.isfinite(values)]
+    if not finite.any():
+        return Range(0.0, end or 1.0, "all values are 0", is_closed=True)
+    low, high = np.percentile(finite, [0.5, 99.5])
+    if end is None and low > _MIN_ZERO_RATIO * high:
+        scale = replace(height_range(finite), note="inner 99 %")
     else:
-        scale = ranges_of({"": values}, given=given)[""]
-    if scale.low <= known.min() and known.max() <= scale.high:
-        scale = replace(scale, note="" if given is None else scale.note, is_closed=True)
+        scale = ranges_of({"": values}, end=end)[""]
+    if scale.low <= finite.min() and finite.max() <= scale.high:
+        scale = replace(scale, note="" if end is None else scale.note, is_closed=True)
     return scale

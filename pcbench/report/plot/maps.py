@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,36 +45,47 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud], cameras: ViewingC
     return Frame.of(box, [measured.points, *near], has_north=measured.crs is not None, cameras=cameras)
 
 
+class Framing(NamedTuple):
+    """What the pictures of a scene have in common: the frame, the unit of lengths, and the appearance."""
+
+    frame: Frame
+    unit: str
+    look: Figures
+
+    @property
+    def ground(self) -> NDArray[np.uint8]:
+        """Background colour (3,) of clouds."""
+        return rgb(self.look.ground(_DEFAULT_BACKGROUND))
+
+
 class Scenery:
     """The measured points of the reference, rendered once per view as the backdrop of all maps.
 
     Args:
         points: (N, 3) points.
-        shared: the common frame.
-        look: appearance of the pictures.
+        framing: frame and appearance of the pictures.
     """
 
-    def __init__(self, points: FloatArray, shared: Frame, look: Figures) -> None:
-        self.points, self.frame, self._ground = points, shared, _ground(look)
+    def __init__(self, points: FloatArray, framing: Framing) -> None:
+        self.points, self.framing = points, framing
         self._backdrops: dict[tuple[str, tuple[int, int]], Backdrop] = {}
 
-    def in_frame(self, other: Frame, look: Figures) -> Scenery:
+    def in_frame(self, other: Frame) -> Scenery:
         """Return the same points in another frame."""
-        return Scenery(self.points, other, look)
+        return Scenery(self.points, self.framing._replace(frame=other))
 
     def backdrop(self, view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> Backdrop:
         """Return the rendered points of a view."""
         key = view.title, pixels
         if key not in self._backdrops:
-            points = self.points - self.frame.box.center
-            self._backdrops[key] = Backdrop.of(points, view, window, pixels, self._ground)
+            points = self.points - self.framing.frame.box.center
+            self._backdrops[key] = Backdrop.of(points, view, window, pixels, self.framing.ground)
         return self._backdrops[key]
 
 
 def draw_coloured_cloud(
-    cloud: Cloud, values: FloatArray, title: str, scale: Range | Classes, label: str, unit: str, scenery: Scenery,
-    path: Path, look: Figures,
-) -> bool:  # fmt: skip
+    cloud: Cloud, values: FloatArray, title: str, scale: Range | Classes, label: str, scenery: Scenery, path: Path
+) -> bool:
     """Draw a cloud coloured by a scalar; it has a separate frame if most of it is outside the shared one.
 
     Args:
@@ -82,18 +94,17 @@ def draw_coloured_cloud(
         title: title of the picture.
         scale: the colour range, or the colours of few values.
         label: label of the colour bar or the legend.
-        unit: unit of lengths.
         scenery: the reference behind the cloud, in the common frame.
         path: the file to write.
-        look: appearance of the picture.
     """
-    known = np.isfinite(values)
-    points, values = cloud.points[known], values[known]
-    frame, note = frame_of(points, scenery.frame, has_north=cloud.crs is not None)
-    if frame is not scenery.frame:
-        scenery = scenery.in_frame(frame, look)
-    image = _image(points, scale.colors(values), scenery.frame, look, scenery)
-    compose(image, scenery.frame, join_title(title, note), unit, path, look, scale=scale, label=label)
+    is_known = np.isfinite(values)
+    points, values = cloud.points[is_known], values[is_known]
+    frame, note = frame_of(points, scenery.framing.frame, has_north=cloud.crs is not None)
+    if frame is not scenery.framing.frame:
+        scenery = scenery.in_frame(frame)
+    image = _image(points, scale.colors(values), scenery.framing, scenery)
+    _, unit, look = scenery.framing
+    compose(image, frame, join_title(title, note), unit, path, look, scale=scale, label=label)
     return True
 
 
@@ -108,41 +119,34 @@ def frame_of(points: FloatArray, shared: Frame, *, has_north: bool = False) -> t
     return shared, note
 
 
-def draw_own_colors(name: str, cloud: Cloud | None, unit: str, shared: Frame, path: Path, look: Figures) -> bool:
+def draw_own_colors(name: str, cloud: Cloud | None, framing: Framing, path: Path) -> bool:
     """Draw a cloud in its own colours, or coloured by height; return false if there is no cloud.
 
     Args:
         name: name of the cloud, for the title.
         cloud: the cloud.
-        unit: unit of lengths.
-        shared: the common frame.
+        framing: the common frame, unit and appearance of the picture.
         path: the file to write.
-        look: appearance of the picture.
     """
     if cloud is None:
         return False
     colors, scale = cloud.colors, None
     if colors is None or not has_colors(colors):
-        height, inside = cloud.points[:, 2], shared.box.holds(cloud.points)
-        scale = height_range(height[inside] if inside.any() else height)
-        colors = scale.colors(height)
-    image = _image(cloud.points, colors, shared, look)
+        heights, is_inside = cloud.points[:, 2], framing.frame.box.holds(cloud.points)
+        scale = height_range(heights[is_inside] if is_inside.any() else heights)
+        colors = scale.colors(heights)
+    frame, unit, look = framing
     title = f"{name} ({pluralize(len(cloud), 'point')})"
-    compose(image, shared, title, unit, path, look, scale=scale, label=f"height [{unit}]")
+    image = _image(cloud.points, colors, framing)
+    compose(image, frame, title, unit, path, look, scale=scale, label=f"height [{unit}]")
     return True
 
 
-def _image(
-    points: FloatArray, colors: NDArray[np.uint8], shared: Frame, look: Figures, scenery: Scenery | None = None
-) -> Image:
-    centered, ground = points - shared.box.center, _ground(look)
+def _image(points: FloatArray, colors: NDArray[np.uint8], framing: Framing, scenery: Scenery | None = None) -> Image:
+    centered, ground = points - framing.frame.box.center, framing.ground
 
     def image(view: Viewpoint, window: FloatArray, pixels: tuple[int, int]) -> NDArray[np.uint8]:
         backdrop = None if scenery is None else scenery.backdrop(view, window, pixels)
         return splat(centered, colors, view, window, pixels, ground, backdrop=backdrop)
 
     return image
-
-
-def _ground(look: Figures) -> NDArray[np.uint8]:
-    return rgb(look.ground(_DEFAULT_BACKGROUND))

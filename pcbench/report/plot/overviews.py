@@ -10,7 +10,7 @@ from pcbench.io.map_tiles import MapOverview
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import ranges_of
 from pcbench.report.figures import Figures
-from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.panels import new_figure, save
 
 _WIDTH, _MIN_HEIGHT, _MAX_HEIGHT = 11.0, 4.0, 11.0  # of the picture, in inches
 _MIN_PIXEL_POINTS = 8.0  # points per pixel on average: most pixels between the points of a sparse cloud would be empty
@@ -35,28 +35,26 @@ def draw_overview(
     Returns:
         False if no pixel has points.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
-    from matplotlib.figure import Figure
 
     if not overview.count.any():
         return False
     while min(overview.count.shape) > _MIN_PIXELS and overview.count[overview.count > 0].mean() < _MIN_PIXEL_POINTS:
         overview = overview.halved()
-    known = np.isfinite(overview.mean)
-    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    is_known = np.isfinite(overview.mean)
+    rows, columns = (np.flatnonzero(is_known.any(axis=axis)) for axis in (1, 0))
     window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    values, pixel = overview.mean[window], overview.pixel
-    height, width = values.shape
-    scale = ranges_of({"": values[known[window]]}, spacing=spacing, given=look.range)[""]
+    means, has_points, pixel = overview.mean[window], is_known[window], overview.pixel
+    height, width = means.shape
+    values = means[has_points]
+    scale = ranges_of({"": values}, spacing=spacing, end=look.range)[""]
     west, north = overview.west + pixel * columns[0], overview.north - pixel * rows[0]
     image = np.zeros((height, width, 4), np.uint8)
-    image[known[window]] = np.column_stack([scale.colors(values[known[window]]), np.full(known[window].sum(), 255)])
+    image[has_points] = np.column_stack([scale.colors(values), np.full(len(values), 255)])
 
     inches = np.clip((_WIDTH - _BAR_WIDTH) * height / width + 1.2, _MIN_HEIGHT, _MAX_HEIGHT)
-    figure = Figure(figsize=(_WIDTH, float(inches)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(_WIDTH, float(inches), layout="constrained")
     axes = figure.subplots()
     axes.imshow(image, extent=(west, west + pixel * width, north - pixel * height, north), interpolation="antialiased")
     axes.set_aspect("equal")
@@ -69,7 +67,7 @@ def draw_overview(
     axes.set_facecolor(look.ground("dark"))  # large distances are light
     colors = scale.colors(np.linspace(scale.low, scale.high, 256)) / 255
     bar = ScalarMappable(Normalize(scale.low, scale.high), ListedColormap(colors))
-    beyond = bool((values[known[window]] > scale.high).any())
+    beyond = bool((values > scale.high).any())
     note = f"mean {label} [{unit}]\n{scale.note}; dark: no points"
     place = axes.inset_axes((1.02, 0, 0.03, 1))
     figure.colorbar(bar, cax=place, label=note, extend="max" if beyond else "neither")

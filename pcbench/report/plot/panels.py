@@ -116,6 +116,16 @@ def drawing_style(look: Figures) -> AbstractContextManager[None]:
     return matplotlib.rc_context({**backgrounds, **inks, **files})
 
 
+def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) -> Any:
+    """Return a `matplotlib.figure.Figure` of a size in inches, which needs no display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=dpi, **options)
+    FigureCanvasAgg(figure)
+    return figure
+
+
 def save(figure: Any, path: Path) -> None:
     """Save a figure in the format of the path's extension; the same figure gives the same bytes.
 
@@ -131,11 +141,7 @@ def save(figure: Any, path: Path) -> None:
 
 def _canvas(width: float, height: float, ground: str) -> tuple[Any, Any]:
     """Return a figure, and axes in inches that fill it; one set of axes is faster than one per view."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=DPI, facecolor=ground)
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, height, facecolor=ground)
     axis = figure.add_axes((0, 0, 1, 1))
     axis.set_axis_off()
     axis.set(xlim=(0, width), ylim=(0, height))
@@ -147,10 +153,10 @@ def _show_image(axis: Any, image: NDArray[np.uint8], corner: FloatArray, size: F
     axis.imshow(image, extent=(x, x + wide, y, y + high), aspect="auto", interpolation="nearest")
 
 
-def _inches(corner: FloatArray, window: FloatArray, inches: float, at: FloatArray) -> FloatArray:
+def _inches(corner: FloatArray, window: FloatArray, inches: float, positions: FloatArray) -> FloatArray:
     """Convert positions (N, 2) in a window to inches in the picture."""
-    positions: FloatArray = corner + (at - window[0]) * inches
-    return positions
+    placed: FloatArray = corner + (positions - window[0]) * inches
+    return placed
 
 
 def _bar_label(length: float, unit: str) -> str:

@@ -20,7 +20,6 @@ from pcbench.report.manifest import MAPS
 from pcbench.report.plot import Picture, bends, charts, maps
 from pcbench.report.plot.overviews import draw_overview
 from pcbench.report.plot.sections import draw_section
-from pcbench.report.plot.views import Frame
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
 from pcbench.report.scalars import COMPLETENESS, SCALARS, scalar_of
 from pcbench.report.words import point_count
@@ -35,29 +34,31 @@ def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
 
 def _pictures_of_deformation(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the pictures of a folder written by `pcbench deform`."""
-    bend = read_deformation(folder)
+    deformation = read_deformation(folder)
     if not (folder / "deformation.ply").is_file():
         return {}
     cloud, field = (
         read_cloud(folder / f"{name}.ply", on_warning=lambda _: None) for name in ("aligned", "deformation")
     )
-    frame = maps.frame(None, {"candidate": cloud})
-    return _deformation_pictures("", bend, cloud, field, cloud.unit or field.unit or UNKNOWN_UNIT, frame, look)
+    unit = cloud.unit or field.unit or UNKNOWN_UNIT
+    framing = maps.Framing(maps.frame(None, {"candidate": cloud}), unit, look)
+    return _deformation_pictures("", deformation, cloud, field, framing)
 
 
 def _deformation_pictures(
-    name: str, bend: Deformation, cloud: Cloud, field: Cloud, unit: str, frame: Frame, look: Figures
+    name: str, deformation: Deformation, cloud: Cloud, field: Cloud, framing: maps.Framing
 ) -> dict[str, Picture]:
-    axes = ("x", "y", "z") if frame.cameras is None else frame.cameras.axis_names
-    if frame.cameras is not None and frame.cameras.is_rotated:
-        bend = replace(bend, growth=None)  # its trends are those along the reference's z, which is not up here
-    title = f"{name or 'candidate'} against the reference: {bend.label} ({bend.model} model)"
+    cameras = framing.frame.cameras
+    axes = ("x", "y", "z") if cameras is None else cameras.axis_names
+    if cameras is not None and cameras.is_rotated:
+        deformation = replace(deformation, growth=None)  # its trends are along the reference's z, which is not up here
+    title = f"{name or 'candidate'} against the reference: {deformation.label} ({deformation.model} model)"
     prefix, reason = f"{name}_" if name else "", "the chosen model has no displacements"
     return {
-        f"{prefix}deformation": Picture(lambda path: bends.evidence(bend, field, title, unit, path, look, axes[:2])),
-        f"{prefix}displacement": Picture(
-            lambda path: bends.arrows(cloud, field, title, unit, frame, path, look), reason
+        f"{prefix}deformation": Picture(
+            lambda path: bends.evidence(deformation, field, title, framing, path, axes[:2])
         ),
+        f"{prefix}displacement": Picture(lambda path: bends.arrows(cloud, field, title, framing, path), reason),
     }
 
 
@@ -66,38 +67,32 @@ def _pictures_of_comparison(folder: Path, look: Figures) -> dict[str, Picture]:
     deviations = {candidate.name: candidate.deviation for candidate in report.candidates}
     cores = {candidate.name: candidate.m3c2 for candidate in report.candidates if candidate.m3c2 is not None}
     measured = report.candidates[0].completeness()
-    frame = maps.frame(measured, deviations, report.cameras)
-    scenery = maps.Scenery(np.zeros((0, 3)) if measured is None else measured.points, frame, look)
+    framing = maps.Framing(maps.frame(measured, deviations, report.cameras), report.unit, look)
+    scenery = maps.Scenery(np.zeros((0, 3)) if measured is None else measured.points, framing)
     named = {
         "distribution": Picture(lambda path: charts.distribution(report, path, look), "all distances are zero"),
         "reference": Picture(
-            lambda path: maps.draw_own_colors("reference", report.reference(), report.unit, frame, path, look),
+            lambda path: maps.draw_own_colors("reference", report.reference(), framing, path),
             "the file of the reference no longer exists, or it was compared in tiles because of its size",
         ),
-        **{
-            f"{candidate.name}_colors": _own_colors(candidate, report.unit, frame, look)
-            for candidate in report.candidates
-        },
+        **{f"{candidate.name}_colors": _own_colors(candidate, framing) for candidate in report.candidates},
     }
     for scalar in dict.fromkeys(name for cloud in deviations.values() for name in cloud.attributes):
-        named |= _maps(deviations, scalar, report, scenery, look)
+        named |= _maps(deviations, scalar, report, scenery)
         if scalar == "distance":
-            named |= _completeness(report, scenery, look)
+            named |= _completeness(report, scenery)
     named |= _overviews(folder, report, look)
     named |= _sections(report, scenery.points, look)
-    named |= _maps(cores, "m3c2_distance", report, scenery, look)
+    named |= _maps(cores, "m3c2_distance", report, scenery)
     for candidate in report.candidates:
         if candidate.field is not None and candidate.deformation is not None:
-            bend = candidate.deformation
             named |= _deformation_pictures(
-                candidate.name, bend, candidate.deviation, candidate.field, report.unit, frame, look
+                candidate.name, candidate.deformation, candidate.deviation, candidate.field, framing
             )
     return named
 
 
-def _maps(
-    clouds: Mapping[str, Cloud], scalar: str, report: Report, scenery: maps.Scenery, look: Figures
-) -> dict[str, Picture]:
+def _maps(clouds: Mapping[str, Cloud], scalar: str, report: Report, scenery: maps.Scenery) -> dict[str, Picture]:
     """Return the pictures of one scalar, one per candidate."""
     values = {
         name: np.asarray(cloud.attributes[scalar], dtype=np.float64)
@@ -107,9 +102,10 @@ def _maps(
     noun = scalar_of(scalar).noun
     samples = {} if noun == "core point" else {c.name: c.samples.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
     even = {
-        name: known if (sample := samples.get(name)) is None else known[: sample.even] for name, known in values.items()
+        name: scalars if (sample := samples.get(name)) is None else scalars[: sample.even]
+        for name, scalars in values.items()
     }
-    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
+    scales = ranges_of(even, spacing=report.spacing_median, end=scenery.framing.look.range)
     label = f"{scalar_of(scalar).label} [{report.unit}]"
 
     def picture(name: str, scale: Range) -> Picture:
@@ -117,9 +113,7 @@ def _maps(
         count = point_count(len(clouds[name]), sample and sample.sampled_from, noun)
         title = f"{name} ({count})"
         return Picture(
-            lambda path: maps.draw_coloured_cloud(
-                clouds[name], values[name], title, scale, label, report.unit, scenery, path, look
-            )
+            lambda path: maps.draw_coloured_cloud(clouds[name], values[name], title, scale, label, scenery, path)
         )
 
     return {f"{name}_{scalar}": picture(name, scale) for name, scale in scales.items()}
@@ -144,10 +138,10 @@ def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture
     }
 
 
-def _own_colors(candidate: ReportedCandidate, unit: str, frame: Frame, look: Figures) -> Picture:
+def _own_colors(candidate: ReportedCandidate, framing: maps.Framing) -> Picture:
     """Return the picture of an aligned candidate in its own colours."""
     return Picture(
-        lambda path: maps.draw_own_colors(candidate.name, candidate.own_colors(), unit, frame, path, look),
+        lambda path: maps.draw_own_colors(candidate.name, candidate.own_colors(), framing, path),
         "the cloud has no colours, its file no longer exists, or it was compared in tiles because of its size",
     )
 
@@ -158,7 +152,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     scalar = "plane_distance" if all("plane_distance" in cloud.attributes for cloud in clouds.values()) else "distance"
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
     even = {candidate.name: candidate.even_values(scalar) for candidate in report.candidates}
-    scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
+    scales = ranges_of(even, spacing=report.spacing_median, end=look.range)
     label = f"{SCALARS[scalar].label} [{report.unit}]"
 
     def picture(name: str) -> Picture:
@@ -173,11 +167,11 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     return {f"{name}_section": picture(name) for name in clouds} if len(reference) else {}
 
 
-def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[str, Picture]:
+def _completeness(report: Report, scenery: maps.Scenery) -> dict[str, Picture]:
     """Return maps of the reference coloured by its distance to each candidate, which show missing parts."""
     mapped = [candidate for candidate in report.candidates if candidate.has_completeness]
     highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in mapped}
-    scales = ranges(highest, spacing=report.spacing_median, given=look.range)
+    scales = ranges(highest, spacing=report.spacing_median, end=scenery.framing.look.range)
     label = f"{SCALARS[COMPLETENESS].label} [{report.unit}]"
 
     def picture(candidate: ReportedCandidate, scale: Range) -> Picture:
@@ -188,7 +182,7 @@ def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[
             count = point_count(len(cloud), sample and sample.sampled_from)
             title = f"completeness of {candidate.name} (the reference's {count})"
             values = np.asarray(cloud.attributes["distance"], dtype=np.float64)
-            return maps.draw_coloured_cloud(cloud, values, title, scale, label, report.unit, scenery, path, look)
+            return maps.draw_coloured_cloud(cloud, values, title, scale, label, scenery, path)
 
         return Picture(draw)
 

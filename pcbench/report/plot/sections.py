@@ -18,7 +18,7 @@ from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cells
 from pcbench.report.colors import Range
 from pcbench.report.figures import Figures, ink
-from pcbench.report.plot.panels import DPI, save
+from pcbench.report.plot.panels import new_figure, save
 from pcbench.report.plot.views import AxisBox, scene_axes, thin_out
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import printable
@@ -28,10 +28,7 @@ _MIN_CELL_POINTS = 8
 _REACH_SHARE = 0.05  # of the diagonal: points farther outside the reference's box are not a place of the scene
 _LENGTH_SHARE = 0.25  # of the scene's diagonal, for the length of the section
 _MIN_SPACINGS, _MAX_THICKNESS_SHARE = 2.0, 0.02  # bounds of the slice's thickness; the latter of the diagonal
-_MIN_SLICE_POINTS, _MIN_OWN_POINTS = (
-    400,
-    40,
-)  # of both clouds and of the candidate; with fewer the slice is made thicker
+_MIN_SLICE_POINTS, _MIN_OWN_POINTS = 400, 40  # of both clouds and of the candidate; a slice with fewer is made thicker
 _DIRECTIONS_DEG = (0, 45, 90, 135)
 _WALL_DIRECTIONS_DEG = (0, 90)  # horizontal and vertical
 _EXAGGERATIONS = (1, 2, 5, 10, 20)
@@ -63,6 +60,11 @@ class Section(NamedTuple):
     def length(self) -> float:
         """Length of the section."""
         return float(self.ends[1] - self.ends[0])
+
+    @property
+    def size(self) -> int:
+        """Number of points of both clouds."""
+        return len(self.rows) + len(self.reference_rows)
 
     def positions(self, points: FloatArray) -> FloatArray:
         """Return positions (N, 2) of points (N, 3) in the section: along it, and along the third axis."""
@@ -109,8 +111,8 @@ class Section(NamedTuple):
             slices = [
                 cls._slice(center, angle, box, length, thickness, points, reference, near) for angle in directions_deg
             ]
-            best = max(slices, key=lambda found: len(found.rows) + len(found.reference_rows))
-            if len(best.rows) + len(best.reference_rows) >= _MIN_SLICE_POINTS and len(best.rows) >= _MIN_OWN_POINTS:
+            best = max(slices, key=lambda section: section.size)
+            if best.size >= _MIN_SLICE_POINTS and len(best.rows) >= _MIN_OWN_POINTS:
                 return best
             if thickness >= _MAX_THICKNESS_SHARE * diagonal:
                 return best
@@ -130,14 +132,14 @@ class Section(NamedTuple):
     ) -> Section:
         direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
         ends = _ends(center[:2], direction, box, length)
-        found = []
+        rows_inside = []
         for cloud, rows in zip((points, reference), near, strict=True):
             from_center = cloud[rows, :2] - center[:2]
             across = from_center @ np.array([-direction[1], direction[0]])
             along = from_center @ direction
             is_inside = (np.abs(across) <= 0.5 * thickness) & (along >= ends[0]) & (along <= ends[1])
-            found.append(rows[is_inside])
-        return cls(center, direction, ends, thickness, *found)
+            rows_inside.append(rows[is_inside])
+        return cls(center, direction, ends, thickness, *rows_inside)
 
 
 def _ends(center: FloatArray, direction: FloatArray, box: AxisBox, length: float) -> FloatArray:
@@ -180,53 +182,52 @@ def draw_section(
     Returns:
         Whether there was enough to draw.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.figure import Figure
 
     axes = scene_axes(reference, cameras)
     turned = axes.rows if axes.is_wall else np.eye(3)
     origin = np.array([0, 0, np.median(reference @ turned[2])]) if axes.is_wall else np.zeros(3)
     points, reference = points @ turned.T - origin, reference @ turned.T - origin
     directions = _WALL_DIRECTIONS_DEG if axes.is_wall else _DIRECTIONS_DEG
-    found = Section.through_worst_place(points, values, reference, spacing, directions)
-    if found is None:
+    section = Section.through_worst_place(points, values, reference, spacing, directions)
+    if section is None:
         return False
     height_name = axes.names[2] if axes.is_wall else "height"
-    ours, theirs = found.positions(points[found.rows]), found.positions(reference[found.reference_rows])
-    low, high = np.percentile(np.concatenate([ours[:, 1], theirs[:, 1]]), [0.2, 99.8])
-    margin = max(0.08 * (high - low), 0.01 * found.length)
+    candidate_positions = section.positions(points[section.rows])
+    reference_positions = section.positions(reference[section.reference_rows])
+    low, high = np.percentile(np.concatenate([candidate_positions[:, 1], reference_positions[:, 1]]), [0.2, 99.8])
+    margin = max(0.08 * (high - low), 0.01 * section.length)
     low, high = low - margin, high + margin
     factor = next(
-        (f for f in _EXAGGERATIONS if f * (high - low) >= _MIN_HEIGHT_RATIO * found.length), _EXAGGERATIONS[-1]
+        (f for f in _EXAGGERATIONS if f * (high - low) >= _MIN_HEIGHT_RATIO * section.length), _EXAGGERATIONS[-1]
     )
     ground = look.ground("dark")
     color = ink(ground)
-    height = float(np.clip(_SECTION_INCHES * factor * (high - low) / found.length, 1.6, 6.0)) + _MARGIN_INCHES
-    figure = Figure(figsize=(13.6, height), dpi=DPI, facecolor=ground, layout="constrained")
-    FigureCanvasAgg(figure)
+    height = float(np.clip(_SECTION_INCHES * factor * (high - low) / section.length, 1.6, 6.0)) + _MARGIN_INCHES
+    figure = new_figure(13.6, height, facecolor=ground, layout="constrained")
     grid = figure.add_gridspec(1, 2, width_ratios=(4.2, 1))
     along, above = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-    along.scatter(theirs[:, 0], theirs[:, 1], s=7, c=_REFERENCE_GREY, linewidths=0)
-    order = np.argsort(np.abs(values[found.rows]))  # large deviations on top
-    along.scatter(ours[order, 0], ours[order, 1], s=14, c=scale.colors(values[found.rows][order]) / 255, linewidths=0)
-    along.set(xlim=tuple(found.ends), ylim=(low, high), aspect=factor, facecolor=ground)
-    place = (found.center + origin) @ turned
+    along.scatter(*reference_positions.T, s=7, c=_REFERENCE_GREY, linewidths=0)
+    order = np.argsort(np.abs(values[section.rows]))  # large deviations on top
+    along.scatter(*candidate_positions[order].T, s=14, c=scale.colors(values[section.rows][order]) / 255, linewidths=0)
+    along.set(xlim=tuple(section.ends), ylim=(low, high), aspect=factor, facecolor=ground)
+    place = (section.center + origin) @ turned
     if rotation is not None:
         place = rotation.inverse().apply(place[None])[0]
     elif not axes.is_wall:
         place = place[:2]
-    at = ", ".join(f"{axis} = {value:,.1f}" for axis, value in zip("xyz", place, strict=False)).replace("-", "−")
-    along.set_xlabel(f"along the section, from A; 0 is at {at} [{unit}]")
+    components = (f"{axis} = {value:,.1f}" for axis, value in zip("xyz", place, strict=False))
+    coordinates = ", ".join(components).replace("-", "−")
+    along.set_xlabel(f"along the section, from A; 0 is at {coordinates} [{unit}]")
     along.set_ylabel(f"{height_name} [{unit}]" + (f"\n× {factor}" if factor > 1 else ""))
-    everything = thin_out(reference)
+    map_points = thin_out(reference)
     box = AxisBox.around(reference)
-    above.scatter(everything[:, 0], everything[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
-    ends = found.center[:2] + np.outer(found.ends, found.direction)
+    above.scatter(map_points[:, 0], map_points[:, 1], s=0.4, c=_REFERENCE_GREY, linewidths=0)
+    ends = section.center[:2] + np.outer(section.ends, section.direction)
     above.plot(*ends.T, color=_LINE_COLOR, linewidth=2.5, solid_capstyle="butt")
     style: dict[str, Any] = {"color": _LINE_COLOR, "fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
-    above.annotate("A", ends[0], tuple(-10 * found.direction), textcoords="offset points", **style)
+    above.annotate("A", ends[0], tuple(-10 * section.direction), textcoords="offset points", **style)
     above.set(xlim=(box.low[0], box.high[0]), ylim=(box.low[1], box.high[1]), aspect="equal", facecolor=ground)
     above.set_xticks([])
     above.set_yticks([])
@@ -243,7 +244,7 @@ def draw_section(
     bar = figure.colorbar(mappable, ax=along, extend="both" if scale.signed else "max", pad=0.01)
     bar.set_label(fill(label, max(18, int(11 * height) - 14)), color=color)
     bar.ax.tick_params(colors=color)
-    what = f"section through the largest deviations, {found.thickness:.2g} {unit} thick; grey: reference"
-    figure.suptitle(f"{printable(title)}: {what}", color=color, fontsize=13)
+    description = f"section through the largest deviations, {section.thickness:.2g} {unit} thick; grey: reference"
+    figure.suptitle(f"{printable(title)}: {description}", color=color, fontsize=13)
     save(figure, path)
     return True

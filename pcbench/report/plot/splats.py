@@ -83,13 +83,7 @@ def splat(
     if backdrop is not None and backdrop.points > 0:
         is_dense = len(points) >= _MIN_DENSE_SHARE * backdrop.points
         dot_size = _SOLID_DOT_SIZE if is_dense else _SPARSE_DOT_SIZE
-    layer = grid.draw(
-        points,
-        colors,
-        ground,
-        random=backdrop is not None,
-        dot_size=dot_size,
-    )
+    layer = grid.draw(points, colors, ground, random=backdrop is not None, dot_size=dot_size)
     if backdrop is None:
         fine = _darken(layer.colors, layer.brightness(grid.extent), _MIN_BRIGHTNESS)
     else:
@@ -168,14 +162,11 @@ class _PixelGrid(NamedTuple):
     ) -> _Layer:
         """Draw points (N, 3) as round dots, the nearest on top, or in random order where several are about as near."""
         right, up, toward = (points @ axis for axis in self.axes)
-        column, row = (
-            ((right - self.left) * self.scale).astype(np.int64),
-            ((self.top - up) * self.scale).astype(np.int64),
-        )
+        column = ((right - self.left) * self.scale).astype(np.int64)
+        row = ((self.top - up) * self.scale).astype(np.int64)
         inside = np.flatnonzero((column >= 0) & (column < self.width) & (row >= 0) & (row < self.height))
-        dot = float(
-            np.clip(dot_size * np.sqrt(self.size[0] * self.size[1] / max(len(inside), 1)), _MIN_DOT_PX, _MAX_DOT_PX)
-        )
+        distance_px = np.sqrt(self.size[0] * self.size[1] / max(len(inside), 1))
+        dot = float(np.clip(dot_size * distance_px, _MIN_DOT_PX, _MAX_DOT_PX))
         radius = 0.5 * dot * _SUPERSAMPLING
         edge = int(radius)
         if random:
@@ -184,20 +175,20 @@ class _PixelGrid(NamedTuple):
             )
         else:
             order = inside[_depth_order(toward[inside], self.extent)]  # the last point at a pixel is visible
-        across = self.width + 2 * edge
-        position = (row[order] + edge) * across + column[order] + edge
-        top_most = np.zeros(across * (self.height + 2 * edge), dtype=np.int32)  # 1 + index in the order; 0 for none
+        row_length = self.width + 2 * edge
+        position = (row[order] + edge) * row_length + column[order] + edge
+        top_most = np.zeros(row_length * (self.height + 2 * edge), dtype=np.int32)  # 1 + index in the order; 0 for none
         top_most[position] = np.arange(1, len(order) + 1)
         centers = np.flatnonzero(top_most)
         rank = top_most[centers]
         for down in range(-edge, edge + 1):
             for along in range(-edge, edge + 1):
                 if (down or along) and down**2 + along**2 <= radius**2:
-                    at = centers + (down * across + along)
-                    top_most[at] = np.maximum(top_most[at], rank)
-        image = top_most.reshape(-1, across)[edge : edge + self.height, edge : edge + self.width]
-        far = float(toward[order].min(initial=0.0)) - self.extent
-        depths = np.concatenate([[far], toward[order]]).astype(np.float32)
+                    pixels = centers + (down * row_length + along)
+                    top_most[pixels] = np.maximum(top_most[pixels], rank)
+        image = top_most.reshape(-1, row_length)[edge : edge + self.height, edge : edge + self.width]
+        background = float(toward[order].min(initial=0.0)) - self.extent
+        depths = np.concatenate([[background], toward[order]]).astype(np.float32)
         return _Layer(np.concatenate([ground[None], colors[order]])[image], depths[image], image > 0)
 
 

@@ -20,7 +20,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
-from pcbench.report.colors import has_colors, height_range, ranges_of
+from pcbench.report.colors import ORANGE, SKY, has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.clouds import attribute_values
@@ -33,7 +33,7 @@ from pcbench.report.viewing import SceneFolder, SceneLike, ViewingCameras, as_sc
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
-_CAMERA_COLOR, _PATH_COLOR = "#56b4e9", "#e69f00"  # Okabe and Ito; readable on dark and light backgrounds
+_CAMERA_COLOR, _PATH_COLOR = SKY, ORANGE  # readable on dark and light backgrounds
 
 
 def cloud(
@@ -125,18 +125,18 @@ def deviation(
         NoFiguresError: there is neither a display nor EGL nor OSMesa.
     """
     shown = to_cloud(cloud)
-    known, scalars = _known_values(shown, values)
-    scale = ranges_of({"": scalars}, given=Figures(range=range).range)[""]
+    coloured, scalars = _known_values(shown, values)
+    scale = ranges_of({"": scalars}, end=Figures(range=range).range)[""]
     ghost = reference if reference is None or isinstance(reference, Mesh) else to_cloud(reference)
     measured = None if ghost is None else _points(ghost)
     unit = unit or (None if ghost is None else ghost.unit) or shown.unit
-    shared = frame(measured, {"": known}, _cameras_of(scene, known if ghost is None else ghost))
+    shared = frame(measured, {"": coloured}, _cameras_of(scene, coloured if ghost is None else ghost))
     stage = Stage(shared, unit, Window(off_screen, window_size, background, lighting))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
     label = label or (scalar_of(values).label if isinstance(values, str) else "distance")
-    stage.add_bar(stage.add_values(known.points, scalars, scale), label)
-    stage.write_title(pluralize(len(known), "point"))
+    stage.add_bar(stage.add_values(coloured.points, scalars, scale), label)
+    stage.write_title(pluralize(len(coloured), "point"))
     return stage.plotter
 
 
@@ -177,10 +177,10 @@ def displacements(
     if exaggeration is not None and not (exaggeration > 0 and np.isfinite(exaggeration)):
         raise InputError(f"expected the exaggeration as a positive number, got {exaggeration!r}")
     shown = to_cloud(cloud)
-    moved = Displacements.of("", shown.points, places, vectors)
+    arrows = Displacements.of("", shown.points, places, vectors)
     shared = frame(None, {"": shown}, _cameras_of(scene, shown))
     stage = Stage(shared, unit or shown.unit, Window(off_screen, window_size, background))
-    moved.show(stage, exaggeration)
+    arrows.show(stage, exaggeration)
     return stage.plotter
 
 
@@ -212,12 +212,12 @@ def cameras(
     """
     from pcbench.scenes import read_scene
 
-    given = as_scene(scene)
-    drawing = camera_drawing(read_scene(given.path) if isinstance(given, SceneFolder) else given)
-    everything = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
-    box = AxisBox(everything.min(axis=0), everything.max(axis=0))
+    source = as_scene(scene)
+    drawing = camera_drawing(read_scene(source.path) if isinstance(source, SceneFolder) else source)
+    points = np.concatenate([drawing.positions, drawing.points, *drawing.outlines])
+    box = AxisBox(points.min(axis=0), points.max(axis=0))
     window = Window(off_screen, window_size, background)
-    stage = Stage(Frame.of(box, [everything]), drawing.unit, window, drawing.axes)
+    stage = Stage(Frame.of(box, [points]), drawing.unit, window, drawing.axes)
     if len(drawing.points):
         stage.add_ghost(drawing.points)
     if rings := rings_of(drawing.positions):
@@ -253,7 +253,7 @@ def _known_values(cloud: Cloud, values: str | ArrayLike) -> tuple[Cloud, FloatAr
     scalars = np.asarray(values, np.float64)
     if scalars.shape != (len(cloud),):
         raise InputError(f"expected values of shape ({len(cloud)},), one per point, got {scalars.shape}")
-    known = np.isfinite(scalars)
-    if not known.any():
+    is_known = np.isfinite(scalars)
+    if not is_known.any():
         raise InputError("expected at least one finite value, got none")
-    return (cloud, scalars) if known.all() else (cloud.select(known), scalars[known])
+    return (cloud, scalars) if is_known.all() else (cloud.select(is_known), scalars[is_known])

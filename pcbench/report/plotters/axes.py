@@ -97,8 +97,8 @@ def lay_out(low: FloatArray, high: FloatArray, titles: Sequence[str], view: View
     for _ in range(_LAYOUTS):
         axes = axes_of(low, high, titles, view, pixel)
         texts = [text.rectangle(view, pixel) for axis in axes for text in (*axis.labels, axis.title)]
-        shown = np.concatenate([corners / pixel, *texts])
-        lowest, highest = shown.min(axis=0), shown.max(axis=0)
+        outline = np.concatenate([corners / pixel, *texts])
+        lowest, highest = outline.min(axis=0), outline.max(axis=0)
         layout = Layout(axes, pixel, 0.5 * (lowest + highest) * pixel)
         if (highest - lowest < size + 1).all():
             break
@@ -121,19 +121,19 @@ def axes_of(low: FloatArray, high: FloatArray, titles: Sequence[str], view: View
     """
     edges = [_Edge.of(k, low, high, view) for k in range(3)]
     values = [edge.round_coordinates(pixel) for edge in edges]
-    shown: list[FloatArray] = []  # rectangles of the texts
+    rectangles: list[FloatArray] = []  # of the texts
     labels: list[list[Text]] = [[], [], []]
     for k, edge in enumerate(edges):
         for label in edge.labels(values[k], pixel):
             rectangle = label.rectangle(view, pixel)
-            if _has_room(rectangle, shown, _LABEL_GAP_PX):
+            if _has_room(rectangle, rectangles, _LABEL_GAP_PX):
                 labels[k].append(label)
-                shown.append(rectangle)
+                rectangles.append(rectangle)
     axes = []
     for k, edge in enumerate(edges):
         places = (edge.title(titles[k], _LABEL_PX + n * _TITLE_STEP_PX, pixel) for n in count())
-        title = next(title for title in places if _has_room(title.rectangle(view, pixel), shown, _TITLE_GAP_PX))
-        shown.append(title.rectangle(view, pixel))
+        title = next(title for title in places if _has_room(title.rectangle(view, pixel), rectangles, _TITLE_GAP_PX))
+        rectangles.append(title.rectangle(view, pixel))
         axes.append(LabelledAxis(edge.ends, values[k], edge.ticks(values[k], pixel), tuple(labels[k]), title))
     return axes[0], axes[1], axes[2]
 
@@ -199,8 +199,8 @@ class _Edge(NamedTuple):
 
     def ticks(self, values: FloatArray, pixel: float) -> FloatArray:
         """Return the ends (K, 2, 3) of ticks at coordinates (K,)."""
-        at = self._points(values)
-        return np.stack([at, at + _TICK_PX * pixel * self.outwards], axis=1)
+        starts = self._points(values)
+        return np.stack([starts, starts + _TICK_PX * pixel * self.outwards], axis=1)
 
     def title(self, text: str, distance_px: float, pixel: float) -> Text:
         """Return the title at a distance from the edge: above its upper end, or beside its middle."""

@@ -91,14 +91,14 @@ class CandidateMaps:
             InputError: the candidate has no such map.
         """
         if scalar not in self.maps[name]:
-            known = ", ".join(self.maps[name])
-            raise InputError(f"expected a map of {name} ({known}), or deformation; got {scalar!r}")
+            names = ", ".join(self.maps[name])
+            raise InputError(f"expected a map of {name} ({names}), or deformation; got {scalar!r}")
         return self.maps[name][scalar]
 
     def ranges(self, scalar: str) -> dict[str, Range]:
         """Return the colour range of a scalar for each candidate that has it."""
         values = {name: maps[scalar].even_values for name, maps in self.maps.items() if scalar in maps}
-        return ranges_of(values, spacing=self.spacing, given=self.range)
+        return ranges_of(values, spacing=self.spacing, end=self.range)
 
     @cached_property
     def frame(self) -> Frame:
@@ -116,9 +116,9 @@ class CandidateMaps:
         """Show a map on a stage, in place of an earlier one, and return its colour range."""
         shown, scale = self.of(name, scalar), self.ranges(scalar)[name]
         # The reference is the ghost behind a candidate, and the candidate behind the reference.
-        behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
-        if behind in self.maps[name]:
-            stage.add_ghost(self.maps[name][behind].points)
+        ghost = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
+        if ghost in self.maps[name]:
+            stage.add_ghost(self.maps[name][ghost].points)
         stage.add_bar(stage.add_values(shown.points, shown.values, scale), scalar_of(scalar).label)
         count = point_count(len(shown.points), shown.sampled_from, scalar_of(scalar).noun)
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
@@ -161,7 +161,9 @@ def _scalar_map(points: FloatArray, values: NDArray[np.generic], sample: MapSamp
 
 def _known(maps: Mapping[str, ScalarMap]) -> dict[str, ScalarMap]:
     """Return the points of each map whose value is known, without maps that have none."""
-    known = {name: np.isfinite(shown.values) for name, shown in maps.items()}
+    is_known = {name: np.isfinite(scalar_map.values) for name, scalar_map in maps.items()}
     return {
-        name: shown if known[name].all() else shown.at(known[name]) for name, shown in maps.items() if known[name].any()
+        name: scalar_map if is_known[name].all() else scalar_map.at(is_known[name])
+        for name, scalar_map in maps.items()
+        if is_known[name].any()
     }

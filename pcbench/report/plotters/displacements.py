@@ -12,7 +12,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.cloud import Cloud
 from pcbench.report.colors import Range
-from pcbench.report.plot.bends import round_exaggeration
+from pcbench.report.plot.bends import displacement_vectors, round_exaggeration
 from pcbench.report.plotters.stage import Stage
 from pcbench.report.viewing import up_of
 
@@ -58,7 +58,7 @@ class Displacements:
         """
         if field is None:
             return None
-        vectors = np.stack([np.asarray(field.attributes[f"displacement_{k}"], np.float64) for k in "xyz"], axis=1)
+        vectors = displacement_vectors(field)
         return cls.of(name, cloud, field.points, vectors) if np.nan_to_num(vectors).any() else None
 
     @cached_property

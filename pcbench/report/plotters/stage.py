@@ -12,6 +12,7 @@ from pcbench.errors import InputError
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import Mesh
+from pcbench.measure.wording import with_unit
 from pcbench.opengl import check_opengl, select_opengl
 from pcbench.report.colors import Range
 from pcbench.report.figures import WINDOW_SIZE, Figures, ink, rgb
@@ -98,19 +99,18 @@ class Stage:
         self.origin, self._view = round_origin(frame.box.low, frame.box.high), oblique_view(frame.cameras)
         self._place_camera(self._add_axes(axes))
 
-    def add_points(self, points: FloatArray, name: str, *, lit: bool = False, **how: Any) -> Any:
+    def add_points(self, points: FloatArray, name: str, *, lit: bool = False, **options: Any) -> Any:
         """Add points (N, 3) as round dots, and return the actor.
 
         Args:
             points: (N, 3) in the clouds' coordinates.
             name: name of the actor, which replaces an earlier one of that name.
             lit: whether the points have the window's lighting. Translucent ones cannot.
-            how: arguments of `pyvista.Plotter.add_mesh`; `scalars` are (N,) values or (N, 3) colours.
+            options: arguments of `pyvista.Plotter.add_mesh`; `scalars` are (N,) values or (N, 3) colours.
         """
         local = (points - self.origin).astype(np.float32)
         inside = max(int(np.count_nonzero(self.frame.box.holds(points))), 1)
         dot = float(np.clip(_DOT_SHARE * np.sqrt(self._size[0] * self._size[1] / inside), _MIN_DOT_PX, _MAX_DOT_PX))
-        options = {"point_size": dot, "pickable": False, **how}
         actor = self.plotter.add_mesh(
             self._pyvista.PolyData(local),
             style="points",
@@ -121,29 +121,29 @@ class Stage:
             show_scalar_bar=False,
             reset_camera=False,
             render=False,
-            **options,
+            **{"point_size": dot, "pickable": False, **options},
         )
         if lit and self.lighting is not None:
             self.lighting.add(actor)
         return actor
 
-    def add_surface(self, mesh: Mesh, name: str, **how: Any) -> Any:
+    def add_surface(self, mesh: Mesh, name: str, **options: Any) -> Any:
         """Add a mesh with light from the camera, and return the actor."""
         surface = mesh.shifted(self.origin).to_pyvista()
-        return self.plotter.add_mesh(surface, name=name, reset_camera=False, pickable=False, **how)
+        return self.plotter.add_mesh(surface, name=name, reset_camera=False, pickable=False, **options)
 
     def add_ghost(self, shown: FloatArray | Mesh) -> Any:
         """Add points (N, 3) or a mesh as a pale, translucent ghost, and return the actor."""
-        how: dict[str, Any] = {"color": _PALE, "opacity": _GHOST_OPACITY}
+        style: dict[str, Any] = {"color": _PALE, "opacity": _GHOST_OPACITY}
         if isinstance(shown, Mesh):
-            return self.add_surface(shown, "ghost", **how)
+            return self.add_surface(shown, "ghost", **style)
         thinned = shown[:: -(-len(shown) // _GHOST_POINTS)]
-        return self.add_points(thinned, "ghost", point_size=_GHOST_DOT_PX, **how)
+        return self.add_points(thinned, "ghost", point_size=_GHOST_DOT_PX, **style)
 
     def add_values(self, points: FloatArray, values: FloatArray, scale: Range, name: str = "values") -> Any:
         """Add points (N, 3) coloured by finite values (N,), which a mouse click can pick, and return the actor."""
-        how = {"scalars": values, "cmap": self.lookup_table(scale), "clim": (scale.low, scale.high)}
-        return self.add_points(points, name, lit=True, pickable=True, **how)
+        style = {"scalars": values, "cmap": self.lookup_table(scale), "clim": (scale.low, scale.high)}
+        return self.add_points(points, name, lit=True, pickable=True, **style)
 
     def add_arrows(self, tails: FloatArray, vectors: FloatArray, values: FloatArray, scale: Range) -> Any:
         """Add arrows from tails (N, 3) along vectors (N, 3), coloured by values (N,), and return the actor."""
@@ -199,14 +199,14 @@ class Stage:
 
     def with_unit(self, length: float) -> str:
         """Return a length with three digits and the unit, if that is known."""
-        return f"{length:.3g} {self._known_unit}" if self._known_unit else f"{length:.3g}"
+        return with_unit(f"{length:.3g}", self._known_unit)
 
     def write_title(self, text: str) -> None:
         """Write the title at the upper edge, smaller if it is long; it replaces an earlier one."""
-        shown = printable(text)
-        fitting = _TITLE_SIZE * 0.97 * self._size[0] / (_TITLE_CHARACTER_PX * max(len(shown), 1))
+        title = printable(text)
+        fitting = _TITLE_SIZE * 0.97 * self._size[0] / (_TITLE_CHARACTER_PX * max(len(title), 1))
         self.plotter.add_text(
-            shown,
+            title,
             position=(0.015, 1 - _TITLE_PX / self._size[1]),
             viewport=True,
             font_size=int(np.clip(fitting, _MIN_TITLE_SIZE, _TITLE_SIZE)),
@@ -243,12 +243,12 @@ class Stage:
         self.plotter.add_axes(color=self.ink, line_width=3, xlabel=x, ylabel=y, zlabel=z)
         return layout
 
-    def _add_local_lines(self, lines: Sequence[FloatArray], name: str, **how: Any) -> Any:
+    def _add_local_lines(self, lines: Sequence[FloatArray], name: str, **options: Any) -> Any:
         """Add lines, each through points (K, 3) relative to the origin."""
         starts = np.cumsum([0, *map(len, lines)])
         cells = [[len(line), *range(start, start + len(line))] for line, start in zip(lines, starts[:-1], strict=True)]
-        shown = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
-        return self.plotter.add_mesh(shown, name=name, pickable=False, reset_camera=False, lighting=False, **how)
+        data = self._pyvista.PolyData(np.concatenate(lines).astype(np.float32), lines=np.concatenate(cells))
+        return self.plotter.add_mesh(data, name=name, pickable=False, reset_camera=False, lighting=False, **options)
 
     @property
     def _margins(self) -> FloatArray:

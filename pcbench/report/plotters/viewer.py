@@ -15,7 +15,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
 from pcbench.io.source import Source
-from pcbench.measure.wording import pluralize
+from pcbench.measure.wording import pluralize, with_unit
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
 from pcbench.report.plot.maps import frame
@@ -127,36 +127,39 @@ class ReportViewer:
         Args:
             row: row of the point in the map.
         """
-        shown, unit = self._maps.of(self.name, self.scalar), self._unit
+        shown, unit = self._maps.of(self.name, self.scalar), self._maps.unit
         key = self.name, self.scalar
         if key not in self._indices:
             self._indices[key] = Index(shown.points)
-        found = self._indices[key].query(shown.points[[row]], k=min(NEIGHBORS, len(shown.points)))
-        values, radius = shown.values[np.ravel(found.indices)], float(np.max(found.distances))
+        closest = self._indices[key].query(shown.points[[row]], k=min(NEIGHBORS, len(shown.points)))
+        values, radius = shown.values[np.ravel(closest.indices)], float(np.max(closest.distances))
+        place = with_unit(_coordinates(shown.points[row], self._digits), unit)
+        value, reach = (with_unit(text, unit) for text in (f"{shown.values[row]:.4g}", f"{radius:.3g}"))
+        deviation, highest = (with_unit(text, unit) for text in (f"{values.std():.3g}", f"{values.max():.4g}"))
         return "\n".join(
             [
-                f"{self.name}, point at {_coordinates(shown.points[row], self._digits)}{unit}",
-                f"  {scalar_of(self.scalar).label}: {shown.values[row]:.4g}{unit}",
-                f"  {pluralize(len(values), 'closest point')}, within {radius:.3g}{unit}: mean {values.mean():.4g},"
-                f" std {values.std():.3g}{unit}, from {values.min():.4g} to {values.max():.4g}{unit}",
+                f"{self.name}, point at {place}",
+                f"  {scalar_of(self.scalar).label}: {value}",
+                f"  {pluralize(len(values), 'closest point')}, within {reach}: mean {values.mean():.4g},"
+                f" std {deviation}, from {values.min():.4g} to {highest}",
             ]
         )
 
     @property
-    def _unit(self) -> str:
-        return f" {self._maps.unit}" if self._maps.unit else ""
+    def _arrows(self) -> Displacements | None:
+        """The displacements, if they are shown."""
+        return self._displacements[self.name] if self.shows_displacements else None
 
     @property
     def _digits(self) -> int:
         return _decimals(self._maps.frame.box.high - self._maps.frame.box.low)
 
     def _show(self) -> None:
-        moved = self._displacements[self.name] if self.shows_displacements else None
-        self.plotter.remove_actor("arrows" if moved is None else "values", reset_camera=False, render=False)
-        if moved is None:
+        self.plotter.remove_actor("arrows" if self._arrows is None else "values", reset_camera=False, render=False)
+        if self._arrows is None:
             self._scale = self._maps.show(self._stage, self.name, self.scalar)
         else:
-            moved.show(self._stage)
+            self._arrows.show(self._stage)
         if self._has_window:
             self._add_slider()
         self.plotter.render()
@@ -175,9 +178,8 @@ class ReportViewer:
 
     def _add_slider(self) -> None:
         """Add the slider for the current map or displacements, in place of an earlier one."""
-        moved = self._displacements[self.name] if self.shows_displacements else None
-        if moved is not None:
-            add_exaggeration(self._stage, moved, self.set_exaggeration)
+        if self._arrows is not None:
+            add_exaggeration(self._stage, self._arrows, self.set_exaggeration)
             return
         end, title = self._scale.high, f"colour range ends at [{self._stage.unit}]"
         add_slider(self._stage, title, (end / _SLIDER_FACTOR, end * _SLIDER_FACTOR), end, self.set_range)
@@ -200,21 +202,21 @@ def view_deformation(folder: Path, warn: Say, *, scene: SceneFolder | None = Non
         field = folder / "deformation.ply"
         cloud = read_cloud(folder / "aligned.ply", on_warning=lambda _: None)
         places = read_cloud(field, on_warning=lambda _: None) if field.is_file() else None
-        moved = Displacements.of_field(f"candidate, {verdict.model} model", cloud.points, places)
-    if moved is None:
+        arrows = Displacements.of_field(f"candidate, {verdict.model} model", cloud.points, places)
+    if arrows is None:
         cloud_file = folder / "aligned.ply"
         raise InputError(f"{folder}: {NO_DISPLACEMENTS}; `pcbench view {cloud_file}` shows the cloud")
     cameras = None if scene is None else viewing_cameras(scene, cloud, warn)
     window = Window(off_screen, background=look.background or "dark")
     stage = Stage(frame(None, {"": cloud}, cameras), cloud.unit, window)
-    moved.show(stage)
+    arrows.show(stage)
     if not off_screen:
 
         def set_exaggeration(factor: float) -> None:
-            moved.show(stage, factor)
+            arrows.show(stage, factor)
             stage.plotter.render()
 
-        add_exaggeration(stage, moved, set_exaggeration)
+        add_exaggeration(stage, arrows, set_exaggeration)
     return stage.plotter
 
 
@@ -229,8 +231,8 @@ def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = No
         off_screen: whether to render without a window.
     """
     shown = Source.open(path).read(warn)
-    given = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
-    plotter = plotters.cloud(shown, scene=given, off_screen=off_screen)
+    viewed = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
+    plotter = plotters.cloud(shown, scene=viewed, off_screen=off_screen)
     if isinstance(shown, Cloud) and not off_screen:
         enable_picking(plotter, lambda row: say(describe_point(shown, row)))
     return plotter
@@ -239,8 +241,8 @@ def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = No
 def describe_point(cloud: Cloud, row: int) -> str:
     """Return lines about a point of a cloud: coordinates and attributes."""
     low, high = cloud.bounds
-    unit = f" {cloud.unit}" if cloud.unit else ""
-    lines = [f"point {row:,} at {_coordinates(cloud.points[row], _decimals(high - low))}{unit}"]
+    place = with_unit(_coordinates(cloud.points[row], _decimals(high - low)), cloud.unit)
+    lines = [f"point {row:,} at {place}"]
     lines += [f"  {name}: {values[row]:.10g}" for name, values in cloud.attributes.items()]
     return "\n".join(lines)
 
