@@ -103,11 +103,11 @@ docs: $(VENV)/.all
 	$(BIN)/python docs/check_site.py site
 
 bench: $(VENV)/.all
-	$(BIN)/python tests/bench/compare.py
+	$(BIN)/python benchmarks/compare.py
 
 # Compare the instructions of a small comparison with those of an earlier commit; needs Debian's valgrind.
 instructions: $(VENV)/.all
-	$(BIN)/python tests/bench/instructions.py
+	$(BIN)/python benchmarks/instructions.py
 
 # List the tables of measurements that are older than the code they measure.
 stale: $(BIN)/python

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from pcbench.comparison.result import Comparison as Comparison
+    from pcbench.comparison.run import compare as compare
     from pcbench.deformation import deform as deform
     from pcbench.errors import PcbenchError as PcbenchError
     from pcbench.geometry.cloud import Cloud as Cloud
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from pcbench.registration import Registration as Registration
     from pcbench.registration import register as register
     from pcbench.report import plotters as plot  # noqa: F401  # a public name, as the others
-    from pcbench.report.comparison import Comparison as Comparison
-    from pcbench.report.comparison import compare as compare
     from pcbench.scenes import Scene as Scene
     from pcbench.scenes import read_scene as read_scene
 
@@ -40,7 +40,7 @@ _MODULES = {
     "Affine": "geometry.transform",
     "Box": "geometry.regions",
     "Cloud": "geometry.cloud",
-    "Comparison": "report.comparison",
+    "Comparison": "comparison.result",
     "IcpSettings": "registration",
     "Index": "geometry.neighbors",
     "M3C2Settings": "measure.m3c2_settings",
@@ -55,7 +55,7 @@ _MODULES = {
     "Sphere": "geometry.regions",
     "TilingSettings": "measure.tiled.settings",
     "Union": "geometry.regions",
-    "compare": "report.comparison",
+    "compare": "comparison.run",
     "crop": "io.crop",
     "deform": "deformation",
     "metrics": "measure.metrics",
@@ -74,7 +74,9 @@ __all__ = ["__version__", *_MODULES]
 def __getattr__(name: str) -> Any:
     value: Any
     if name == "__version__":
-        value = _version()
+        from pcbench.extras import package_version  # slow: a quarter of the package's import time
+
+        value = package_version()
     elif name in _MODULES:
         module = import_module(f"pcbench.{_MODULES[name]}")
         value = module if name in ("metrics", "plot") else getattr(module, name)
@@ -86,12 +88,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*__all__, *(name for name in globals() if name.startswith("__") and name not in __all__)])
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # slow: a quarter of the package's import time
-
-    try:
-        return version("pcbench")
-    except PackageNotFoundError:  # a source tree that was never installed
-        return "0+unknown"

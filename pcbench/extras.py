@@ -94,6 +94,11 @@ def installed_versions(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def package_version() -> str:
+    """Return the version of pcbench; `0+unknown` for a source tree that was never installed."""
+    return installed_versions(("pcbench",)).get("pcbench", "0+unknown")
+
+
 def debian_package(library: str) -> str:
     """Return the Debian package of a shared library such as `libusb-1.0.so.0`.
 

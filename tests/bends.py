@@ -10,7 +10,7 @@ import numpy as np
 from pcbench import Cloud
 from pcbench.deformation import Deformation, Side, TileSums
 from pcbench.deformation.model import MIN_INFORMATION, Geometry, Noise, Scores, estimate_noise
-from pcbench.deformation.pairs import CELLS_ALONG, Pairs, find_pairs, tile_sums
+from pcbench.deformation.pairs import CELLS_ALONG, Pairs, PairSearch, tile_sums
 from pcbench.deformation.polynomials import monomials
 from pcbench.deformation.residual import residual_deformation
 from pcbench.deformation.sums import dyadic_moments, group_rows
@@ -81,8 +81,8 @@ class Scene:
             zeros,
             ones,
             scales=ones,
-            left=zeros,
-            apart=zeros,
+            remainders=zeros,
+            raw_remainders=zeros,
             quality=ones,
             areas=ones,
             lower=self.lower,
@@ -216,7 +216,9 @@ class HalvesScene:
             Side(surface, np.ones(len(surface), dtype=bool), side)
             for surface, side in ((self._surface, self._reference), (Surface(Index(registered_points)), cloud))
         ]
-        pairs = find_pairs(*sides)
+        search = PairSearch.of(*sides)
+        assert search is not None
+        pairs = search.find(follow=True)
         assert pairs is not None
         return residual_deformation(*sides, registration, self._origin), pairs
 

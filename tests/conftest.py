@@ -22,8 +22,8 @@ from budgets import checked_candidate
 
 from pcbench import cli
 from pcbench.cli import messages
+from pcbench.comparison import pipeline
 from pcbench.errors import MissingExtra
-from pcbench.measure import comparison
 from pcbench.opengl import NoFiguresError
 from pcbench.report.plotters.window import check_window
 from pcbench.scenes.synthetic.render import check_renderer
@@ -96,7 +96,7 @@ def pytest_runtest_call(item):
 def pytest_testnodedown(node):
     """Collect the renewed texts of a pytest-xdist worker that has ended."""
     if node.config.stash[RENEWED_TEXTS] is not None:
-        node.config.stash[RENEWED_TEXTS] |= node.workeroutput.get("wording", {})
+        wording.add(node.config.stash[RENEWED_TEXTS], node.workeroutput.get("wording", {}))
 
 
 def pytest_sessionfinish(session):
@@ -148,7 +148,7 @@ def _no_progress(monkeypatch):
 def _budgets_add_up():
     """Check in each comparison of the suite that the parts of D2 add up to D2."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "Candidate", checked_candidate)
+        patch.setattr(pipeline, "Candidate", checked_candidate)
         yield
 
 

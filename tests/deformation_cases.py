@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from pcbench import Cloud, read_cloud
 from pcbench.deformation import Side
-from pcbench.deformation.pairs import find_pairs
+from pcbench.deformation.pairs import PairSearch
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
 from pcbench.registration import local_origin, register
@@ -285,7 +285,9 @@ def true_rms(pair: Pair) -> tuple[float, float]:
         Side(Surface(Index(points)), np.ones(len(points), dtype=bool), cloud)
         for points, cloud in ((pair.reference.points - origin, pair.reference), (registered_points, pair.candidate))
     ]
-    pairs = find_pairs(*sides)
+    search = PairSearch.of(*sides)
+    assert search is not None
+    pairs = search.find(follow=True)
     assert pairs is not None
     nearest = sides[1].surface.index.query(pairs.places).indices.reshape(-1)
     along_normals = (pair.bend(pair.candidate.points[nearest]) * pairs.normals).sum(axis=1)

@@ -116,10 +116,10 @@ def compress_points(points, laszip, start):
     return buffer.getvalue()[start:]
 
 
-def copc(count=300, form=7, change=lambda entries: None):
-    """Build a COPC file with two chunks, whose hierarchy has a second page; `change` edits its entries in place.
+def copc(count=300, form=7):
+    """Build a COPC file with two chunks, whose hierarchy has a second page.
 
-    An entry is [depth, x, y, z, offset, bytes, points]; the last one, of the first page, refers to the second page.
+    An entry is [depth, x, y, z, offset, bytes, points]; the second one, of the first page, refers to the second page.
     """
     import lazrs
 
@@ -136,7 +136,6 @@ def copc(count=300, form=7, change=lambda entries: None):
         [1, 0, 0, 0, pages + 64, 32, -1],
         [1, 0, 0, 0, start + 8 + first_bytes, second_bytes, second],
     ]
-    change(entries)
     root = struct.pack("<5dQQ", 0, 0, 0, 1, 1, pages, 64)
     record = info(root + bytes(160 - len(root)))
     data = plain[:pages] + b"".join(struct.pack("<4iQii", *entry) for entry in entries)

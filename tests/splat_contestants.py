@@ -311,9 +311,10 @@ def build_opensplat(source: Path) -> ModuleType:
     from torch.utils.cpp_extension import load
 
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # where pip puts ninja
+    wrapper = Path(__file__).parents[1] / "benchmarks" / "opensplat.cpp"
     return load(
         "pcbench_opensplat",
-        [str(Path(__file__).parent / "bench" / "opensplat.cpp"), str(source / "rasterizer/gsplat-cpu/gsplat_cpu.cpp")],
+        [str(wrapper), str(source / "rasterizer/gsplat-cpu/gsplat_cpu.cpp")],
         extra_cflags=["-O3", "-DNDEBUG", "-w"],
         extra_include_paths=[str(source)],
     )

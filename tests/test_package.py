@@ -59,7 +59,7 @@ def test_public_names():
     for name in pcbench.__all__:
         assert getattr(pcbench, name) is not None
     assert callable(pcbench.compare)
-    import pcbench.measure.comparison
+    import pcbench.comparison
 
     assert callable(pcbench.compare)
 

@@ -1,5 +1,7 @@
 """The golden file of texts: comparison, masking and renewal."""
 
+from contextlib import nullcontext
+
 import pytest
 import wording
 from repository import ROOT
@@ -14,7 +16,7 @@ def test_masking_of_numbers_and_folders(tmp_path):
     check_text(f"{tmp_path}/a.ply: 1,270,820 points,   spacing 2.31e-1 m, d2 of T_a_b4 at (-3, 4.5, 6)")
     check_text("4 of 5 points", masked=False)
     with check_error():
-        raise InputError(f"{ROOT}/README.md: expected 3 numbers, got 4")
+        raise InputError(f"{ROOT}/README.md: expected 3 numbers, got 'four'")
 
 
 def test_texts_are_compared_after_a_test_has_passed():
@@ -26,6 +28,20 @@ def test_texts_are_compared_after_a_test_has_passed():
         with pytest.raises(pytest.fail.Exception, match="make wording"), texts_of(TEST_ID, golden, None):
             for text in texts:
                 check_text(text)
+
+
+def test_messages_of_a_known_kind_pass():
+    """The kinds of a function hold for each of its cases; messages of one kind differ in numbers and quoted values."""
+    golden = {f"{TEST_ID} refuses": ["expected #, got '...'", "another kind"]}
+    for message, known in (("expected 3, got 'x'", True), ("expected 4, got 'y'", True), ("expected 4", False)):
+        expectation = nullcontext() if known else pytest.raises(pytest.fail.Exception, match="make wording")
+        with expectation, texts_of(f"{TEST_ID}[case]", golden, None), check_error():
+            raise InputError(message)
+    renewed = {}
+    for message in ("expected 3", "one", "expected 5"):
+        with texts_of(f"{TEST_ID}[{message}]", {}, renewed), check_error():
+            raise InputError(message)
+    assert renewed[f"{TEST_ID} refuses"] == ["expected #", "one"]
 
 
 def test_failure_of_the_test_takes_precedence():

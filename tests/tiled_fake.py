@@ -6,20 +6,19 @@ from types import ModuleType
 
 import numpy as np
 
-from pcbench import read_cloud
+from pcbench import compare, read_cloud
 from pcbench.io import map_tiles
-from pcbench.measure import comparison
 from pcbench.measure.results import LeftOut, Tiling
 
 STEP = 4  # of the sample in a map
 
 
-def compare_on_disk(reference, candidates, settings, tiling, *, workspace, contents, maps, on_step):
-    """Compare in memory, and return the result as `pcbench.measure.tiled.compare.compare_on_disk` does."""
+def compare_in_tiles(clouds, settings, tiling, *, workspace, maps, on_step):
+    """Compare in memory, and return the result as `pcbench.comparison.in_tiles.compare_in_tiles` does."""
     on_step("sorting the reference")
     (workspace / "sorted.bin").write_bytes(b"sorted")
-    clouds = {name: joined(path) for name, path in candidates.items()}
-    full = comparison.compare(joined(reference), clouds, settings)
+    candidates = {name: joined(cloud.path) for name, cloud in clouds.candidates.items()}
+    full = compare(joined(clouds.reference.path), candidates, settings)
     for candidate in full if maps is not None else ():
         write_maps(maps, candidate, full.reference.crs)
     return as_tiled(full, tiling, step=STEP)
@@ -98,8 +97,8 @@ def joined(path):
     return read_cloud(path, on_warning=lambda _: None)
 
 
-def install(monkeypatch, compare=compare_on_disk):
+def install(monkeypatch, compute=compare_in_tiles):
     """Replace the computation in tiles by a function."""
-    module = ModuleType("pcbench.measure.tiled.compare")
-    module.compare_on_disk = compare
+    module = ModuleType("pcbench.comparison.in_tiles")
+    module.compare_in_tiles = compute
     monkeypatch.setitem(sys.modules, module.__name__, module)

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcbench import read_cloud
+from pcbench import compare, read_cloud
+from pcbench.comparison.in_tiles import compare_in_tiles
+from pcbench.comparison.plan import CloudsOnDisk
+from pcbench.comparison.request import Request
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
-from pcbench.measure.comparison import compare
 from pcbench.measure.quantities import quantities
 from pcbench.measure.settings import Settings
-from pcbench.measure.tiled.compare import compare_on_disk
 from pcbench.measure.tiled.settings import TilingSettings
 
 # Sums of other orders round differently; everything else is equal in all bits.
@@ -63,6 +64,12 @@ def check_equal(tiled, memory, *, with_warnings=True):
     for a, b in zip(tiled.differences, memory.differences, strict=True):
         assert (a.a, a.b, a.metric) == (b.a, b.b, b.metric)
         assert a.difference == pytest.approx(b.difference, rel=1e-9, abs=1e-12)
+
+
+def compare_on_disk(reference, candidates, settings, tiling, *, workspace, maps=None):
+    """Compare files in tiles, without a report."""
+    clouds = CloudsOnDisk.open(Request.of(reference, candidates, settings), tiling)
+    return compare_in_tiles(clouds, settings, tiling, workspace=workspace, maps=maps, on_step=lambda _: None)
 
 
 class Pair:

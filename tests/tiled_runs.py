@@ -13,8 +13,9 @@ from repository import ROOT, TESTS
 
 def main(reference, candidate, workspace, output, options):
     """Compare two files, and write the result as `as_document` returns it."""
+    from tiled_pairs import compare_on_disk
+
     from pcbench.measure.settings import Settings
-    from pcbench.measure.tiled.compare import compare_on_disk
     from pcbench.measure.tiled.settings import TilingSettings
 
     found = compare_on_disk(
@@ -30,10 +31,9 @@ def main(reference, candidate, workspace, output, options):
 
 def as_document(comparison):
     """comparison.json without what depends on the tiles and the machine, with the points of the maps."""
-    from pcbench.report.comparison import Comparison
     from pcbench.report.document import document
 
-    values = document(Comparison.of(comparison, None))
+    values = document(comparison)
     values["provenance"] = values["tiling"] = None
     for candidate in values["candidates"]:
         candidate["timings_s"] = candidate["peak_rss_bytes"] = None

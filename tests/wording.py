@@ -1,8 +1,9 @@
 """Texts for users, compared with one golden file.
 
 Tests assert values, codes and verdicts. Texts of the program are passed to `check_text`, error messages to
-`check_error`. The texts of each test are in `wording.txt` next to this module. After a change of wording run
-`make wording` and read the diff.
+`check_error`. `wording.txt` next to this module has the texts of each test, and the kinds of messages of each test
+function: messages that differ only in numbers and in what they quote are of one kind. After a change of wording run
+`make wording` for whole files and read the diff.
 """
 
 import re
@@ -15,16 +16,19 @@ import pytest
 from data_folder import data_root
 from repository import ROOT, TESTS
 
-from pcbench.errors import InputError
+from pcbench.errors import InputError, one_line
 
 GOLDEN = TESTS / "wording.txt"
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(,\d{3})*(\.\d+)?(e[-+]?\d+)?(?![\w])")
+_QUOTED = re.compile(r"'[^']*'")
 _HEADING = "== "
+_REFUSES = " refuses"
 
 Texts = dict[str, list[str]]
-"""The texts of each test, by its node id."""
+"""The texts of each test, by its node id, and the kinds of messages of each function, by its id and `_REFUSES`."""
 
 _texts: list[str] | None = None
+_kinds: list[str] | None = None
 
 
 def check_text(text: object, *, masked: bool = True) -> str:
@@ -33,33 +37,26 @@ def check_text(text: object, *, masked: bool = True) -> str:
     Numbers are masked, because they depend on the processor and tests assert them as values. So are runs of spaces,
     which depend on the widths of numbers. The folders of the test and of the repository are always masked.
     """
+    assert _texts is not None, "check_text() must be called inside a test"
     unmasked = _without_folders(str(text))
-    _record(re.sub(r" {2,}", "  ", _NUMBER.sub("#", unmasked)) if masked else unmasked)
+    _texts.append(_stored(re.sub(r" {2,}", "  ", _NUMBER.sub("#", unmasked)) if masked else unmasked))
     return str(text)
 
 
 @contextmanager
-def check_error(
-    error: type[BaseException] = InputError, *, masked: bool = False
-) -> Iterator[pytest.ExceptionInfo[BaseException]]:
-    """Expect an error with a one-line message, and compare the message with the golden file.
-
-    Its numbers are compared too; measured numbers can be `masked`.
-    """
+def check_error(error: type[BaseException] = InputError) -> Iterator[pytest.ExceptionInfo[BaseException]]:
+    """Expect an error with a message of one printable line, whose kind is one of those of the test function."""
     with pytest.raises(error) as caught:
         yield caught
+    assert _kinds is not None, "check_error() must be called inside a test"
     message = str(caught.value)
-    assert "\n" not in message
-    if masked:
-        check_text(message)
-    else:
-        _record(_without_folders(message))
+    assert message == one_line(message)
+    _kinds.append(_stored(_NUMBER.sub("#", _QUOTED.sub("'...'", _without_folders(message)))))
 
 
-def _record(text: str) -> None:
-    assert _texts is not None, "check_text() and check_error() must be called inside a test"
+def _stored(text: str) -> str:
     text = text.replace("\0", "\\0")  # the golden file is a text file
-    _texts.append("\n".join(line.rstrip() for line in text.strip().splitlines()))
+    return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
 def _without_folders(text: str) -> str:
@@ -75,19 +72,28 @@ def _without_folders(text: str) -> str:
 @contextmanager
 def texts_of(test: str, golden: Texts, renewed: Texts | None) -> Iterator[None]:
     """Collect the texts of a test and compare them with the golden file, or add them to the renewed texts."""
-    global _texts
-    outer_texts, _texts = _texts, (texts := [])
+    global _texts, _kinds
+    outer, (_texts, _kinds) = (_texts, _kinds), (texts := [], kinds := [])
+    function = test.partition("[")[0] + _REFUSES
     try:
         yield
     finally:
-        _texts = outer_texts
+        _texts, _kinds = outer
     if renewed is not None:
-        renewed[test] = texts
-    elif texts != golden.get(test, []):
-        lines = unified_diff(
-            _lines(golden.get(test, [])), _lines(texts), "wording.txt", "current text", lineterm="", n=9
-        )
+        add(renewed, {test: texts, function: kinds} if kinds else {test: texts})
+        return
+    expected = golden.get(test, []), golden.get(function, [])
+    new_kinds = [kind for kind in kinds if kind not in expected[1]]
+    if texts != expected[0] or new_kinds:
+        before, after = _lines([*expected[0], *expected[1]]), _lines([*texts, *expected[1], *new_kinds])
+        lines = unified_diff(before, after, "wording.txt", "current text", lineterm="", n=9)
         pytest.fail("\n".join(["the wording has changed (`make wording` renews it):", *lines]), pytrace=False)
+
+
+def add(texts: Texts, more: Texts) -> None:
+    """Add the texts of more tests; kinds of messages of one function come from several tests."""
+    for test, added in more.items():
+        texts[test] = sorted({*texts.get(test, []), *added}) if test.endswith(_REFUSES) else added
 
 
 def read() -> Texts:
@@ -114,7 +120,7 @@ def renew(renewed: Texts) -> None:
 
 def is_stale(test: str) -> bool:
     """Whether the test of a node id no longer exists in its file."""
-    file, _, name = test.partition("::")
+    file, _, name = test.removesuffix(_REFUSES).partition("::")
     function = name.rpartition("::")[2].partition("[")[0]
     path = ROOT / file
     return not path.is_file() or f"def {function}(" not in path.read_text(encoding="utf-8")

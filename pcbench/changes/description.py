@@ -52,8 +52,8 @@ class Shown(NamedTuple):
     @property
     def center(self) -> FloatArray:
         """Mean point (3,)."""
-        found: FloatArray = np.average(self.points, axis=0, weights=self.areas)
-        return found
+        center: FloatArray = np.average(self.points, axis=0, weights=self.areas)
+        return center
 
 
 class SampledPair(NamedTuple):
@@ -93,31 +93,31 @@ def describe(parts: Sequence[ChangedPart], scene: SampledPair) -> list[tuple[Cha
 
     A removed and an added part of the same shape become one part, which moved.
     """
-    found: list[tuple[ChangedPart, Change | None]] = []
-    left = []
+    described: list[tuple[ChangedPart, Change | None]] = []
+    unmoved = []
     for part in parts:
         ours, theirs = scene.shown(part)
         motion = None
         if min(len(ours), len(theirs)) > 0:
             motion = _motion(ours, theirs, scene, scene.normal(part))
         if motion is None:
-            left.append(part)
+            unmoved.append(part)
         else:
-            found.append((part, _moved(ours, theirs, motion, scene.normal(part), scene, part)))
-    removed = [part for part in left if _is_removed(part, scene)]
-    added = [part for part in left if not _is_removed(part, scene)]
+            described.append((part, _moved(ours, theirs, motion, scene.normal(part), scene, part)))
+    removed = [part for part in unmoved if _is_removed(part, scene)]
+    added = [part for part in unmoved if not _is_removed(part, scene)]
     up = np.array([0.0, 0.0, 1.0])
     for i, j, motion in _same_shapes(removed, added, scene):
         whole = ChangedPart(removed[i].reference, added[j].candidate)
         ours, theirs = scene.shown(whole)
-        found.append((whole, _moved(ours, theirs, motion, up, scene, whole)))
-        left = [part for part in left if part is not removed[i] and part is not added[j]]
-    for part in left:
+        described.append((whole, _moved(ours, theirs, motion, up, scene, whole)))
+        unmoved = [part for part in unmoved if part is not removed[i] and part is not added[j]]
+    for part in unmoved:
         which = 0 if _is_removed(part, scene) else 1
         shown, direction = scene.shown(part)[which], _upward(part, scene)
         is_visible = _is_visible(shown, scene.samples[1 - which], direction, scene.side)
-        found.append((part, _grown(part, which, direction, scene) if is_visible else None))
-    return found
+        described.append((part, _grown(part, which, direction, scene) if is_visible else None))
+    return described
 
 
 def _is_removed(part: ChangedPart, scene: SampledPair) -> bool:
@@ -175,11 +175,11 @@ def _same_shapes(
             motion = _shortest_motion(ours, theirs, scene)
             if motion is not None and _have_same_shape(ours, theirs, scene.side):
                 pairs.append((float(np.linalg.norm(motion)), i, j, motion))
-    found: list[tuple[int, int, FloatArray]] = []
+    equal_pairs: list[tuple[int, int, FloatArray]] = []
     for _, i, j, motion in sorted(pairs, key=lambda pair: pair[:3]):
-        if all(i != a and j != b for a, b, _ in found):
-            found.append((i, j, motion))
-    return found
+        if all(i != a and j != b for a, b, _ in equal_pairs):
+            equal_pairs.append((i, j, motion))
+    return equal_pairs
 
 
 def _shortest_motion(ours: Shown, theirs: Shown, scene: SampledPair) -> FloatArray | None:
@@ -259,8 +259,8 @@ def _heights(points: FloatArray, other: Sample, up: FloatArray, side: float) -> 
     if not len(near):
         return (points - other.points[other.index.query(points).indices]) @ up
     flat = Index(np.column_stack([others[near], np.zeros(len(near))]))
-    found = flat.query(np.column_stack([places, np.zeros(len(places))])).indices
-    heights: FloatArray = (points - other.points[near[found]]) @ up
+    nearest = flat.query(np.column_stack([places, np.zeros(len(places))])).indices
+    heights: FloatArray = (points - other.points[near[nearest]]) @ up
     return heights
 
 
@@ -314,17 +314,17 @@ def _upward(part: ChangedPart, scene: SampledPair) -> FloatArray:
     around = sample.points[near]
     across = np.linalg.eigh(np.cov(around.T))[1][:, 0]
     sign = float(across @ scene.normals[0][near].sum(axis=0)) or 1.0
-    found: FloatArray = across * np.sign(sign)
-    return found
+    upward: FloatArray = across * np.sign(sign)
+    return upward
 
 
 def _in_plane(points: FloatArray, up: FloatArray) -> FloatArray:
     """Return coordinates (N, 2) of points (N, 3) in the plane across a direction."""
     axis = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(up, axis)
-    first /= np.linalg.norm(first)
-    found: FloatArray = points @ np.column_stack([first, np.cross(up, first)])
-    return found
+    axis = np.cross(up, axis)
+    axis /= np.linalg.norm(axis)
+    coordinates: FloatArray = points @ np.column_stack([axis, np.cross(up, axis)])
+    return coordinates
 
 
 def _is_visible(shown: Shown, other: Sample, up: FloatArray, side: float) -> bool:
@@ -344,11 +344,11 @@ def _is_visible(shown: Shown, other: Sample, up: FloatArray, side: float) -> boo
     inside = ((others >= lower) & (others <= upper)).all(axis=1)
     covered[tuple(((others[inside] - lower) / step).astype(np.int64).T)] = True
     covered = binary_dilation(covered)
-    at = tuple(((places - lower) / step).astype(np.int64).T)
-    if covered[at].mean() >= _MIN_COVERED_SHARE:
+    texels = tuple(((places - lower) / step).astype(np.int64).T)
+    if covered[texels].mean() >= _MIN_COVERED_SHARE:
         return True
     surrounded = binary_fill_holes(covered)
-    if surrounded[at].mean() < _MIN_COVERED_SHARE:
+    if surrounded[texels].mean() < _MIN_COVERED_SHARE:
         return False
     heights = shown.points @ up
     return float(np.percentile(heights, 95) - np.percentile(heights, 5)) >= _MIN_RELIEF * side

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pcbench.changes.samples import Sample
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import cells, robust_extent
 
 _FIRST_SIDE = 4.0  # side of the smallest cells, in voxels of the sample; the others are twice as large, and so on
@@ -26,7 +27,6 @@ _NULL_Z = 0.5244  # half width of the inner 40 % of a normal distribution, in st
 _REGION_CELLS = 25
 # Smallest noise of a region, in the upper quartile of all regions and in voxels: planes do not resolve less.
 _MIN_NOISE_SHARE, _MIN_NOISE_SPACINGS = 0.3, 0.0075
-_MAD = 1.4826
 _MEDIAN_ERROR = 1.2533  # standard error of a median over that of a mean, for normal values
 
 
@@ -79,23 +79,23 @@ def find_offsets(sample: Sample, offsets: Offsets) -> OffsetTest:
     side, largest = _FIRST_SIDE * sample.side, _MAX_EXTENT_SHARE * robust_extent(points)
     while side <= max(largest, _FIRST_SIDE * sample.side):
         grid = cells(points, side)
-        of, count = grid.of_point, len(grid.first)
-        sheet = np.bincount(of[offsets.is_sheet], minlength=count)
+        cell_of_point, count = grid.of_point, len(grid.first)
+        sheet = np.bincount(cell_of_point[offsets.is_sheet], minlength=count)
         tested = (sheet >= _MIN_POINTS) & (sheet >= _MIN_SHEET_SHARE * grid.counts)
         if np.count_nonzero(tested) < _MIN_CELLS:
             break
-        at = np.flatnonzero(offsets.is_sheet & tested[of])
-        median = _group_quantiles(offsets.signed[at], of[at], count, 0.5)
+        rows = np.flatnonzero(offsets.is_sheet & tested[cell_of_point])
+        median = _group_quantiles(offsets.signed[rows], cell_of_point[rows], count, 0.5)
         sigma = grid.means(noise)
         relative = np.maximum(sigma / max(float(np.median(sigma[tested])), 1e-300), 1e-300)
         scatter = relative * shortest_width((median / relative)[tested])
         error = np.maximum(_MEDIAN_ERROR * sigma / np.sqrt(np.maximum(sheet, 1)), scatter) + 1e-300
-        own = _group_quantiles(offsets.own, of, count, 0.9)
+        own = _group_quantiles(offsets.own, cell_of_point, count, 0.9)
         size = np.abs(median)
         off = tested & (size >= _MIN_Z * error) & (size >= np.maximum(_MIN_SIGMAS * sigma, _MIN_OWN_RATIO * own))
-        hit = off[of] & (level * np.sign(median[of]) >= _MIN_LEVEL_SHARE * size[of])
+        hit = off[cell_of_point] & (level * np.sign(median[cell_of_point]) >= _MIN_LEVEL_SHARE * size[cell_of_point])
         is_off |= hit
-        p[hit] = np.minimum(p[hit], _two_sided_p((size / error)[of[hit]]))
+        p[hit] = np.minimum(p[hit], _two_sided_p((size / error)[cell_of_point[hit]]))
         side *= 2
     return OffsetTest(is_off, p)
 
@@ -110,17 +110,17 @@ def _regional_noise(sample: Sample, offsets: Offsets) -> FloatArray:
     grid = cells(sample.points, _FIRST_SIDE * sample.side)
     count, sheet = len(grid.first), offsets.is_sheet
     median = _group_quantiles(offsets.signed[sheet], grid.of_point[sheet], count, 0.5)
-    apart = np.abs(offsets.signed - median[grid.of_point])
-    spread = _group_quantiles(apart[sheet], grid.of_point[sheet], count, 0.5)
-    known = np.flatnonzero(np.bincount(grid.of_point[sheet], minlength=count) >= _MIN_POINTS)
-    if not len(known):
+    deviations = np.abs(offsets.signed - median[grid.of_point])
+    spread = _group_quantiles(deviations[sheet], grid.of_point[sheet], count, 0.5)
+    populated = np.flatnonzero(np.bincount(grid.of_point[sheet], minlength=count) >= _MIN_POINTS)
+    if not len(populated):
         return np.full(len(sample), shortest_width(offsets.signed))
     places = np.stack([grid.means(sample.points[:, axis]) for axis in range(3)], axis=1)
-    around = Index(places[known]).query(places, min(_REGION_CELLS, len(known))).indices.reshape(count, -1)
-    found: FloatArray = _MAD * np.median(spread[known][around], axis=1)[grid.of_point]
+    around = Index(places[populated]).query(places, min(_REGION_CELLS, len(populated))).indices.reshape(count, -1)
+    noise: FloatArray = NORMAL_MAD * np.median(spread[populated][around], axis=1)[grid.of_point]
     # Where planes are exact, the noise of a region is zero, but not that of the scene.
-    least = max(_MIN_NOISE_SHARE * float(np.percentile(found[sheet], 75)), _MIN_NOISE_SPACINGS * sample.side)
-    return np.maximum(found, least)
+    least = max(_MIN_NOISE_SHARE * float(np.percentile(noise[sheet], 75)), _MIN_NOISE_SPACINGS * sample.side)
+    return np.maximum(noise, least)
 
 
 def _group_quantiles(values: FloatArray, group: IntArray, count: int, share: float) -> FloatArray:
@@ -128,9 +128,9 @@ def _group_quantiles(values: FloatArray, group: IntArray, count: int, share: flo
     order = np.lexsort((values, group))
     counts = np.bincount(group, minlength=count)
     starts = np.cumsum(counts) - counts
-    found, some = np.zeros(count), counts > 0
+    quantiles, some = np.zeros(count), counts > 0
     rank = share * (counts[some] - 1)
     low, high = (starts[some] + np.asarray(f(rank), np.int64) for f in (np.floor, np.ceil))
     ordered = values[order]
-    found[some] = 0.5 * (ordered[low] + ordered[high])
-    return found
+    quantiles[some] = 0.5 * (ordered[low] + ordered[high])
+    return quantiles

@@ -121,8 +121,8 @@ def _links_across(own: Sample, other: Sample, rows: IntArray, other_rows: IntArr
 def _is_significant(part: ChangedPart, evidence: Sequence[PointTests]) -> bool:
     for rows, each in zip(part, evidence, strict=True):
         is_absent, is_off = each.absence.is_absent[rows], each.offsets.is_off[rows]
-        both = min(np.count_nonzero(is_absent), np.count_nonzero(is_off)) >= _MIN_OF_EACH
-        if each.absence.is_significant(rows) or (both and np.count_nonzero(is_absent | is_off) >= _MIN_POINTS):
+        has_both = min(np.count_nonzero(is_absent), np.count_nonzero(is_off)) >= _MIN_OF_EACH
+        if each.absence.is_significant(rows) or (has_both and np.count_nonzero(is_absent | is_off) >= _MIN_POINTS):
             return True
     off = [rows[each.offsets.is_off[rows]] for rows, each in zip(part, evidence, strict=True)]
     if min(map(len, off)) < _MIN_POINTS:

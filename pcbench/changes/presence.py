@@ -49,8 +49,8 @@ class Absence(NamedTuple):
     @property
     def is_absent(self) -> NDArray[np.bool_]:
         """(N,) whether too few counterparts are in any of the balls."""
-        found: NDArray[np.bool_] = np.logical_or.reduce(self.in_balls)
-        return found
+        absent: NDArray[np.bool_] = np.logical_or.reduce(self.in_balls)
+        return absent
 
     def is_significant(self, rows: IntArray) -> bool:
         """Return whether a connected part, given by rows, has more such points than chance produces."""
@@ -73,8 +73,8 @@ def find_absence(sample: Sample, other: Index) -> Absence:
     distances = other.query(sample.points, min(own.shape[1], len(other))).distances.reshape(len(sample), -1)
 
     def count(points: int) -> IntArray:
-        found: IntArray = (distances <= own[:, points - 1, None]).sum(axis=1)
-        return found
+        counts: IntArray = (distances <= own[:, points - 1, None]).sum(axis=1)
+        return counts
 
     density = _density_ratios(sample, count(own.shape[1]) / own.shape[1])
     share = density / (1 + density)
@@ -88,8 +88,8 @@ def _density_ratios(sample: Sample, ratios: FloatArray) -> FloatArray:
     regions = sample.index.query(sample.points[anchors], min(_REGION_POINTS, len(sample))).indices
     typical = np.median(ratios[regions.reshape(len(anchors), -1)], axis=1)
     region = Index(sample.points[anchors]).query(sample.points).indices
-    found: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
-    return found
+    regional: FloatArray = np.maximum(typical[region], _MIN_DENSITY_SHARE * float(np.median(ratios)))
+    return regional
 
 
 def _at_most(counts: IntArray, points: int, share: FloatArray) -> FloatArray:

@@ -50,8 +50,8 @@ class Sample:
     @cached_property
     def near(self) -> Matches:
         """Nearest other points (N, K) in the sample, with K of at most `NEIGHBORS`."""
-        found = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
-        return Matches(found.distances[:, 1:], found.indices[:, 1:])
+        matches = self.index.query(self.points, min(NEIGHBORS + 1, len(self)))
+        return Matches(matches.distances[:, 1:], matches.indices[:, 1:])
 
     @property
     def reach(self) -> FloatArray:
@@ -61,14 +61,14 @@ class Sample:
     def smooth(self, values: FloatArray) -> FloatArray:
         """Return the median (N,) of values (N,) over each point and its nearest ones."""
         rows = np.column_stack([np.arange(len(self)), self.near.indices[:, :_SMOOTHED_POINTS]])
-        found: FloatArray = np.median(values[rows], axis=1)
-        return found
+        medians: FloatArray = np.median(values[rows], axis=1)
+        return medians
 
     @cached_property
     def areas(self) -> FloatArray:
         """Area (N,) of the surface that each point represents."""
-        found: FloatArray = np.pi * np.square(self.reach) / self.near.distances.shape[1]
-        return found
+        discs: FloatArray = np.pi * np.square(self.reach) / self.near.distances.shape[1]
+        return discs
 
 
 def common_side(reference: Surface, candidate: Surface, noise: float) -> float:

@@ -63,8 +63,8 @@ class SampledChanges:
         """Return the labels (N,) of points (N, 3) of a cloud: those of the nearest sampled points."""
         if self.samples is None or self.are_stable(which):
             return np.full(len(points), STABLE, np.int32)
-        found: NDArray[np.int32] = self.labels[which][self.samples[which].index.query(points).indices]
-        return found
+        labels: NDArray[np.int32] = self.labels[which][self.samples[which].index.query(points).indices]
+        return labels
 
 
 def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
@@ -84,21 +84,23 @@ def find_changes(reference: Surface, candidate: Surface) -> SampledChanges:
         return nothing
     offsets = _offsets(reference, candidate, samples)
     evidence = []
-    for sample, other, found in zip(samples, samples[::-1], offsets, strict=True):
-        evidence.append(PointTests(find_offsets(sample, found), found.signed, find_absence(sample, other.index)))
-    scene = SampledPair(samples, evidence, [found.normals for found in offsets])
+    for sample, other, sample_offsets in zip(samples, samples[::-1], offsets, strict=True):
+        evidence.append(
+            PointTests(find_offsets(sample, sample_offsets), sample_offsets.signed, find_absence(sample, other.index))
+        )
+    scene = SampledPair(samples, evidence, [each.normals for each in offsets])
     described = describe(list(connected_parts(samples, evidence)), scene)
     changed = [(part, change) for part, change in described if change is not None]
     changed.sort(key=lambda each: -each[1].importance)
     unmatched = [part for part, change in described if change is None]
 
     def labels(number: int) -> NDArray[np.int32]:
-        found = np.full(len(samples[number]), STABLE, np.int32)
+        numbers = np.full(len(samples[number]), STABLE, np.int32)
         for part in unmatched:
-            found[part[number]] = UNMATCHED
+            numbers[part[number]] = UNMATCHED
         for label, (part, _) in enumerate(changed):
-            found[part[number]] = label
-        return found
+            numbers[part[number]] = label
+        return numbers
 
     return SampledChanges(tuple(change for _, change in changed), samples, (labels(0), labels(1)))
 
@@ -115,19 +117,19 @@ def _offsets(reference: Surface, candidate: Surface, samples: Sequence[Sample]) 
     ours, theirs = samples
     own = _own_offsets(reference, ours)
     back, forth = candidate.index.query(ours.points), reference.index.query(theirs.points)
-    apart = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
-    found = []
-    for sample, rows, matches, between, self_offsets in (
-        (ours, ours.rows, back, apart[0], own),
-        (theirs, forth.indices, forth, apart[1], own[ours.index.query(theirs.points).indices]),
+    vectors = candidate.points[back.indices] - ours.points, theirs.points - reference.points[forth.indices]
+    offsets = []
+    for sample, rows, matches, vector, self_offsets in (
+        (ours, ours.rows, back, vectors[0], own),
+        (theirs, forth.indices, forth, vectors[1], own[ours.index.query(theirs.points).indices]),
     ):
         normals, variation = _oriented(reference.normals(rows)), reference.variation(rows)
-        signed = np.einsum("ni,ni->n", between, normals)
+        signed = np.einsum("ni,ni->n", vector, normals)
         tangential = np.sqrt(np.maximum(np.square(matches.distances) - np.square(signed), 0))
         smooth = variation <= max(_MAX_SHEET_VARIATION, 4 * float(np.percentile(variation, 25)))
         is_sheet = smooth & (tangential <= _MAX_TANGENTIAL * sample.side)
-        found.append(Offsets(signed, normals, is_sheet, self_offsets))
-    return found
+        offsets.append(Offsets(signed, normals, is_sheet, self_offsets))
+    return offsets
 
 
 def _oriented(normals: FloatArray) -> FloatArray:

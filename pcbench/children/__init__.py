@@ -114,7 +114,6 @@ def run_script(
     *arguments: str,
     limits: Limits | None = None,
     environment: Mapping[str, str] | None = None,
-    stdin: BinaryIO | None = None,
     into: memoryview | None = None,
 ) -> ChildResult:
     """Run a Python file that imports nothing of pcbench and wait for it; its imports resolve as in this process.
@@ -124,10 +123,9 @@ def run_script(
         arguments: command-line arguments.
         limits: resource limits.
         environment: variables to add to those of this process.
-        stdin: open file for standard input.
         into: buffer for standard output, written until it is full.
     """
-    return _run([str(file), *arguments], sys.path, limits, environment, stdin=stdin, into=into)
+    return _run([str(file), *arguments], sys.path, limits, environment, into=into)
 
 
 def start_module(
@@ -159,7 +157,6 @@ def _run(
     environment: Mapping[str, str] | None,
     *,
     log: BinaryIO | None = None,
-    stdin: BinaryIO | None = None,
     into: memoryview | None = None,
 ) -> ChildResult:
     process = _start(
@@ -167,7 +164,7 @@ def _run(
         path,
         limits or Limits(),
         environment,
-        stdin=subprocess.DEVNULL if stdin is None else stdin,
+        stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE if log is None else subprocess.STDOUT,
     )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,14 +15,13 @@ from pcbench.cli.options import (
     FILE,
     color_depth_option,
     las_options,
-    las_returns,
-    numbers,
     quiet_option,
     register_option,
     required_crop_option,
     splat_options,
     vertices_option,
 )
+from pcbench.options import parse_integers, parse_returns
 
 if TYPE_CHECKING:
     from pcbench.geometry.arrays import FloatArray
@@ -40,20 +38,23 @@ if TYPE_CHECKING:
 def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool) -> None:
     """Write the points of CLOUD inside a region to OUT, with normals, colours and attributes."""
     from pcbench.errors import InputError
-    from pcbench.io import read_cloud, write_cloud
+    from pcbench.geometry.region_text import region_file
+    from pcbench.io import write_cloud
     from pcbench.io.crop import crop as crop_cloud
-    from pcbench.io.files import check_output, estimate_reading_seconds, file_in_setting
+    from pcbench.io.files import check_output
+    from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
 
     if crop.strip().lower() in ("none", "reference"):
         expected = "box:xmin,ymin,zmin,xmax,ymax,zmax, sphere:x,y,z,r, polygon:FILE or quantile:q"
         raise InputError(f"expected --crop {expected}, got {crop!r}")
-    check_output(out, [cloud, *filter(None, [file_in_setting(crop)])])
+    source = Source.open(cloud)
+    check_output(out, [*source.files, *filter(None, [region_file(crop)])])
     with steps(quiet) as show:
-        reading = estimate_reading_seconds(cloud)
+        reading = source.reading_seconds
         step = ProgressPlan(show, [reading, 0.5 * reading, reading])
         step(f"reading {cloud}")
-        data = read_cloud(cloud, on_warning=warn_unless(quiet), color_depth=color_depth)
+        data = source.read_cloud(warn_unless(quiet), color_depth=color_depth)
         step("cropping")
         try:
             inside = crop_cloud(data, crop)
@@ -94,39 +95,38 @@ def register(
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
-    from pcbench.io.contents import read_with_digest
-    from pcbench.io.files import atomic_write, check_output, estimate_reading_seconds, file_in_setting
-    from pcbench.io.meshes import read_shape
+    from pcbench.io.files import atomic_write, check_output
+    from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
+    from pcbench.registration import parse_method
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
     from pcbench.report.inputs import InputFile
 
     output = JsonOutput(json_file)
-    inputs = [reference, candidate, *filter(None, [file_in_setting(register)])]
+    sources = Source.open(reference), Source.open(candidate, vertices=vertices)
+    method = parse_method(register)
+    inputs = [*sources[0].files, *sources[1].files, *filter(None, [method.file])]
     for path, other in ((out, matrix), (matrix, out)):
         if path is not None:
             check_output(path, inputs, [*filter(None, [other])])
     output.check(inputs, [*filter(None, [out, matrix])])
-    read_warnings: list[list[str]] = []  # per file
+    shapes, files = [], []
     with steps(quiet) as show:
-        reading = [estimate_reading_seconds(path) for path in (reference, candidate)]
+        reading = [source.reading_seconds for source in sources]
         step = ProgressPlan(show, [*reading, 0.5 + 15 * sum(reading)])
-        shapes, digests = [], []
-        for path, as_vertices in ((reference, False), (candidate, vertices)):
-            step(f"reading {path}")
-            read_warnings.append([])
-            shape, found = read_with_digest(
-                path, partial(read_shape, path, on_warning=read_warnings[-1].append, vertices=as_vertices)
-            )
-            shapes.append(shape)
-            digests.append(found)
-            for text in read_warnings[-1]:
+        for source in sources:
+            step(f"reading {source.path}")
+            texts: list[str] = []
+            shape, sha256 = source.read_with_digest(texts.append)
+            for text in texts:
                 warn_unless(quiet)(text)
-            check_lengths(shapes[-1], str(path))
+            check_lengths(shape, str(source.path))
+            shapes.append(shape)
+            files.append(InputFile(str(source.path), sha256, tuple(texts)))
         fixed, moved = shapes
         step("registering")
-        result = register_clouds(fixed, moved, register)
+        result = register_clouds(fixed, moved, method)
         cloud = sample_candidate(moved, fixed)
     text = format_matrix(result.T_reference_candidate)
     if out is not None:
@@ -143,9 +143,7 @@ def register(
         warn_unless(quiet)(str(warning))
     centroid, unit = cloud.points.mean(axis=0), fixed.unit or cloud.unit
     if json_file is not None:
-        files = zip((reference, candidate), digests, read_warnings, strict=True)
-        first, second = (InputFile(str(path), found, tuple(texts)) for path, found, texts in files)
-        output.write(registration_document(result, first, second, centroid, unit))
+        output.write(registration_document(result, files[0], files[1], centroid, unit))
     if not quiet and not output.on_stdout:
         for line in _motion_lines(result, centroid, unit):
             click.echo(f"# {line}")
@@ -221,42 +219,48 @@ def convert(
     from pcbench.geometry.mesh_samples import vertex_cloud
     from pcbench.geometry.reflections import reflection
     from pcbench.geometry.reprojection import convert_unit, project
-    from pcbench.io import check_cloud_output, read_cloud, write_cloud
-    from pcbench.io.files import check_output, errors_named, estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh
+    from pcbench.io import check_cloud_output, write_cloud
+    from pcbench.io.files import errors_named
+    from pcbench.io.las_records import NO_FILTERS, parse_filters
     from pcbench.io.polygons import left_out_surface
+    from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
 
     if from_crs is not None and crs is None:
         raise click.UsageError("--from-crs needs --crs, the new coordinate system")
-    check_output(out, (cloud,))
-    check_cloud_output(out)
-    filters: dict[str, Any] = {
-        "classes": numbers("--classes", classes, int),
-        "returns": las_returns(returns),
-        "min_opacity": min_opacity,
-        "max_axis": max_axis,
-        "color_depth": color_depth,
-    }
-    if sample is not None and not holds_mesh(cloud):
+    with errors_named(cloud):
+        filters = parse_filters(
+            None if classes is None else parse_integers("--classes", classes),
+            None if returns is None else parse_returns("--returns", returns),
+        )
+    source = Source.open(cloud, filters)
+    check_cloud_output(out, source.files)
+    of_clouds = {"min_opacity": min_opacity, "max_axis": max_axis, "color_depth": color_depth}
+    filters_points = drop_nodata or filters != NO_FILTERS or any(value is not None for value in of_clouds.values())
+    if sample is not None and not source.holds_mesh:
         raise InputError(f"{cloud}: --sample needs a mesh, and this file has none")
-    if (sample is not None or is_mesh_only(cloud)) and (drop_nodata or any(v is not None for v in filters.values())):
+    if (sample is not None or source.is_mesh_only) and filters_points:
         raise InputError(
             f"{cloud}: a mesh has no classes, returns, splats, 16-bit colours or missing data: omit these options"
         )
     with steps(quiet) as show:
-        reading = estimate_reading_seconds(cloud)
-        step = ProgressPlan(show, [reading, reading])
+        step = ProgressPlan(show, [source.reading_seconds, source.reading_seconds])
         step(f"reading {cloud}")
         if sample is not None:
-            data = read_mesh(cloud, on_warning=warn_unless(quiet)).sample(sample)
-        elif is_mesh_only(cloud):
-            mesh = read_mesh(cloud, on_warning=warn_unless(quiet))
+            data = source.read_mesh(warn_unless(quiet)).sample(sample)
+        elif source.is_mesh_only:
+            mesh = source.read_mesh(warn_unless(quiet))
             data = vertex_cloud(mesh)
             warn_unless(quiet)(f"{cloud}: {left_out_surface(len(data), pluralize(len(mesh), 'face'))}")
         else:
-            data = read_cloud(cloud, on_warning=warn_unless(quiet), drop_nodata=drop_nodata, **filters)
+            data = source.read_cloud(
+                warn_unless(quiet),
+                min_opacity=min_opacity,
+                max_axis=max_axis,
+                color_depth=color_depth,
+                drop_nodata=drop_nodata,
+            )
         if mirror is not None:
             data = data.transformed(reflection(mirror))
         with errors_named(cloud):
@@ -297,28 +301,27 @@ def _print_info(path: Path) -> None:
     from pcbench.geometry.neighbors import Index
     from pcbench.geometry.sampling import sampling_of
     from pcbench.geometry.splats import is_splat_attribute, splat_model, spread
-    from pcbench.io import read_cloud
-    from pcbench.io.files import estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh, read_vertices
+    from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.words import printable
 
     mesh = sampling = None
     with steps(quiet=False) as show:
-        step = ProgressPlan(show, [estimate_reading_seconds(path), 10 * estimate_reading_seconds(path)])
+        source = Source.open(path)
+        step = ProgressPlan(show, [source.reading_seconds, 10 * source.reading_seconds])
         step(f"reading {path}")
-        if is_mesh_only(path):
-            mesh = read_mesh(path, on_warning=warn)
+        if source.is_mesh_only:
+            mesh = source.read_mesh(warn)
             cloud = vertex_cloud(mesh)
-        elif holds_mesh(path):
-            cloud = read_vertices(path, on_warning=warn)
+        elif source.holds_mesh:
+            cloud = source.read_vertices(warn)
             try:
-                mesh = read_mesh(path, on_warning=warn)
+                mesh = source.read_mesh(warn)
             except InputError as error:  # its points can still be described
                 warn(error)
         else:
-            cloud = read_cloud(path, on_warning=warn)
+            cloud = source.read_cloud(warn)
         lower, upper = cloud.bounds
         if in_degrees := is_in_degrees(cloud.crs, cloud.unit):
             warn(f"{path}: degrees are no lengths: to measure, {projection_command(cloud.crs, *cloud.centre)}")

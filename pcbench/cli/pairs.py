@@ -16,10 +16,10 @@ def read_pair(reference: Path, candidate: Path, seed: int, *, quiet: bool) -> tu
     """Read a reference, and a candidate that is sampled if it is a mesh, with a warning that says so."""
     from pcbench.geometry.mesh import Mesh
     from pcbench.geometry.mesh_samples import sample_candidate, sampling_notice
-    from pcbench.io.meshes import read_shape
+    from pcbench.io.source import Source
 
     warn = warn_unless(quiet)
-    first, second = (read_shape(path, on_warning=warn) for path in (reference, candidate))
+    first, second = (Source.open(path).read(warn) for path in (reference, candidate))
     cloud = sample_candidate(second, first, seed)
     if isinstance(second, Mesh):
         warn(f"{candidate}: {sampling_notice(second, len(cloud), seed, scale=1.0)}")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,72 +18,40 @@ from pcbench.cli.options import (
     figure_options,
     format_option,
     is_given,
-    las_options,
-    las_returns,
     no_figures_option,
-    numbers,
     quiet_option,
     register_option,
     scene_folder,
     scene_options,
     seed_option,
-    share,
-    splat_options,
-    split_names,
-    tiling_choice,
-    tiling_options,
     vertices_option,
 )
+from pcbench.cli.settings_command import SettingsCommand, limit_openblas
 from pcbench.errors import InputError
 
 if TYPE_CHECKING:
-    from pcbench.report.compare_files import ComparisonJob
-    from pcbench.report.comparison import Comparison
+    from pcbench.comparison.request import Request
+    from pcbench.comparison.result import Comparison
     from pcbench.report.figures import Figures
-    from pcbench.report.inputs import SceneFolder
+    from pcbench.report.viewing import SceneFolder
 
 
-@click.command(short_help="Measure candidate clouds against a reference.")
+@click.command(
+    short_help="Measure candidate clouds against a reference.",
+    cls=SettingsCommand,
+    settings=("pcbench.measure.settings:Settings", "pcbench.measure.tiled.settings:TilingSettings"),
+    after="out",
+)
 @click.argument("reference", type=FILE, required=False)
 @click.argument("candidates", type=FILE, nargs=-1)
 @click.option("--out", type=FILE, metavar="FOLDER", help="Folder for the report; an earlier report in it is replaced.")
-@register_option()
-@crop_option
 @click.option(
-    "--thresholds",
-    metavar="T,T,...",
-    help="F-score distance thresholds, in the clouds' unit.  [default: 1, 2 and 5 times the reference's point spacing]",
+    "--workspace",
+    type=FILE,
+    metavar="FOLDER",
+    help="Folder for sorted copies and finished tiles, from which the same command continues after a failure."
+    "  [default: a hidden folder beside --out]",
 )
-@click.option(
-    "--preset",
-    "presets",
-    multiple=True,
-    metavar="NAME",
-    help="Also compute metrics as defined by open3d, pdal or tnt (repeatable); gao2025 and mpeg are always computed.",
-)
-@click.option(
-    "--map",
-    "maps",
-    multiple=True,
-    metavar="NAME",
-    help="Also compute this deviation map: poisson, poisson-meshlab or m3c2 (repeatable).",
-)
-@click.option(
-    "--m3c2",
-    metavar="NAME=VALUE,...",
-    help="Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
-)
-@click.option(
-    "--tolerance",
-    metavar="PERCENT",
-    help="For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
-    " interval of their mean square within this tolerance, such as 1%.",
-)
-@las_options("LAS files")
-@splat_options
-@tiling_options
-@vertices_option
-@seed_option("Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.")
 @click.option(
     "--settings",
     "settings_file",
@@ -109,29 +76,11 @@ if TYPE_CHECKING:
 @click.pass_context
 def compare(
     context: click.Context,
+    /,
     reference: Path | None,
     candidates: tuple[Path, ...],
     out: Path | None,
-    register: str,
-    crop: str,
-    thresholds: str | None,
-    presets: tuple[str, ...],
-    maps: tuple[str, ...],
-    m3c2: str | None,
-    tolerance: str | None,
-    classes: str | None,
-    returns: str | None,
-    min_opacity: float | None,
-    max_axis: float | None,
-    vertices: bool,
-    tiles: str | None,
-    memory: str | None,
-    workers: int | None,
-    cluster: str | None,
-    max_distance: float | None,
-    skip_bad: bool,
     workspace: Path | None,
-    seed: int,
     settings_file: Path | None,
     json_file: str | None,
     table: str | None,
@@ -143,6 +92,7 @@ def compare(
     color_range: float | None,
     figure_format: str | None,
     quiet: bool,
+    **given: Any,
 ) -> None:
     """Measure the distances between CANDIDATES and REFERENCE in both directions.
 
@@ -152,62 +102,36 @@ def compare(
     \b
     Example: pcbench compare ref.ply a.ply b.ply --out report/
     """
-    _limit_openblas()
+    from pcbench.comparison.request import Request, TilingChoice
     from pcbench.measure.settings import Settings
-    from pcbench.report.compare_files import ComparisonJob
+    from pcbench.measure.tiled.settings import TilingSettings
+    from pcbench.options import from_options, options_of
     from pcbench.report.figures import Figures
 
     viewed = scene_folder(context, scene, cameras)
+    tiling = TilingChoice.of(from_options(TilingSettings, given), workspace, is_auto=given["tile_points"] is not None)
     if settings_file is not None:
-        options = [
-            *("register", "crop", "thresholds", "presets", "maps", "m3c2", "classes", "returns", "min_opacity"),
-            *("max_axis", "vertices", "seed", "tolerance", "max_distance", "skip_bad"),
-        ]
-        if reference is not None or any(is_given(context, name) for name in options):
+        numbers_depend_on = {*options_of(Settings), "max_distance", "skip_bad"}
+        if reference is not None or any(is_given(context, name) for name in numbers_depend_on):
             raise click.UsageError(
                 "--settings already has the files and the settings: give only options for outputs, and no REFERENCE or"
                 " CANDIDATES"
             )
-        job = ComparisonJob.from_settings_file(settings_file)
-        job = replace(job, figures=job.figures.with_changes(background, color_range, figure_format))
-        if viewed is not None:
-            job = replace(job, scene=viewed, recorded_cameras=None)
-        job = job.with_tiles(tiling_choice(tiles, memory, workers, cluster, None, False, workspace))
+        request = Request.repeat(settings_file).with_outputs(tiling, viewed)
+        request = replace(request, figures=request.figures.with_changes(background, color_range, figure_format))
+    elif reference is None or not candidates:
+        raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
     else:
-        if reference is None or not candidates:
-            raise click.UsageError("expected a reference and at least one candidate: pcbench compare ref.ply a.ply")
-        settings = Settings(
-            register=register,
-            crop=crop,
-            thresholds=numbers("--thresholds", thresholds, float),
-            presets=split_names(presets),
-            maps=split_names(maps),
-            seed=seed,
-            classes=numbers("--classes", classes, int),
-            returns=las_returns(returns),
-            min_opacity=min_opacity,
-            max_axis=max_axis,
-            vertices=vertices,
-            m3c2=m3c2,
-            tolerance=None if tolerance is None else share("--tolerance", tolerance),
-        )
         figures = Figures().with_changes(background, color_range, figure_format)
-        choice = tiling_choice(tiles, memory, workers, cluster, max_distance, skip_bad, workspace)
-        if "mpeg" in split_names(presets):  # all settings have it; tiles leave it out, unless a user asks for it
-            if choice.when != "if-possible":
-                raise InputError(
-                    "a comparison in tiles does not support the preset mpeg (--preset) in this version: omit"
-                    " --tiles to compare in memory"
-                )
-            choice = None
-        job = ComparisonJob.of(reference, candidates, settings, figures, viewed, choice)
+        settings = from_options(Settings, given)
+        request = Request.of(reference, candidates, settings, figures=figures, scene=viewed, tiles=tiling)
     if table is not None and (full or json_file == "-"):
         raise click.UsageError("--table prints only a table: omit --full, and give --json a file")
-    compare_and_print(job, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
+    compare_and_print(request, out, json_file, figures=not no_figures, quiet=quiet, full=full, table=table)
 
 
 def compare_and_print(
-    job: ComparisonJob,
+    request: Request,
     out: Path | None,
     json_file: str | None,
     *,
@@ -217,15 +141,15 @@ def compare_and_print(
     table: str | None = None,
 ) -> Comparison:
     """Compare files, write the outputs, and print the answer, a table or the JSON document."""
+    from pcbench.comparison.run import Outputs, run
     from pcbench.report import document, print_comparison
-    from pcbench.report.compare_files import Outputs, compare_files
     from pcbench.report.exports import TABLES
     from pcbench.report.notes import warnings
 
     output = JsonOutput(json_file)
-    output.check(job.inputs, folder=out)
+    output.check(request.files, folder=out)
     with steps(quiet) as step:
-        outcome = compare_files(job, Outputs(out, figures), step, notice_unless(quiet))
+        outcome = run(request, Outputs(out, figures), step=step, on_notice=notice_unless(quiet))
     for text in warnings(outcome.comparison):
         LOGGER.warning("%s", text)
     if json_file is not None:
@@ -272,28 +196,21 @@ def deform(
     \b
     Example: pcbench deform ref.ply a.ply --out bend/
     """
-    _limit_openblas()
-    from pcbench.io.files import file_in_setting
-    from pcbench.report.budget import changes_sentence
-    from pcbench.report.deform_files import deform_files
+    limit_openblas()
+    from pcbench.comparison.deform import deform_files
+    from pcbench.io.source import Source
+    from pcbench.measure.settings import Settings
+    from pcbench.report.deformed import deformation_lines
     from pcbench.report.document import deformation_values
     from pcbench.report.figures import Figures
 
     style = Figures().with_changes(background, None, figure_format)
+    settings = Settings(register=register, crop=crop, seed=seed).with_files_read()
+    clouds = Source.open(reference), Source.open(candidate, vertices=vertices)
     output = JsonOutput(json_file)
-    output.check([reference, candidate, *filter(None, map(file_in_setting, (register, crop)))], folder=out)
+    output.check([*(file for source in clouds for file in source.files), *settings.files], folder=out)
     with steps(quiet) as step:
-        outcome = deform_files(
-            reference,
-            candidate,
-            register,
-            crop,
-            seed,
-            out,
-            vertices=vertices,
-            figures=None if no_figures else style,
-            step=step,
-        )
+        outcome = deform_files(*clouds, settings, out, figures=None if no_figures else style, step=step)
     result = outcome.deformation
     output.write(deformation_values(result))
     say = warn_unless(quiet)
@@ -302,22 +219,8 @@ def deform(
     for notice in result.further_warnings:
         say(str(notice))
     if not quiet and not output.on_stdout:
-        click.echo(result.sentence(candidate.name, outcome.unit or "", is_noise=not result.changes))
-        if result.changes:
-            click.echo(changes_sentence(result.changes, outcome.unit))
-        unit = f" {outcome.unit}" if outcome.unit else ""
-        for row in result.rungs:
-            mark = "*" if row.model == result.model else " "
-            score, error = row.cv_score**0.5, row.cv_se / (2 * row.cv_score**0.5 or 1.0)
-            click.echo(f" {mark} {row.model:10} cross-validated residual {score:.4g} ± {error:.2g}{unit}")
-        if noise := result.noise:
-            click.echo(
-                f"noise: white {noise.sigma_white:.3g}{unit}, correlated {noise.sigma_correlated:.3g}{unit}"
-                f" (correlation length {noise.correlation_length:.3g}{unit}); {result.pairs:,} pairs,"
-                f" effectively {noise.n_eff:,.0f} independent ones"
-            )
-        if out is not None:
-            click.echo(f"report: {out}")
+        for line in deformation_lines(result, candidate.name, outcome.unit, out):
+            click.echo(line)
     if outcome.without_figures:
         warn(outcome.without_figures)
 
@@ -364,7 +267,7 @@ def plot(
     Examples: pcbench plot report/ distribution
               pcbench plot scan.las --scalar intensity
     """
-    _limit_openblas()
+    limit_openblas()
     from pcbench.io.colmap import model_file
     from pcbench.report.figures import Figures
 
@@ -437,9 +340,8 @@ def _plot_cloud(
     path: Path, out: Path, look: Figures, scalar: str | None, scene: SceneFolder | None, *, quiet: bool
 ) -> None:
     """Draw the cloud or the mesh in a file."""
-    from pcbench.io import read_cloud
-    from pcbench.io.files import check_output, estimate_reading_seconds
-    from pcbench.io.meshes import holds_mesh, is_mesh_only, read_mesh, read_vertices
+    from pcbench.io.files import check_output
+    from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize
     from pcbench.progress import ProgressPlan
     from pcbench.report.colors import has_colors
@@ -447,20 +349,21 @@ def _plot_cloud(
     from pcbench.report.plot.clouds import draw_cloud
     from pcbench.report.plot.outputs import check_picture
     from pcbench.report.read import MESH_SAMPLES
-    from pcbench.report.reading import viewing_cameras
+    from pcbench.report.viewing import viewing_cameras
 
-    check_output(out, [path, *(() if scene is None else scene.paths())])
+    source = Source.open(path)
+    check_output(out, [*source.files, *(() if scene is None else scene.paths())])
     check_picture(out, FORMATS)
     warn_reader = warn_unless(quiet)
     with steps(quiet) as show:
-        step = ProgressPlan(show, [estimate_reading_seconds(path), *([0.5] if scene is not None else []), 2.0])
+        step = ProgressPlan(show, [source.reading_seconds, *([0.5] if scene is not None else []), 2.0])
         step(f"reading {path}")
-        read = read_vertices if holds_mesh(path) else read_cloud
-        name, cloud = path.stem, None if is_mesh_only(path) else read(path, on_warning=warn_reader)
+        read_points = source.read_vertices if source.holds_mesh else source.read_cloud
+        name, cloud = path.stem, None if source.is_mesh_only else read_points(warn_reader)
         if cloud is None and scalar is not None:
             raise InputError(f"{path}: --scalar needs a cloud with attributes, got a mesh")
-        if cloud is None or (holds_mesh(path) and scalar is None and not has_colors(cloud.colors)):
-            mesh = read_mesh(path, on_warning=warn_reader)
+        if cloud is None or (source.holds_mesh and scalar is None and not has_colors(cloud.colors)):
+            mesh = source.read_mesh(warn_reader)
             name, cloud = f"{name}, {pluralize(len(mesh), 'face')}", mesh.sample(MESH_SAMPLES)
         viewing = None
         if scene is not None:
@@ -473,8 +376,3 @@ def _plot_cloud(
             raise InputError(f"{path}: {error}") from error
     if not quiet:
         click.echo(out)
-
-
-def _limit_openblas() -> None:
-    """Limit OpenBLAS to one thread, before numpy is imported: threads slow down operations on small matrices."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -14,7 +14,6 @@ from pcbench.cli.options import (
     image_scale_option,
     image_size,
     masks_option,
-    numbers,
     quiet_option,
     seed_option,
     size_option,
@@ -23,6 +22,7 @@ from pcbench.cli.options import (
     write_cameras_option,
 )
 from pcbench.errors import InputError
+from pcbench.options import parse_numbers
 
 
 @click.command(short_help="Describe a scene: images, cameras, GPS, masks.")
@@ -160,8 +160,8 @@ def city(
     from pcbench.scenes.synthetic.plan import CitySettings
     from pcbench.scenes.synthetic.render import Optics
 
-    pixels, coefficients = image_size(size), numbers("--distortion", distortion, float)
-    if coefficients is None or len(coefficients) != 4:
+    pixels, coefficients = image_size(size), parse_numbers("--distortion", distortion, float)
+    if len(coefficients) != 4:
         raise InputError(f"expected --distortion as four numbers k1,k2,p1,p2, got {distortion!r}")
     intrinsics = replace(Intrinsics.from_fov(*pixels, fov), distortion=coefficients)
     town = CitySettings(extent, density, height, relief, texture, water, repeated, symmetric, seed)

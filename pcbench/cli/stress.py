@@ -14,10 +14,10 @@ from pcbench.cli.options import (
     quiet_option,
     register_option,
     seed_option,
-    split_names,
 )
 from pcbench.cli.pairs import read_pair
 from pcbench.cli.workers import workers_options
+from pcbench.options import split_names
 
 
 @click.command(short_help="Find where registration, metrics and verdicts break.")

@@ -59,8 +59,8 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
     SfM and dense MVS at two image scales each, and by Gaussian splatting, as centres and as surface (extras plot, sfm,
     mvs, splat).
     """
+    from pcbench.comparison.request import Request
     from pcbench.measure.settings import Settings
-    from pcbench.report.compare_files import ComparisonJob
     from pcbench.scenes.synthetic import demo as make_demo
     from pcbench.scenes.synthetic.files import check_demo_folder, write_demo
     from pcbench.scratch import lock_output
@@ -72,8 +72,8 @@ def demo(out: Path, points: int, seed: int, no_figures: bool, no_bench: bool, qu
         step("building the city")
         scene = make_demo(points, seed)
         files = write_demo(out, scene)
-    job = ComparisonJob(files.reference, files.candidates, Settings(seed=seed), {})
-    comparison = compare_and_print(job, out / "report", None, figures=not no_figures, quiet=quiet)
+    request = Request.of(files.reference, files.candidates, Settings(seed=seed))
+    comparison = compare_and_print(request, out / "report", None, figures=not no_figures, quiet=quiet)
     if not quiet:
         for candidate in comparison.candidates:
             error = scene.registration_error(candidate.name, candidate.registration.T_reference_candidate)
@@ -195,7 +195,8 @@ def bench(
     Example: pcbench bench photos/ --reference truth.ply --method sfm --method mine.py:Mine
              --sweep image_scale=0.25,0.5,1 --seeds 3 --out bench/
     """
-    from pcbench.io.files import file_in_setting
+    from pcbench.geometry.region_text import region_file
+    from pcbench.registration.given import file_named
     from pcbench.studies.bench.plan import Axis
     from pcbench.studies.bench.runs import BenchJob
     from pcbench.studies.bench.score import Rules
@@ -204,7 +205,9 @@ def bench(
     rules = Rules(register, crop, threshold)
     job = BenchJob(scene, reference, methods, axes, seeds, cameras, masks, truth_mesh, time_limit, rules)
     output = JsonOutput(json_file)
-    named = filter(None, [masks, truth_mesh, file_in_setting(register), file_in_setting(crop)])
+    named = filter(
+        None, [masks, truth_mesh, file_named(register, "matrix"), file_named(register, "points"), region_file(crop)]
+    )
     output.check([scene, reference, *named], folder=out)
     chosen = chosen_workers(workers, cluster)
     _bench_and_print(job, out, output, workers=chosen, figures=not no_figures, quiet=quiet)

@@ -8,8 +8,9 @@ import click
 
 from pcbench.cli.json_output import JsonOutput, json_option
 from pcbench.cli.messages import name_files, steps, warn_of_missing
-from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option, share, split_names
+from pcbench.cli.options import FILE, no_figures_option, quiet_option, register_option, seed_option
 from pcbench.cli.pairs import read_pair
+from pcbench.options import parse_share, split_names
 
 
 @click.command(short_help="Find a cheaper comparison that is accurate enough.")
@@ -73,14 +74,14 @@ def tradeoff(
     from pcbench.studies.tradeoff.results import KIND, TradeoffSettings
     from pcbench.studies.tradeoff.study import run_tradeoff
     from pcbench.studies.tradeoff.table import tradeoff_table
-    from pcbench.studies.tradeoff.words import answer, bias_sentences, verdict_sentences, warnings
+    from pcbench.studies.tradeoff.words import warnings
 
     changes = {
-        "tolerance": share("--tolerance", tolerance),
+        "tolerance": parse_share("--tolerance", tolerance),
         "seed": seed,
         "register": register,
         "only": split_names((only,)) if only else (),
-        **({} if levels is None else {"levels": tuple(share("--levels", text) for text in levels.split(","))}),
+        **({} if levels is None else {"levels": tuple(parse_share("--levels", text) for text in levels.split(","))}),
         **({} if seeds is None else {"seeds": seeds}),
     }
     settings = TradeoffSettings.quick_plan(**changes) if quick else TradeoffSettings(**changes)  # type: ignore[arg-type]
@@ -96,15 +97,10 @@ def tradeoff(
     if json_file is not None:
         output.write(KIND.values(outcome.study))
     if not quiet and not output.on_stdout:
-        for sentence in answer(outcome.study):
-            click.echo(sentence)
-        for line in warnings(outcome.study):
+        for line in (*outcome.study.sentences, *warnings(outcome.study)):
             click.echo(line)
         click.echo()
         click.echo(tradeoff_table(outcome.study))
-        click.echo()
-        for sentence in (*bias_sentences(outcome.study), *verdict_sentences(outcome.study)):
-            click.echo(sentence)
         if out is not None:
             click.echo()
             click.echo(name_files("report", out, "tradeoff.md", "tradeoff.csv", "tradeoff.json"))

@@ -13,7 +13,7 @@ from pcbench.cli.options import FILE, scene_folder, scene_options
 from pcbench.errors import InputError
 
 if TYPE_CHECKING:
-    from pcbench.report.inputs import SceneFolder
+    from pcbench.report.viewing import SceneFolder
 
 
 @click.command(short_help="Show a report, a cloud or a mesh in a window.")

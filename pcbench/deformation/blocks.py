@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import Cells, cells
 
 _BLOCKS_ALONG_SCENE = 10  # noise correlated over a 25th of the scene still has independent samples in each
@@ -36,18 +37,18 @@ def noise_sizes(places: FloatArray, residuals: FloatArray, weights: FloatArray, 
     everything = np.bincount(blocks.of_point, weights, count)
     is_noisy = lengths > min(exact, _EXACT_SHARE * float(np.percentile(lengths, 90)))
     total = np.bincount(blocks.of_point, weights * is_noisy, count).astype(np.float64)
-    known = (total > _MIN_NOISY_WEIGHT * everything) & (total > 0)
-    if np.count_nonzero(known) < _MIN_NOISY_BLOCKS * np.count_nonzero(everything):
-        return np.full(len(places), 1.4826 * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
-    sizes = 1.4826 * _medians(lengths, weights * is_noisy, blocks.of_point)
-    known &= sizes > 0
-    if not known.any():
+    has_noise = (total > _MIN_NOISY_WEIGHT * everything) & (total > 0)
+    if np.count_nonzero(has_noise) < _MIN_NOISY_BLOCKS * np.count_nonzero(everything):
+        return np.full(len(places), NORMAL_MAD * float(_medians(lengths, weights, np.zeros(len(lengths), np.int64))[0]))
+    sizes = NORMAL_MAD * _medians(lengths, weights * is_noisy, blocks.of_point)
+    has_noise &= sizes > 0
+    if not has_noise.any():
         return np.zeros(len(places))
-    typical = float(np.median(sizes[known]))
-    logarithms = np.log(np.maximum(np.where(known, sizes, typical), _MIN_SIZE * typical))
-    means = _kernel_means(places, blocks, logarithms, np.where(known, total, 0.0), _FAR_WIDTH_BLOCKS * side)
-    found: FloatArray = np.exp(means)
-    return found
+    typical = float(np.median(sizes[has_noise]))
+    logarithms = np.log(np.maximum(np.where(has_noise, sizes, typical), _MIN_SIZE * typical))
+    means = _kernel_means(places, blocks, logarithms, np.where(has_noise, total, 0.0), _FAR_WIDTH_BLOCKS * side)
+    noise: FloatArray = np.exp(means)
+    return noise
 
 
 def smooth(places: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
@@ -90,7 +91,7 @@ def _kernel_means(
 ) -> FloatArray:
     """Return (N,) Gaussian-kernel means of block values (M,) with weights (M,), evaluated at each position's block."""
     means = np.stack([blocks.means(places[:, axis]) for axis in range(3)], axis=1)
-    apart = np.square(means[:, None] - means[None]).sum(axis=2)
-    share = np.exp(-0.5 * apart / reach**2) * weights + 1e-12 * weights.max()
-    found: FloatArray = (share @ values / share.sum(axis=1))[blocks.of_point]
-    return found
+    squared_distances = np.square(means[:, None] - means[None]).sum(axis=2)
+    share = np.exp(-0.5 * squared_distances / reach**2) * weights + 1e-12 * weights.max()
+    smoothed: FloatArray = (share @ values / share.sum(axis=1))[blocks.of_point]
+    return smoothed

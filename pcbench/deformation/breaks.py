@@ -49,7 +49,7 @@ def find_break(view: PairEvidence) -> Break | None:
     geometry, scores = view.geometry, view.scores
     affine = geometry.half("affine")
     coefficients = affine @ (affine.T @ scores.total)
-    left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
+    remainders = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
     energy = float(scores.energy.sum()) - geometry.explained_sum(scores, "affine")
     smooth = geometry.explained_sum(scores, "cubic") - geometry.explained_sum(scores, "affine")
     if energy <= 0:
@@ -63,7 +63,7 @@ def find_break(view: PairEvidence) -> Break | None:
         part = np.cumsum(geometry.weights[order]) / geometry.weights.sum()
         inner = np.flatnonzero((part >= _MIN_WEIGHT_SHARE) & (part <= 1 - _MIN_WEIGHT_SHARE))
         # Sums over the cells below each cut; the cells above contribute the same with the opposite sign.
-        h, g = np.cumsum(left[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
+        h, g = np.cumsum(remainders[order], axis=0)[inner], np.cumsum(geometry.information[order], axis=0)[inner]
         z = np.cumsum(seen[order], axis=0)[inner]
         matrix = g - np.einsum("cak,cal->ckl", z, z)
         values, vectors = np.linalg.eigh(matrix)

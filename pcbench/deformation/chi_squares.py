@@ -56,20 +56,20 @@ def chi_squares_quantile(tail: float, weights: FloatArray) -> float:
     value = float(np.maximum(weights, 0).sum())
     if value <= 0:
         return 0.0
-    known = excess(value)
-    factor = 2.0 if known > 0 else 0.5
+    excess_here = excess(value)
+    factor = 2.0 if excess_here > 0 else 0.5
     other = value * factor
-    while (beyond := excess(other)) * known > 0:
-        value, known, other = other, beyond, other * factor
+    while (beyond := excess(other)) * excess_here > 0:
+        value, excess_here, other = other, beyond, other * factor
     # Illinois variant of false position: the logarithm of a tail is nearly linear.
-    while abs(known) > _TAIL_TOLERANCE and value != other:
-        middle = (value * beyond - other * known) / (beyond - known)
+    while abs(excess_here) > _TAIL_TOLERANCE and value != other:
+        middle = (value * beyond - other * excess_here) / (beyond - excess_here)
         between = excess(middle)
-        if between * known < 0:
-            other, beyond = value, known
+        if between * excess_here < 0:
+            other, beyond = value, excess_here
         else:
             beyond *= 0.5
-        value, known = middle, between
+        value, excess_here = middle, between
     return value
 
 

@@ -52,16 +52,17 @@ def deform(
     """
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise InputError(f"expected the seed as a whole number >= 0, got {type(seed).__name__}")
-    given, moved = to_shape(reference), to_shape(candidate)
-    reference, candidate = sample_reference(given, seed), sample_candidate(moved, given, seed)
+    reference_shape, candidate_shape = to_shape(reference), to_shape(candidate)
+    reference = sample_reference(reference_shape, seed)
+    candidate = sample_candidate(candidate_shape, reference_shape, seed)
     origin = local_origin(reference)
-    target = Target.of(reference, origin, is_sampled=isinstance(given, Mesh))
-    found = register(reference, candidate, method, target=target)
-    if isinstance(moved, Mesh):
-        scale, spacing = found.T_local.scale, None if target.is_sampled else target.surface.spacing
-        notice = sampling_notice(moved, len(candidate), seed, scale=scale, spacing=spacing)
-        found = replace(found, warnings=(notice, *found.warnings))
-    aligned = Surface(Index(found.T_local.apply(candidate.points - origin)), is_even=False)
+    target = Target.of(reference, origin, is_sampled=isinstance(reference_shape, Mesh))
+    registration = register(reference, candidate, method, target=target)
+    if isinstance(candidate_shape, Mesh):
+        scale, spacing = registration.T_local.scale, None if target.is_sampled else target.surface.spacing
+        notice = sampling_notice(candidate_shape, len(candidate), seed, scale=scale, spacing=spacing)
+        registration = replace(registration, warnings=(notice, *registration.warnings))
+    aligned = Surface(Index(registration.T_local.apply(candidate.points - origin)), is_even=False)
     region = as_region(crop, reference)
     region = None if region is None else region.shifted(origin)
     sides = []
@@ -69,5 +70,5 @@ def deform(
         sides.append(Side(points, points_inside(points.points, region, crop, f"the {name}'s", origin), cloud))
     changes = separate_changes(*sides).of_points(target.surface.points, aligned.points)
     ours, theirs = sides[0].without(changes.of_reference), sides[1].without(changes.of_candidate)
-    deformation = residual_deformation(ours, theirs, found, origin, seed=seed)
-    return found, replace(deformation, changes=changes.shifted(origin).found)
+    deformation = residual_deformation(ours, theirs, registration, origin, seed=seed)
+    return registration, replace(deformation, changes=changes.shifted(origin).found)

@@ -62,9 +62,9 @@ class Displacement(NamedTuple):
         to_orthonormal = np.linalg.inv(np.linalg.cholesky(squares + _RIDGE * np.eye(len(squares))))
         basis = np.kron(to_orthonormal, np.eye(3))
         information, fields = np.linalg.eigh(basis @ normal_matrix(moments) @ basis.T / weights.sum())
-        along = fields.T @ (basis @ scores.ravel()) / weights.sum()
-        found = fields @ (information / (np.square(information) + half_damped_information**2) * along)
-        return self._replace(coefficients=(basis.T @ found).reshape(-1, 3))
+        loads = fields.T @ (basis @ scores.ravel()) / weights.sum()
+        solution = fields @ (information / (np.square(information) + half_damped_information**2) * loads)
+        return self._replace(coefficients=(basis.T @ solution).reshape(-1, 3))
 
     def _inside(self, places: FloatArray) -> FloatArray:
         inside: FloatArray = np.clip((places - self.center) / self.radius, -1, 1)
@@ -72,7 +72,12 @@ class Displacement(NamedTuple):
 
 
 def projected_share(
-    places: FloatArray, normals: FloatArray, residuals: FloatArray, weights: FloatArray, bend: FloatArray, gauge: str
+    places: FloatArray,
+    normals: FloatArray,
+    residuals: FloatArray,
+    weights: FloatArray,
+    deformation: FloatArray,
+    gauge: str,
 ) -> tuple[float, float]:
     """Return the share of a known deformation (N,) in the residuals along the normals, and its RMS.
 
@@ -83,7 +88,7 @@ def projected_share(
     if gauge == "similarity":
         columns.append(np.einsum("ni,ni->n", x, normals))
     matrix = np.stack(columns, axis=1) * np.sqrt(weights)[:, None]
-    known, seen = bend * np.sqrt(weights), residuals * np.sqrt(weights)
-    known = known - matrix @ np.linalg.lstsq(matrix, known, rcond=1e-6)[0]
-    power = float(known @ known)
-    return float(known @ seen) / max(power, 1e-300), math.sqrt(power / float(weights.sum()))
+    expected, observed = deformation * np.sqrt(weights), residuals * np.sqrt(weights)
+    expected = expected - matrix @ np.linalg.lstsq(matrix, expected, rcond=1e-6)[0]
+    power = float(expected @ expected)
+    return float(expected @ observed) / max(power, 1e-300), math.sqrt(power / float(weights.sum()))

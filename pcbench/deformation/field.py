@@ -31,11 +31,11 @@ class CellDisplacements:
     def __init__(self, geometry: Geometry, scores: Scores, noise: Noise, sums: TileSums) -> None:
         self._geometry, self._scores, self._noise = geometry, scores, noise
         rigid = geometry.fit("rigid", scores.total)
-        left = scores.translations - np.einsum("cik,i->ck", geometry.translations, rigid)
+        remainders = scores.translations - np.einsum("cik,i->ck", geometry.translations, rigid)
         information = geometry.information[:, 2, 2]
         seen = (information > 0.1 * geometry.weights) & (sums.counts >= 5)
         with np.errstate(invalid="ignore", divide="ignore"):
-            self.vertical = np.where(seen, left[:, 2] / information, np.nan)
+            self.vertical = np.where(seen, remainders[:, 2] / information, np.nan)
         self._seen = np.flatnonzero(seen)
         self._weights = information[seen]
         load = geometry.load[seen, 2, 2] / self._weights
@@ -121,12 +121,12 @@ def local_changes(
     changed = np.zeros(len(p), dtype=bool)
     if len(passed):
         changed[order[: passed[-1] + 1]] = True
-    apart = np.where(constrained, np.einsum("cik,ci->ck", vectors, sums.apart) / safe, 0.0)
-    length = np.sqrt(np.square(apart).sum(axis=1))
+    offsets = np.where(constrained, np.einsum("cik,ci->ck", vectors, sums.local_sizes) / safe, 0.0)
+    length = np.sqrt(np.square(offsets).sum(axis=1))
     changed &= tested & (length > negligible)
     farthest = int(np.argmax(np.where(changed, length, -1.0)))
     x, y, z = map(float, geometry.means[farthest])
-    found = LocalChanges(
+    local = LocalChanges(
         tiles_tested=int(tested.sum()),
         tiles_changed=int(changed.sum()),
         fdr=FDR,
@@ -134,19 +134,19 @@ def local_changes(
         at=(x, y, z) if changed.any() else None,
         largest_group=_largest_group(geometry.means[changed], _ADJACENT * sums.side),
     )
-    return changed, np.where(tested, length, np.nan), found
+    return changed, np.where(tested, length, np.nan), local
 
 
 def _largest_group(places: FloatArray, reach: float) -> int:
     """Return the size of the largest group of places (K, 3) that are linked by steps of at most `reach`."""
-    left, largest = places, 0
-    while len(left) > largest:
-        front, left, size = [left[0]], left[1:], 1
+    others, largest = places, 0
+    while len(others) > largest:
+        front, others, size = [others[0]], others[1:], 1
         while front:
-            is_near = np.square(left - front.pop()).sum(axis=1) <= reach**2
-            front.extend(left[is_near])
+            is_near = np.square(others - front.pop()).sum(axis=1) <= reach**2
+            front.extend(others[is_near])
             size += int(np.count_nonzero(is_near))
-            left = left[~is_near]
+            others = others[~is_near]
         largest = max(largest, size)
     return largest
 

@@ -137,13 +137,13 @@ class Geometry:
     @cached_property
     def kernels(self) -> list[FloatArray]:
         """Correlation (C, C) of each kernel: averaged over the patches of two cells, or over the pairs in one cell."""
-        found = []
+        kernels = []
         for length, near in zip(self.lengths, self._near.T, strict=True):
             squared = length**2 + self._within
             kernel = length**2 / squared * np.exp(-self._apart / (2 * squared))
             np.fill_diagonal(kernel, near)
-            found.append(kernel)
-        return found
+            kernels.append(kernel)
+        return kernels
 
     def mixture(self, noise: Noise) -> FloatArray:
         """Covariance (C, C) of the correlated noise between the means of cells."""
@@ -230,12 +230,12 @@ class Geometry:
         spread = inverse @ self.white @ inverse
         load = self.load
         squares = load.reshape(count, 9) @ load.reshape(count, 9).T
-        apart = np.sqrt(self._apart) / self.side
-        np.fill_diagonal(apart, 0.0)
+        distances = np.sqrt(self._apart) / self.side
+        np.fill_diagonal(distances, 0.0)
         rows, masks = [], []
         kept = np.ones(len(self.lengths))
         for low, high in pairwise(_LAGS):
-            mask = ((apart > low) & (apart <= high)).astype(np.float64)
+            mask = ((distances > low) & (distances <= high)).astype(np.float64)
             dz = (mask @ z.reshape(count, -1)).reshape(z.shape)
             inner = z.reshape(-1, z.shape[2]).T @ dz.reshape(-1, z.shape[2])
             half = np.einsum("cij,cje->cie", load, dz) - 0.5 * q @ inner
@@ -267,9 +267,9 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
     """Estimate the variance components by non-negative least squares on moments of the cubic model's residuals."""
     expected, masks, kept = geometry.noise_design
     coefficients = geometry.fit("cubic", scores.total)
-    left = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
-    products = left @ left.T
-    power = np.square(left).sum(axis=1)
+    remainders = scores.translations - np.einsum("cik,i->ck", geometry.translations, coefficients)
+    products = remainders @ remainders.T
+    power = np.square(remainders).sum(axis=1)
     rows, values, sigmas = [], [], []
     for row, mask in zip(expected, masks, strict=True):
         rows.append(row)
@@ -281,8 +281,8 @@ def estimate_noise(geometry: Geometry, scores: Scores) -> Noise:
         values.append(float(power_within))
         sigmas.append(0.05 * float(power_within))  # many sub-cells, but long-range noise is common to many of them
     scale = 1 / np.maximum(sigmas, 1e-300)
-    found = nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
-    return Noise(float(found[0]), found[1:], geometry.lengths)
+    variances = nonnegative_least_squares(np.array(rows) * scale[:, None], np.array(values) * scale)
+    return Noise(float(variances[0]), variances[1:], geometry.lengths)
 
 
 def _kind(terms: dict[str, list[tuple[int, int, int]]]) -> FloatArray:

@@ -21,6 +21,7 @@ from pcbench.deformation.sums import TileSums
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.sampling import line_gaps, median_spacing
 from pcbench.geometry.voxels import cells
 
@@ -58,8 +59,8 @@ class Pairs:
         residuals: (N,) n . (p - q), outliers limited.
         weights: (N,) from 0 to 1.
         scales: (N,) relative scale of the noise, about 1.
-        left: (N,) residuals from the largest model, outliers limited.
-        apart: (N,) residuals from the largest model, as measured.
+        remainders: (N,) residuals from the largest model, outliers limited.
+        raw_remainders: (N,) residuals from the largest model, as measured.
         quality: (N,) factor of the weights that does not depend on the residuals.
         areas: (N,) surface area that each pair represents, in any unit.
         inliers: share of the pairs within the support of Tukey's biweight.
@@ -76,8 +77,8 @@ class Pairs:
     residuals: FloatArray
     weights: FloatArray
     scales: FloatArray
-    left: FloatArray
-    apart: FloatArray
+    remainders: FloatArray
+    raw_remainders: FloatArray
     quality: FloatArray
     areas: FloatArray
     inliers: float
@@ -87,12 +88,6 @@ class Pairs:
     plane_spacing: float
     distance: float
     field: Displacement
-
-
-def find_pairs(reference: Side, candidate: Side, follow: bool = True) -> Pairs | None:
-    """Pair points of the sparser cloud with tangent planes of the denser one; see `PairSearch`."""
-    search = PairSearch.of(reference, candidate)
-    return None if search is None else search.find(follow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,19 +160,19 @@ class PairSearch:
         points, surface = self.queries.surface.points[self.rows], self.surface.surface
         lower, upper = np.percentile(points, [1, 99], axis=0)
         field = Displacement.zero((lower + upper) / 2, 0.6 * float((upper - lower).max()))
-        pairs, closest, bend = None, self.closest, np.zeros_like(points)
+        pairs, closest, displacements = None, self.closest, np.zeros_like(points)
         for _ in range(_MAX_WIDENINGS if follow else 1):
-            near, max_distance = _near_queries(closest.distances, bend, surface.spacing)
+            near, max_distance = _near_queries(closest.distances, displacements, surface.spacing)
             matches = Matches(closest.distances[near], closest.indices[near])
             fitted = _graduated_fit(self, self.rows[near], matches, field, max_distance, follow=follow)
             if fitted is None:
                 break
             pairs, field = fitted
-            before, bend = bend, field(points)
-            change = np.sqrt(np.square(bend - before).sum(axis=1).mean())
+            before, displacements = displacements, field(points)
+            change = np.sqrt(np.square(displacements - before).sum(axis=1).mean())
             if change <= max(_MIN_FIELD_CHANGE * surface.spacing, pairs.noise):
                 break
-            closest = surface.index.query(points - self.sign * bend, hint=closest.indices)
+            closest = surface.index.query(points - self.sign * displacements, hint=closest.indices)
         return None if pairs is None else (pairs, field)
 
 
@@ -196,7 +191,7 @@ class _PlanePairs(NamedTuple):
     noise: float  # robust standard deviation of the residuals from the model
 
 
-def _near_queries(distances: FloatArray, bend: FloatArray, spacing: float) -> tuple[IntArray, float]:
+def _near_queries(distances: FloatArray, displacements: FloatArray, spacing: float) -> tuple[IntArray, float]:
     """Select the query points that may have a counterpart under a displacement, and the maximum distance for that.
 
     The nearest tenth lies on the surface even at small overlap, and deformations are a few times larger. Voxel
@@ -204,11 +199,11 @@ def _near_queries(distances: FloatArray, bend: FloatArray, spacing: float) -> tu
 
     Args:
         distances: (M,) distances of the displaced points to their closest points.
-        bend: (M, 3) displacements.
+        displacements: (M, 3) displacements.
         spacing: spacing of the searched cloud.
     """
     lowest_tenth, lowest_quarter = (float(np.percentile(distances, q)) for q in (10, 25))
-    reach = _FIELD_REACH * float(np.percentile(np.linalg.norm(bend, axis=1), 95))
+    reach = _FIELD_REACH * float(np.percentile(np.linalg.norm(displacements, axis=1), 95))
     max_distance = max(10 * lowest_tenth, 3 * lowest_quarter, 5 * spacing, reach)
     near = np.flatnonzero(distances <= max_distance)
     return near[:: max(1, -(-len(near) // _MAX_PAIRS))], max_distance
@@ -240,16 +235,16 @@ def _graduated_fit(
         final = number >= _ROUNDS - 3
         some = slice(None, None, 1 if final else coarse_step)
         points = search.queries.surface.points[rows[some]]
-        bend = field(points)
+        displacements = field(points)
         if follow and number > 0:
-            closest = surface.index.query(points - search.sign * bend, hint=last_closest[some])
+            closest = surface.index.query(points - search.sign * displacements, hint=last_closest[some])
             last_closest[some] = closest.indices
         else:
             closest = Matches(matches.distances[some], matches.indices[some])
-        found = _weighted_planes(search, rows[some], closest, bend, max_distance, final=final)
-        if found is None or not found.weights.any():
+        weighted = _weighted_planes(search, rows[some], closest, displacements, max_distance, final=final)
+        if weighted is None or not weighted.weights.any():
             return None
-        pairs = found
+        pairs = weighted
         field = field.fit(pairs.queries, pairs.normals, pairs.residuals, pairs.weights, pairs.noise)
         narrower = 0.6 * max_distance if number < _ROUNDS - 4 else 0.0
         max_distance = max(narrower, min_distance, min(4 * pairs.noise, max_distance))
@@ -257,7 +252,7 @@ def _graduated_fit(
 
 
 def _weighted_planes(
-    search: PairSearch, rows: IntArray, matches: Matches, bend: FloatArray, max_distance: float, *, final: bool
+    search: PairSearch, rows: IntArray, matches: Matches, displacements: FloatArray, max_distance: float, *, final: bool
 ) -> _PlanePairs | None:
     """Weight the pairs of query points and tangent planes within a distance; None if there are too few.
 
@@ -265,7 +260,7 @@ def _weighted_planes(
         search: both clouds.
         rows: (N,) rows of the query points.
         matches: their closest points.
-        bend: (N, 3) displacements by the current model.
+        displacements: (N, 3) displacements by the current model.
         max_distance: maximum correspondence distance.
         final: whether the weights use the local noise; before, nearly all pairs within the distance count.
     """
@@ -276,13 +271,13 @@ def _weighted_planes(
     points, closest = queries.surface.points[rows[near]], matches.indices[near]
     normals = surface.surface.normals(closest)
     residuals = search.sign * np.einsum("ni,ni->n", points - surface.surface.points[closest], normals)
-    left = residuals - np.einsum("ni,ni->n", bend[near], normals)
+    remainders = residuals - np.einsum("ni,ni->n", displacements[near], normals)
     variation = surface.surface.variation(closest)
     quality = _smoothness(variation) * (queries.class_weights(rows[near]) * surface.class_weights(closest))
     if final:
-        sizes = noise_sizes(points, left, quality, exact=RESOLUTION_SHARE * surface.surface.spacing)
+        sizes = noise_sizes(points, remainders, quality, exact=RESOLUTION_SHARE * surface.surface.spacing)
     else:
-        sizes = np.full(len(left), 1.4826 * float(np.median(np.abs(left))))
+        sizes = np.full(len(remainders), robust_sigma(remainders))
     width = np.maximum(_TUKEY_CONSTANT * sizes, 0.0 if final else 0.5 * max_distance) + 1e-300
     return _PlanePairs(
         points,
@@ -293,14 +288,14 @@ def _weighted_planes(
         quality,
         variation,
         width,
-        weights=quality * np.square(1 - _squared_ratios(left, width)),
+        weights=quality * np.square(1 - _squared_ratios(remainders, width)),
         noise=float(np.median(sizes)),
     )
 
 
-def _squared_ratios(left: FloatArray, width: FloatArray) -> FloatArray:
+def _squared_ratios(remainders: FloatArray, width: FloatArray) -> FloatArray:
     """Squared ratios (N,) of residuals to the width of Tukey's biweight, clamped to 1, where the weight is zero."""
-    squared: FloatArray = np.square(np.clip(left / width, -1, 1))
+    squared: FloatArray = np.square(np.clip(remainders / width, -1, 1))
     return squared
 
 
@@ -308,11 +303,11 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
     """Turn the robust fit to the final pairs into pseudo-values for least squares."""
     places, spacings = _local_means(surface, pairs.closest)
     quality = pairs.quality
-    field, fitted, left = _fit_frozen_pairs(pairs, field, places)
-    squared = _squared_ratios(left, pairs.width)
-    slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function left * (1 - squared)^2
+    field, fitted, remainders = _fit_frozen_pairs(pairs, field, places)
+    squared = _squared_ratios(remainders, pairs.width)
+    slopes = (1 - squared) * (1 - 5 * squared)  # slope of Tukey's influence function remainder * (1 - squared)^2
     mean_slope = np.maximum(smooth(pairs.queries, slopes, quality), _MIN_INFLUENCE_SLOPE)
-    limited = left * np.square(1 - squared) / mean_slope
+    limited = remainders * np.square(1 - squared) / mean_slope
     power = _powers(pairs, np.square(limited))
     weights, areas = quality * mean_slope, _areas(pairs.queries)
     return Pairs(
@@ -321,8 +316,8 @@ def _freeze(pairs: _PlanePairs, field: Displacement, surface: Surface) -> Pairs:
         residuals=fitted + limited,
         weights=weights,
         scales=np.sqrt(power / np.average(power, weights=quality)) if power.any() else np.ones(len(power)),
-        left=limited,
-        apart=left,
+        remainders=limited,
+        raw_remainders=remainders,
         quality=quality,
         areas=areas,
         inliers=float(np.average(squared < 1, weights=quality)),
@@ -378,15 +373,15 @@ def _fit_frozen_pairs(
     Damping is minimal, because no further closest points are searched.
     """
     weights = pairs.weights
-    left = np.full(len(pairs.residuals), np.inf)
+    remainders = np.full(len(pairs.residuals), np.inf)
     for _ in range(_MAX_FINAL_FITS):
         field = field.fit(places, pairs.normals, pairs.residuals, weights, pairs.noise, _FINAL_HALF_DAMPED_INFORMATION)
         fitted: FloatArray = np.einsum("ni,ni->n", field(places), pairs.normals)
-        before, left = left, pairs.residuals - fitted
-        if np.abs(left - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
+        before, remainders = remainders, pairs.residuals - fitted
+        if np.abs(remainders - before).max() <= _CONVERGENCE_TOLERANCE * pairs.noise:
             break
-        weights = pairs.quality * np.square(1 - _squared_ratios(left, pairs.width))
-    return field, fitted, left
+        weights = pairs.quality * np.square(1 - _squared_ratios(remainders, pairs.width))
+    return field, fitted, remainders
 
 
 def tile_sums(pairs: Pairs) -> TileSums:
@@ -409,8 +404,8 @@ def tile_sums(pairs: Pairs) -> TileSums:
         pairs.residuals[kept],
         pairs.weights[kept],
         scales=pairs.scales[kept],
-        left=pairs.left[kept],
-        apart=pairs.apart[kept],
+        remainders=pairs.remainders[kept],
+        raw_remainders=pairs.raw_remainders[kept],
         quality=pairs.quality[kept],
         areas=pairs.areas[kept],
         lower=lower - 0.1 * span,

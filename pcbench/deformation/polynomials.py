@@ -105,23 +105,23 @@ def whole_normal_equations(
     for start in range(0, len(places), _EXACT_PAIRS):
         some = slice(start, start + _EXACT_PAIRS)
         n, values = normals[some], _digits(monomials(places[some], len(_PRODUCTS)), 2)
-        products, left = _digits(n[:, rows] * n[:, columns], 2), _digits(residuals[some, None] * n, 3)
+        products, loads = _digits(n[:, rows] * n[:, columns], 2), _digits(residuals[some, None] * n, 3)
         for i, value in enumerate(values):
             for j, digit in enumerate(products):
                 moments[i + j] += (value @ digit).astype(np.int64)
-            for j, digit in enumerate(left):
+            for j, digit in enumerate(loads):
                 scores[i + j] += (value[: len(EXPONENTS)] @ digit).astype(np.int64)
     return moments, scores
 
 
 def _digits(values: FloatArray, count: int) -> list[FloatArray]:
     """Return digits of values, in units of 2^-40, the lowest one first: the sum of products of 4,096 is exact."""
-    left, found = np.rint(values * _DIGIT**2), []
+    rest, digits = np.rint(values * _DIGIT**2), []
     for _ in range(count - 1):
-        higher = np.floor(left / _DIGIT)
-        found.append(left - higher * _DIGIT)
-        left = higher
-    return [*found, left]
+        higher = np.floor(rest / _DIGIT)
+        digits.append(rest - higher * _DIGIT)
+        rest = higher
+    return [*digits, rest]
 
 
 def value_of_digits(digits: NDArray[Any]) -> FloatArray:
@@ -156,13 +156,13 @@ def gram_matrix(moments: FloatArray) -> FloatArray:
 def mean_squared_gradients(squares: FloatArray) -> FloatArray:
     """Return (20,) mean squared gradients of the monomials, from their (20, 20) mean products."""
     row = {tuple(powers): number for number, powers in enumerate(EXPONENTS.tolist())}
-    found = np.zeros(len(EXPONENTS))
+    integrals = np.zeros(len(EXPONENTS))
     for number, powers in enumerate(EXPONENTS.tolist()):
         for axis in range(3):
             if powers[axis]:
                 lower = row[tuple(p - (k == axis) for k, p in enumerate(powers))]
-                found[number] += powers[axis] ** 2 * squares[lower, lower]
-    return found
+                integrals[number] += powers[axis] ** 2 * squares[lower, lower]
+    return integrals
 
 
 def model_columns(model: str) -> FloatArray:

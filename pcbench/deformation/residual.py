@@ -22,6 +22,7 @@ from pcbench.deformation.waves import find_waves
 from pcbench.errors import Notice, RegistrationError
 from pcbench.geometry.arrays import FloatArray, rounding_bound
 from pcbench.geometry.crs import euclidean_offsets
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.transform import Similarity
 from pcbench.registration import Registration, Target
 from pcbench.registration.quality import assess_given
@@ -92,8 +93,8 @@ def residual_deformation(
             " clouds, or classes without vegetation (--classes)"
         )
         finding = finding.as_undecided(Notice("rough-places", text))
-    found = find_waves(pairs)
-    wave = _stated_wave(found.wave, views[0].noise, resolution)
+    waves = find_waves(pairs)
+    wave = _stated_wave(waves.wave, views[0].noise, resolution)
     if wave is not None:
         plain = search.find(follow=False)  # as for the other models
         wave = None if plain is None or find_waves(plain).wave is None else wave
@@ -110,7 +111,7 @@ def residual_deformation(
     which = -1 if (finding.conditional or finding.verdict) == "none" else 0
     described, whole = views[which], wholes[which]
     answer = describe(described, finding, resolution=resolution, seed=seed)
-    answer = answer.with_waves(wave, found.limit).without_empty_denial()
+    answer = answer.with_waves(wave, waves.limit).without_empty_denial()
     if described is not whole:
         answer = answer.with_changes(describe(whole, finding, resolution=resolution, seed=seed))
     if finding.verdict == "undecided" and finding.conditional is None and finding.warnings[0].code in _POSE_CODES:
@@ -207,7 +208,7 @@ def _without_map_projection(
     cm at 500 m).
     """
     ours, theirs = reference.cloud.crs, candidate.cloud.crs
-    noise = 1.4826 * float(np.median(np.abs(pairs.left)))
+    noise = robust_sigma(pairs.remainders)
     if ours is None and theirs is None and float(np.abs(origin).max()) > _MIN_MAP_COORDINATE:
         sagitta = extent(pairs.places) ** 2 / (8 * _EARTH_RADIUS)
         if sagitta > 0.2 * noise and noise > rounding_bound(reference.corners, origin):
@@ -225,10 +226,10 @@ def _without_map_projection(
     if offsets is None:
         return pairs, []
     # A point at q on the map is at q + offset in space, so a Euclidean candidate seems displaced by the offset.
-    bend = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
+    expected = np.einsum("ni,ni->n", offsets if theirs is None else -offsets @ T.linear.T, pairs.normals)
     gauge = "similarity" if registration.solved_scale else "rigid"
-    share, size = projected_share(pairs.places, pairs.normals, pairs.residuals, pairs.weights, bend, gauge)
+    share, size = projected_share(pairs.places, pairs.normals, pairs.residuals, pairs.weights, expected, gauge)
     if share < 0.5 or size < 0.1 * noise:
         return pairs, []
     text = f"one cloud is on a map grid: its deformation of {size:.2g} RMS relative to Euclidean space was removed"
-    return replace(pairs, residuals=pairs.residuals - bend), [Notice("map-bend-taken-off", text)]
+    return replace(pairs, residuals=pairs.residuals - expected), [Notice("map-bend-taken-off", text)]

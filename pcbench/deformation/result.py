@@ -168,8 +168,8 @@ class Deformation:
     @property
     def size_limit(self) -> float | None:
         """RMS above which a dome is detected, and its interval above the negligible size."""
-        known = (self.minimum_detectable_rms, self.negligible_rms, self.stated_rms)
-        return None if self.minimum_detectable_rms is None else max(limit for limit in known if limit is not None)
+        limits = (self.minimum_detectable_rms, self.negligible_rms, self.stated_rms)
+        return None if self.minimum_detectable_rms is None else max(limit for limit in limits if limit is not None)
 
     @property
     def limit_problem(self) -> str:
@@ -283,8 +283,8 @@ class Deformation:
         text = (
             f"; a smooth deformation (dome, saddle, S-bend) above {limit:.3g}{unit} RMS{share} would have been detected"
         )
-        known = [size for size in self.detectable if size.displacement is not None]
-        large = [size for size in known if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
+        measurable = [size for size in self.detectable if size.displacement is not None]
+        large = [size for size in measurable if (size.displacement or 0.0) > _LARGE_DISPLACEMENT_RATIO * limit]
         if large:
             parts = [f"{_in_words(size.kind)} above {size.displacement:.3g}{unit}" for size in large]
             text += f", and so would {' or '.join(parts)}"
@@ -359,8 +359,8 @@ class Deformation:
             low, high = (math.hypot(*ends) for ends in zip(wave.ci, amplitude.ci, strict=True))
             most = math.sqrt(2) * wave.rms
             amplitude = Amplitude(rms, max(amplitude.p95, most), max(amplitude.max, most), (low, high))
-        found: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
-        return found
+        rounded: Deformation = round_to_six_digits(replace(self, amplitude=amplitude, wave=wave, waves_from=limit))
+        return rounded
 
     def with_warnings(self, notes: Sequence[Notice]) -> Deformation:
         """Return the same result with further warnings."""

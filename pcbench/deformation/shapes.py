@@ -26,25 +26,25 @@ def shape_of(field: Field) -> Shape | None:
     size = float(np.abs(centred).max())
     if size == 0:
         return None
-    places, moved = centred / size, field.displacements[seen]
+    places, observed = centred / size, field.displacements[seen]
     root = np.sqrt(weights)[:, None, None]
     rigid = (root * _rigid_columns(places)).reshape(3 * len(places), -1)
-    left = (root[:, 0] * moved).ravel()
-    left = left - rigid @ np.linalg.lstsq(rigid, left, rcond=1e-9)[0]
-    power = float(left @ left)
+    displacements = (root[:, 0] * observed).ravel()
+    displacements = displacements - rigid @ np.linalg.lstsq(rigid, displacements, rcond=1e-9)[0]
+    power = float(displacements @ displacements)
     if power == 0:
         return None
     best = None
     for name, columns in _shapes(places).items():
         matrix = (root * columns).reshape(3 * len(places), -1)
         matrix = matrix - rigid @ np.linalg.lstsq(rigid, matrix, rcond=1e-9)[0]
-        explained = matrix @ np.linalg.lstsq(matrix, left, rcond=1e-6)[0]
+        explained = matrix @ np.linalg.lstsq(matrix, displacements, rcond=1e-6)[0]
         share = float(explained @ explained) / power
         if best is None or share - _SIMPLER * matrix.shape[1] > best[0] - _SIMPLER * best[2]:
             best = share, name, matrix.shape[1]
     if best is None or best[0] < _MIN_SHARE:
         return None
-    figures = _figures(best[1], places, moved, weights)
+    figures = _figures(best[1], places, observed, weights)
     name = best[1]
     if name == "dome" and figures[0].value < figures[1].value:
         name = "bowl"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench.deformation.polynomials import normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD, robust_sigma
 
 _DYADIC_LEVELS = 5  # levels of sub-cells for moments: halves of cells, quarters, ...
 KERNEL_LENGTHS = (0.08, 0.16, 0.32, 0.53, 0.8, 1.14, 1.6, 2.3)  # kernel lengths in cells: 1/200 to 1/7 of the scene
@@ -37,7 +38,7 @@ class TileSums:
             kernel. The first row is for single pairs.
         powers: (levels,) sums over sub-cells of |sum w n r'|^2 with r' the residual from the largest model.
         local: (C, 3) sums of v n r', with r' clamped at three standard deviations: for tests of local change.
-        apart: (C, 3) the same, clamped about the median of each cell: for the size of local changes.
+        local_sizes: (C, 3) the same, clamped about the median of each cell: for the size of local changes.
         spread: (C, 3, 3) sums of v n n'.
         surface: (84, 6) moments of all pairs weighted by area, including rough surface.
     """
@@ -56,7 +57,7 @@ class TileSums:
     dyadic: FloatArray
     powers: FloatArray
     local: FloatArray
-    apart: FloatArray
+    local_sizes: FloatArray
     spread: FloatArray
     surface: FloatArray
 
@@ -72,7 +73,7 @@ class TileSums:
             "energy",
             "counts",
             "local",
-            "apart",
+            "local_sizes",
             "spread",
         )
         return replace(self, **{name: getattr(self, name)[~cells] for name in per_cell})
@@ -86,8 +87,8 @@ class TileSums:
         weights: FloatArray,
         *,
         scales: FloatArray,
-        left: FloatArray,
-        apart: FloatArray,
+        remainders: FloatArray,
+        raw_remainders: FloatArray,
         quality: FloatArray,
         areas: FloatArray,
         lower: FloatArray,
@@ -103,8 +104,8 @@ class TileSums:
             residuals: (N,) n . (p - q), or pseudo-values of a robust fit.
             weights: (N,) from 0 to 1.
             scales: (N,) relative scale of the noise, about 1.
-            left: (N,) residuals from the largest model, of the same pairs.
-            apart: (N,) residuals n . (p - q) from the largest model, as measured.
+            remainders: (N,) residuals from the largest model, of the same pairs.
+            raw_remainders: (N,) residuals n . (p - q) from the largest model, as measured.
             quality: (N,) weights v, from 0 to 1, that do not depend on the residuals.
             areas: (N,) surface area that each pair represents, in any unit.
             lower: (3,) the corner that cells are counted from.
@@ -120,11 +121,11 @@ class TileSums:
         loads, _ = normal_equations(x, n, w * s, r, starts)
         surface, _ = normal_equations(x, n, areas[order], r)
         lengths = side * np.array(KERNEL_LENGTHS)
-        v, measured = quality[order], apart[order]
-        sigma = 1.4826 * float(np.median(np.abs(measured[v >= np.median(v)])))
+        v, measured = quality[order], raw_remainders[order]
+        sigma = robust_sigma(measured[v >= np.median(v)])
         changed = (v * np.clip(measured, -3 * sigma, 3 * sigma))[:, None] * n
         far = (v * _clipped_within(measured, starts, sigma))[:, None] * n
-        expected, powers = dyadic_moments(places, normals, left, weights, scales, lower, side)
+        expected, powers = dyadic_moments(places, normals, remainders, weights, scales, lower, side)
         return cls(
             center=center,
             radius=radius,
@@ -140,7 +141,7 @@ class TileSums:
             dyadic=expected,
             powers=powers,
             local=np.add.reduceat(changed, starts),
-            apart=np.add.reduceat(far, starts),
+            local_sizes=np.add.reduceat(far, starts),
             spread=np.add.reduceat(v[:, None, None] * n[:, :, None] * n[:, None, :], starts),
             surface=surface[0],
         )
@@ -186,7 +187,7 @@ def kernel_sums(
 def dyadic_moments(
     places: FloatArray,
     normals: FloatArray,
-    left: FloatArray,
+    remainders: FloatArray,
     weights: FloatArray,
     scales: FloatArray,
     lower: FloatArray,
@@ -199,10 +200,10 @@ def dyadic_moments(
     lengths = side * np.array(KERNEL_LENGTHS)
     loads = weights * scales
     single = float(np.square(loads).sum())
-    expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * left).sum())]
+    expected, powers = [np.full(1 + len(lengths), single)], [float(np.square(weights * remainders).sum())]
     for level in range(_DYADIC_LEVELS, 0, -1):
         order, starts = group_rows(np.floor((places - lower) / (side / 2**level)).astype(np.int64))
-        vectors = np.add.reduceat((weights * left)[order, None] * normals[order], starts)
+        vectors = np.add.reduceat((weights * remainders)[order, None] * normals[order], starts)
         powers.append(float(np.square(vectors).sum()))
         sums = kernel_sums(places[order], normals[order], loads[order], starts, lengths, _SUBCELL_PARTNERS).sum(axis=0)
         expected.append(np.concatenate([[single], sums]))
@@ -214,13 +215,13 @@ def _clipped_within(values: FloatArray, starts: IntArray, sigma: float) -> Float
     counts = np.diff([*starts, len(values)])
     group = np.repeat(np.arange(len(starts)), counts)
 
-    def medians(of: FloatArray) -> FloatArray:
-        ordered = of[np.lexsort((of, group))]
+    def medians(samples: FloatArray) -> FloatArray:
+        ordered = samples[np.lexsort((samples, group))]
         middle: FloatArray = 0.5 * (ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2])
         return middle[group]
 
     middle = medians(values)
-    reach = 3 * np.maximum(sigma, 1.4826 * medians(np.abs(values - middle)))
+    reach = 3 * np.maximum(sigma, NORMAL_MAD * medians(np.abs(values - middle)))
     return np.clip(values, middle - reach, middle + reach)
 
 

@@ -120,8 +120,8 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
         ]
 
     def is_needed(smaller: str, larger: str) -> bool:
-        found = sizes(smaller, larger)
-        return compare(smaller, larger).significant and bool(found) and min(a.rms for a in found) > negligible
+        amplitudes = sizes(smaller, larger)
+        return compare(smaller, larger).significant and bool(amplitudes) and min(a.rms for a in amplitudes) > negligible
 
     def gain(smaller: str, larger: str) -> float:
         return min(prediction_gain(view, smaller, larger) for view in views)
@@ -141,8 +141,8 @@ def decide(views: Sequence[PairEvidence], *, metric: bool = True, resolution: fl
             " larger or better covered scene"
         )
         warnings.append(Notice("few-tiles", text))
-    found = sizes("affine", "cubic")
-    surely, possibly = (found and min(a.ci[end] for a in found) > negligible for end in (0, 1))
+    amplitudes = sizes("affine", "cubic")
+    surely, possibly = (amplitudes and min(a.ci[end] for a in amplitudes) > negligible for end in (0, 1))
     is_indicated = non_affine.significant and bool(surely) and not warnings
     may_be_noise = non_affine.doubtful and bool(possibly)
     if is_indicated or may_be_noise:
@@ -227,7 +227,11 @@ def _affine_rms(view: PairEvidence) -> float:
 def prediction_gain(view: PairEvidence, smaller: str, larger: str) -> float:
     """Return how much better a larger model predicts tiles left out of its fit, in standard errors over the tiles."""
     losses = [_left_out_losses(view.geometry, view.scores, model, seed=0) for model in (smaller, larger)]
-    gains = losses[0] - losses[1]
+    return in_standard_errors(losses[0] - losses[1])
+
+
+def in_standard_errors(gains: FloatArray) -> float:
+    """Return the sum of gains (N,) in standard errors of a sum of N; 0 if all are equal."""
     error = float(np.std(gains)) * math.sqrt(len(gains))
     return float(gains.sum()) / error if error > 0 else 0.0
 
@@ -236,24 +240,24 @@ def cross_validate(geometry: Geometry, scores: Scores, noise: Noise, seed: int) 
     """Score each model by leaving out tiles (10 folds) and by the BIC with the effective number of pairs."""
     weight = np.maximum(sum_over_tiles(geometry.weights, geometry.tiles), 1e-300)
     effective = effective_count(geometry, noise)
-    found = []
+    model_scores = []
     rigid = geometry.explained_sum(scores, "rigid")
     for model in MODELS:
         loss = _left_out_losses(geometry, scores, model, seed)
         score = float(loss.sum() / weight.sum())
         explained = geometry.explained_sum(scores, model)
-        left = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
-        found.append(
+        mean_square = max(float(scores.energy.sum()) - explained, 1e-300) / geometry.total
+        model_scores.append(
             ModelScore(
                 model=model,
                 parameters=PARAMETERS[model],
                 cv_score=score,
                 cv_se=float(np.std(loss - score * weight) * math.sqrt(len(loss)) / weight.sum()),
-                bic_eff=effective * math.log(left) + PARAMETERS[model] * math.log(max(effective, 2.0)),
+                bic_eff=effective * math.log(mean_square) + PARAMETERS[model] * math.log(max(effective, 2.0)),
                 rms_explained=math.sqrt(max(0.0, explained - rigid) / geometry.total),
             )
         )
-    return found
+    return model_scores
 
 
 def _left_out_losses(geometry: Geometry, scores: Scores, model: str, seed: int) -> FloatArray:

@@ -20,6 +20,7 @@ from pcbench.deformation.pairs import Pairs
 from pcbench.deformation.parts import Wave, WaveLimit
 from pcbench.deformation.sides import extent
 from pcbench.deformation.size import MAX_P_SIGNIFICANT
+from pcbench.deformation.verdict import in_standard_errors
 from pcbench.geometry.arrays import FloatArray
 
 _STEP = (
@@ -45,8 +46,8 @@ class WaveSearch(NamedTuple):
 def find_waves(pairs: Pairs) -> WaveSearch:
     """Search the residuals of the largest model for a significant wave that continues over the scene."""
     counted = pairs.weights > 0
-    places, normals, left, weights = (
-        values[counted] for values in (pairs.places, pairs.normals, pairs.left, pairs.weights)
+    places, normals, remainders, weights = (
+        values[counted] for values in (pairs.places, pairs.normals, pairs.remainders, pairs.weights)
     )
     size = extent(places)
     plane = np.sort(np.argsort(np.ptp(np.percentile(places, [1, 99], axis=0), axis=0))[1:])
@@ -60,14 +61,14 @@ def find_waves(pairs: Pairs) -> WaveSearch:
     best, limit = None, None
     for axis in axes:
         loads = weights * normals[:, axis] * taper
-        powers = np.square(np.abs(_spectrum(across, loads * left, numbers)))
+        powers = np.square(np.abs(_spectrum(across, loads * remainders, numbers)))
         expected = _power_nearby(powers) / math.log(2)
         inner = slice(_NEIGHBORS, len(numbers) - _NEIGHBORS)
         ratios = powers[inner] / np.maximum(expected[inner], 1e-300)
         tests = len(axes) * len(ratios)
-        at = int(np.argmax(ratios))
-        if best is None or ratios[at] > best[0]:
-            best = float(ratios[at]), axis, numbers[inner][at], tests
+        peak = int(np.argmax(ratios))
+        if best is None or ratios[peak] > best[0]:
+            best = float(ratios[peak]), axis, numbers[inner][peak], tests
         # The ratio that a wave between two wave numbers reaches in nine of ten cases.
         needed = (math.sqrt(math.log(tests / MAX_P_SIGNIFICANT)) + _POWER_Z / math.sqrt(2)) ** 2 / _LEAST_POWER
         seen = float(loads @ normals[:, axis]) ** 2 / float(weights @ np.square(normals[:, axis])) * weights.sum() / 2
@@ -81,13 +82,13 @@ def find_waves(pairs: Pairs) -> WaveSearch:
     if tests * math.exp(-ratio) > MAX_P_SIGNIFICANT:
         return WaveSearch(None, limit)
     loads = weights * normals[:, axis]
-    number = _refined(across, loads * left * taper, number)
+    number = _refined(across, loads * remainders * taper, number)
     phases = 2 * math.pi * across @ number
     columns = np.stack([np.cos(phases), np.sin(phases)], axis=1) * normals[:, [axis]]
-    gain = _prediction_gain(across, columns, left, weights)
+    gain = _prediction_gain(across, columns, remainders, weights)
     if gain < _MIN_GAIN:
         return WaveSearch(None, limit)
-    explained = _explained(columns, left, weights)
+    explained = _explained(columns, remainders, weights)
     rms = math.sqrt(max(0.0, explained * (1 - 1 / ratio)) / float(weights.sum()))
     error = 1.96 * rms / math.sqrt(2 * ratio)
     vector = np.zeros(3)
@@ -113,8 +114,8 @@ def _wave_numbers(most: float) -> FloatArray:
     length = np.hypot(*numbers.T)
     is_half = (numbers[:, 1] > 0) | ((numbers[:, 1] == 0) & (numbers[:, 0] > 0))
     kept = (length >= _MIN_CYCLES) & (length <= most) & is_half
-    found: FloatArray = numbers[kept][np.argsort(length[kept], kind="stable")]
-    return found
+    ascending: FloatArray = numbers[kept][np.argsort(length[kept], kind="stable")]
+    return ascending
 
 
 def _spectrum(across: FloatArray, values: FloatArray, numbers: FloatArray) -> NDArray[np.complex128]:
@@ -123,8 +124,8 @@ def _spectrum(across: FloatArray, values: FloatArray, numbers: FloatArray) -> ND
     second, of_second = np.unique(numbers[:, 1], return_inverse=True)
     weighted = np.exp(-2j * np.pi * np.outer(first, across[:, 0])) * values
     sums: NDArray[np.complex128] = weighted @ np.exp(-2j * np.pi * np.outer(across[:, 1], second))
-    found: NDArray[np.complex128] = sums[of_first, of_second]
-    return found
+    spectrum: NDArray[np.complex128] = sums[of_first, of_second]
+    return spectrum
 
 
 def _taper(across: FloatArray) -> FloatArray:
@@ -137,9 +138,9 @@ def _taper(across: FloatArray) -> FloatArray:
 def _power_nearby(powers: FloatArray) -> FloatArray:
     """Return the larger median (M,) of the neighbours on either side: the spectrum of correlated noise is steep."""
     medians = np.median(np.lib.stride_tricks.sliding_window_view(powers, _NEIGHBORS), axis=1)
-    found = np.full(len(powers), np.inf)
-    found[_NEIGHBORS:-_NEIGHBORS] = np.maximum(medians[: -_NEIGHBORS - 1], medians[_NEIGHBORS + 1 :])
-    return found
+    nearby = np.full(len(powers), np.inf)
+    nearby[_NEIGHBORS:-_NEIGHBORS] = np.maximum(medians[: -_NEIGHBORS - 1], medians[_NEIGHBORS + 1 :])
+    return nearby
 
 
 def _refined(across: FloatArray, values: FloatArray, number: FloatArray) -> FloatArray:
@@ -150,13 +151,13 @@ def _refined(across: FloatArray, values: FloatArray, number: FloatArray) -> Floa
     return number
 
 
-def _explained(columns: FloatArray, left: FloatArray, weights: FloatArray) -> float:
+def _explained(columns: FloatArray, remainders: FloatArray, weights: FloatArray) -> float:
     """Return the weighted sum of squares of residuals (N,) that columns (N, 2) explain."""
-    scores = columns.T @ (weights * left)
+    scores = columns.T @ (weights * remainders)
     return float(scores @ np.linalg.solve((columns * weights[:, None]).T @ columns, scores))
 
 
-def _prediction_gain(across: FloatArray, columns: FloatArray, left: FloatArray, weights: FloatArray) -> float:
+def _prediction_gain(across: FloatArray, columns: FloatArray, remainders: FloatArray, weights: FloatArray) -> float:
     """Return how much better a wave predicts the other half of a chequerboard than none, in standard errors."""
     tiles = np.floor(across * _TILES_ALONG).astype(np.int64)
     _, tile = np.unique(tiles, axis=0, return_inverse=True)
@@ -167,9 +168,8 @@ def _prediction_gain(across: FloatArray, columns: FloatArray, left: FloatArray, 
         if not fitted.any() or not tested.any():
             return 0.0
         normal = (columns[fitted] * weights[fitted, None]).T @ columns[fitted]
-        scores = columns[fitted].T @ (weights * left)[fitted]
+        scores = columns[fitted].T @ (weights * remainders)[fitted]
         predicted = columns[tested] @ np.linalg.lstsq(normal, scores, rcond=None)[0]
-        gain = weights[tested] * (np.square(left[tested]) - np.square(left[tested] - predicted))
+        gain = weights[tested] * (np.square(remainders[tested]) - np.square(remainders[tested] - predicted))
         gains += np.bincount(tile[tested].ravel(), gain, len(gains))
-    error = float(np.std(gains)) * math.sqrt(len(gains))
-    return float(gains.sum()) / error if error > 0 else 0.0
+    return in_standard_errors(gains)

@@ -43,17 +43,21 @@ def enu_from_wgs84(positions: Sequence[Gps] | FloatArray, origin: Gps) -> FloatA
             such as the geoid height, cancels.
     """
     centred = _ecef_from_geodetic(positions) - _ecef_from_geodetic([origin])
+    enu: FloatArray = centred @ enu_axes(origin).T
+    return enu
+
+
+def enu_axes(origin: Gps) -> FloatArray:
+    """Return east, north and up at a position as rows (3, 3), in earth-centred axes."""
     latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    axes = np.array(
+    return np.array(
         [
             [-sin_lon, cos_lon, 0],
             [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
             [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
         ]
     )
-    enu: FloatArray = centred @ axes.T
-    return enu
 
 
 def _ecef_from_geodetic(positions: Sequence[Gps] | FloatArray) -> FloatArray:

@@ -34,10 +34,6 @@ class Neighborhoods(NamedTuple):
         """Number of neighbours of each query (N,)."""
         return np.diff(self.offsets)
 
-    def neighbors_of(self, query: int) -> NDArray[np.int64]:
-        """Return the neighbours of one query, in ascending order."""
-        return self.indices[self.offsets[query] : self.offsets[query + 1]]
-
 
 class LocalPlanes(NamedTuple):
     """Planes through the k nearest points of indexed points; one row per point.

@@ -173,12 +173,6 @@ class Surface:
         return self.index.local_planes(self.k, rows)
 
 
-def orient_towards(directions: FloatArray, points: FloatArray, sensors: FloatArray) -> FloatArray:
-    """Flip normals (M, 3) so that each points towards its sensor position, given as (M, 3) or (3,)."""
-    away = np.einsum("ni,ni->n", directions, sensors - points) < 0
-    return np.where(away[:, None], -directions, directions)
-
-
 def unit(directions: NDArray[np.float64]) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Scale vectors (M, 3) to unit length, and return a mask (M,) of those with a positive, finite length.
 

@@ -14,6 +14,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.native import _core
 
+NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 _MAX_PARTITIONED = 20_000  # smaller arrays are partitioned by numpy: the selection's histogram has a fixed cost
 
 
@@ -51,6 +52,11 @@ def interpolate(below: FloatArray, above: FloatArray, share: FloatArray) -> Floa
         step = above - below
         found: FloatArray = np.where(share >= 0.5, above - step * (1 - share), below + step * share)
     return found
+
+
+def robust_sigma(residuals: FloatArray) -> float:
+    """Return the robust standard deviation about zero of residuals (N,), N >= 1: 1.4826 times the median size."""
+    return NORMAL_MAD * median(np.abs(residuals))
 
 
 def median(values: FloatArray) -> float:

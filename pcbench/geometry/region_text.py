@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -68,6 +69,15 @@ def as_region(region: Region | str, reference: Cloud) -> Region | None:
             f" {type(region).__name__}"
         )
     return region
+
+
+def region_file(region: Region | str) -> Path | None:
+    """Return the file that a text names, or from which a region was read; None for other regions."""
+    if not isinstance(region, str):
+        file: Path | None = getattr(region, "file", None)
+        return file
+    kind, _, rest = region.partition(":")
+    return Path(rest.strip()) if rest.strip() and kind.strip().lower() == "polygon" else None
 
 
 def _parse_numbers(text: str, names: str) -> list[float]:

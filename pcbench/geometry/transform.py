@@ -239,6 +239,25 @@ def _multiply_rows(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     return products
 
 
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) of the cross product of a vector (3,) with others."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_about(axis: FloatArray, angle_rad: float) -> FloatArray:
+    """Return the rotation matrix (3, 3) of a unit axis (3,) and an angle (Rodrigues)."""
+    cross = cross_matrix(axis)
+    rotation: FloatArray = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * (cross @ cross)
+    return rotation
+
+
+def rotation_from_vector(vector: FloatArray) -> FloatArray:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,), whose length is the angle in radians."""
+    angle_rad = float(np.linalg.norm(vector))
+    return np.eye(3) if angle_rad < 1e-300 else rotation_about(vector / angle_rad, angle_rad)
+
+
 def fit_similarity(
     candidate: FloatArray, reference: FloatArray, *, with_scale: bool = True, weights: FloatArray | None = None
 ) -> Similarity:
@@ -301,26 +320,6 @@ def robust_similarity(candidate: FloatArray, reference: FloatArray, *, with_scal
             break
         fit = fit_similarity(candidate, reference, with_scale=with_scale, weights=1 / np.maximum(residuals, scale))
     return fit
-
-
-def fit_affine(candidate: FloatArray, reference: FloatArray) -> Affine:
-    """Fit the least-squares affine map from candidate (N, 3) to reference (N, 3) points.
-
-    Raises:
-        InputError: there are fewer than four pairs, or all candidate points lie in one plane.
-    """
-    candidate, reference = np.asarray(candidate, np.float64), np.asarray(reference, np.float64)
-    if candidate.shape != reference.shape or candidate.ndim != 2 or candidate.shape[1] != 3:
-        raise InputError(f"expected two (N, 3) arrays of pairs, got {candidate.shape} and {reference.shape}")
-    if len(candidate) < 4:
-        raise InputError(f"expected at least 4 pairs of points to fit an affine map, got {len(candidate)}")
-    mean_c, mean_r = candidate.mean(axis=0), reference.mean(axis=0)
-    c, r = candidate - mean_c, reference - mean_r
-    spread = np.linalg.svd(c, compute_uv=False)
-    if spread[2] <= 1e-9 * spread[0]:
-        raise InputError("expected pairs that span space, got points in one plane: the affine map is not determined")
-    linear = np.linalg.lstsq(c, r, rcond=None)[0].T
-    return Affine(linear, mean_r - linear @ mean_c)
 
 
 def read_matrix(path: str | Path) -> Similarity:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, even_rows
 from pcbench.geometry.cameras import Camera
+from pcbench.geometry.transform import cross_matrix
 
 _MAX_ROLL_DEG = 12.0  # maximum roll of an image with horizontal rows: hand-held cameras deviate by a few degrees
 _MIN_YAW_DEG = 5.0  # RMS angle of the axes to their main direction: below, they hardly span a plane
@@ -151,6 +152,6 @@ def rotation_to_z(up: FloatArray) -> FloatArray:
     x, y, z = up
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
-    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    cross = cross_matrix(np.array([y, -x, 0.0]))
     rotation: FloatArray = np.eye(3) + cross + cross @ cross / (1 + z)
     return rotation

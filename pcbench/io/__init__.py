@@ -6,7 +6,6 @@ To add a format, write a module with its reader next to the others and add a lin
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import TypeGuard
@@ -15,18 +14,15 @@ from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, as_cloud
-from pcbench.geometry.crs import degrees_hint
-from pcbench.geometry.splats import filter_splats
-from pcbench.io.files import Warn, as_path, check_output, errors_named, finite_cloud
+from pcbench.io.files import Warn, as_path, check_output, errors_named, report_warnings
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, format_of
-from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning, without_nodata
-from pcbench.io.reading import cloud_file, has_filters, read_fields
+from pcbench.io.las_records import parse_filters
+from pcbench.io.source import Source
 
 __all__ = [
     "FILTERABLE_EXTENSIONS",
     "CloudLike",
     "check_cloud_output",
-    "has_filters",
     "is_path",
     "read_cloud",
     "to_cloud",
@@ -72,27 +68,13 @@ def read_cloud(
             systems or units, or no point passes the filters. The message names the file.
         MissingExtra: an optional library is needed for this file.
     """
-    named, lines = as_path(path), list[str]()
-    path = cloud_file(named, lambda line: lines.append(f"{named}: {line}"))
-
-    def warn(line: str) -> None:
-        lines.append(f"{path}: {line}")
-
-    fields = read_fields(path, lines.append, classes, returns, color_depth)
+    path, lines = as_path(path), list[str]()
     with errors_named(path):
-        cloud = finite_cloud(fields, warn)
-        if drop_nodata:
-            cloud = without_nodata(cloud, warn)
-        elif line := nodata_warning(Nodata.of(CoordinateCounts.of(cloud.points))):
-            warn(line)
-        if cloud.crs is None and cloud.unit is None and (line := degrees_hint(*cloud.bounds)):
-            warn(line)
-        cloud = filter_splats(cloud, min_opacity, max_axis)
-    for line in lines:
-        if on_warning is None:
-            warnings.warn(line, stacklevel=2)
-        else:
-            on_warning(line)
+        filters = parse_filters(classes, returns)
+    cloud = Source.open(path, filters).read_cloud(
+        lines.append, min_opacity=min_opacity, max_axis=max_axis, color_depth=color_depth, drop_nodata=drop_nodata
+    )
+    report_warnings(lines, on_warning)
     return cloud
 
 
@@ -132,11 +114,7 @@ def write_cloud(
         write(path, cloud, lines.append)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    for line in lines:
-        if on_warning is None:
-            warnings.warn(f"{path}: {line}", stacklevel=2)
-        else:
-            on_warning(f"{path}: {line}")
+    report_warnings([f"{path}: {line}" for line in lines], on_warning)
 
 
 def check_cloud_output(path: Path, inputs: Sequence[Path] = (), others: Sequence[Path] = ()) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,16 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io.colmap_folders import POINT_FILES, find_model, points_file
 from pcbench.io.colmap_text import check_complete, data_lines, excerpt
-from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end, finite_cloud, read_named
+from pcbench.io.files import (
+    MAX_PADDING,
+    Fields,
+    Warn,
+    check_end,
+    check_readable,
+    errors_named,
+    finite_cloud,
+    report_warnings,
+)
 
 # One point, without its track of (int32 image, int32 keypoint) entries.
 _POINT = np.dtype(
@@ -37,13 +45,19 @@ def read_points3d(folder_or_file: str | os.PathLike[str], on_warning: Warn | Non
     Raises:
         InputError: there is no model, or it is damaged. The message starts with the path.
     """
-    notes: list[str] = []
-    file = model_file(Path(folder_or_file), notes.append)
+    lines: list[str] = []
+    file = model_file(Path(folder_or_file), lambda note: lines.append(f"{folder_or_file}: {note}"))
     if file.name not in POINT_FILES:
         raise InputError(f"{folder_or_file}: expected a COLMAP model: a folder with {' or '.join(POINT_FILES)}")
-    for note in notes:
-        (on_warning or (lambda text: warnings.warn(text, stacklevel=3)))(f"{folder_or_file}: {note}")
-    return read_named(file, lambda path, warn: finite_cloud(read_colmap(path, warn), warn), on_warning)
+
+    def warn(line: str) -> None:
+        lines.append(f"{file}: {line}")
+
+    with errors_named(file):
+        check_readable(file)
+        cloud = finite_cloud(read_colmap(file, warn), warn)
+    report_warnings(lines, on_warning)
+    return cloud
 
 
 def model_file(path: Path, warn: Warn | None = None) -> Path:

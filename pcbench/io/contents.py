@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from pcbench.errors import InputError, PcbenchError
-from pcbench.io.files import errors_named, input_files
-from pcbench.io.formats import CLOUDS
+from pcbench.io.files import input_files
 from pcbench.io.gltf import external_files
-from pcbench.io.paths import EPT, find_tiles, is_tiled
-from pcbench.io.reading import cloud_file
+from pcbench.io.paths import EPT, is_tiled
 from pcbench.regular_files import sha256_of
 from pcbench.systems import cpu_count
-
-T = TypeVar("T")
 
 FILES_PREFIX = "files:"
 """Start of the digest of several files, which is not the SHA-256 of a file."""
@@ -34,7 +30,7 @@ def digest(path: Path) -> str:
         OSError: a file is missing or cannot be read.
     """
     files = content_files(path)
-    return _digest_file(path) if files == [path] else _combine({file: _digest_file(file) for file in files})
+    return _digest_file(path) if files == [path] else combined_digest({file: _digest_file(file) for file in files})
 
 
 def content_files(path: Path) -> list[Path]:
@@ -49,18 +45,22 @@ def content_files(path: Path) -> list[Path]:
     return [path, *external_files(path)]
 
 
+FileStatus = tuple[int, int, int]
+"""Size and times of a file; the time of its last change of status cannot be set back."""
+
+
 class FileState(NamedTuple):
     """A file, its SHA-256 in hexadecimal, and the size and times that it had before its bytes were read."""
 
     path: Path
     sha256: str
-    status: tuple[int, int, int]
+    status: FileStatus
 
     @classmethod
     def of(cls, path: Path) -> FileState:
         """Read a file; raises the errors of `digest`, and a PcbenchError if the file changes meanwhile."""
-        state = cls(path, status=_status(path), sha256=_digest_file(path))
-        if _status(path) != state.status:
+        state = cls(path, status=status_of(path), sha256=_digest_file(path))
+        if status_of(path) != state.status:
             raise changed_error(path)
         return state
 
@@ -70,55 +70,14 @@ class FileState(NamedTuple):
         Raises:
             PcbenchError: it has not.
         """
-        if _status(self.path) != self.status and _digest_file(self.path) != self.sha256:
+        if status_of(self.path) != self.status and _digest_file(self.path) != self.sha256:
             raise changed_error(self.path)
 
 
-def cloud_files(path: Path) -> list[Path]:
-    """Return all files that have the content of a cloud: of a folder, those with clouds; of an index, also its own.
-
-    Raises:
-        InputError: the index is damaged, or there are no such files. The message starts with the path.
-    """
-    path = cloud_file(path)
-    if not is_tiled(path):
-        return content_files(path)
-    with errors_named(path):
-        tiles = find_tiles(path, CLOUDS).paths
-    return [*([path] if path.is_file() else []), *tiles]
-
-
-def cloud_contents(paths: Iterable[Path]) -> dict[Path, FileState]:
-    """Return the state of each existing file of clouds; all bytes are read, by several threads."""
-    files = {file for path in paths for file in cloud_files(path) if file.is_file()}
+def file_states(files: Iterable[Path]) -> dict[Path, FileState]:
+    """Return the state of each existing file; all bytes are read, by several threads."""
     with ThreadPoolExecutor(cpu_count()) as pool:
-        return {state.path: state for state in pool.map(FileState.of, sorted(files))}
-
-
-def cloud_digest(path: Path, contents: Mapping[Path, FileState]) -> str:
-    """Return the SHA-256 of a cloud's file; of several files that of names and contents, after `FILES_PREFIX`."""
-    files = {file: contents[file].sha256 for file in cloud_files(path) if file in contents}
-    if not is_tiled(path) and len(files) == 1:
-        return next(iter(files.values()))
-    return FILES_PREFIX + _combine(files)
-
-
-def read_with_digest(path: Path, read: Callable[[], T]) -> tuple[T, str]:
-    """Read a cloud or mesh, and return it with its digest, as of `cloud_digest`.
-
-    Args:
-        path: path of the cloud or mesh.
-        read: reads it.
-
-    Raises:
-        PcbenchError: a file changed meanwhile.
-    """
-    before = {file: _status(file) for file in cloud_files(path) if file.is_file()}
-    value, contents = read(), cloud_contents([path])
-    for file in before | contents:
-        if file not in before or file not in contents or contents[file].status != before[file]:
-            raise changed_error(file)
-    return value, cloud_digest(path, contents)
+        return {state.path: state for state in pool.map(FileState.of, sorted({f for f in files if f.is_file()}))}
 
 
 def changed_error(path: Path) -> PcbenchError:
@@ -126,7 +85,7 @@ def changed_error(path: Path) -> PcbenchError:
     return PcbenchError(f"{path}: the file changed while it was read: run the same command again when it is complete")
 
 
-def _combine(digests: Mapping[Path, str]) -> str:
+def combined_digest(digests: Mapping[Path, str]) -> str:
     """Return the SHA-256 of the names and contents of files, sorted by path."""
     combined = hashlib.sha256()
     for path in sorted(digests):
@@ -134,8 +93,8 @@ def _combine(digests: Mapping[Path, str]) -> str:
     return combined.hexdigest()
 
 
-def _status(path: Path) -> tuple[int, int, int]:
-    """Return size and times of a file; the time of its last change of status cannot be set back."""
+def status_of(path: Path) -> FileStatus:
+    """Return the size and times of a file."""
     status = path.stat()
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 

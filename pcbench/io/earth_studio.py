@@ -17,7 +17,7 @@ import numpy as np
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.geometry.geodesy import Gps, enu_from_wgs84, radii_of_curvature
+from pcbench.geometry.geodesy import Gps, enu_axes, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
 from pcbench.io.files import read_json
 
@@ -81,7 +81,7 @@ def wgs84_from_sphere(points: FloatArray, origin: Gps) -> FloatArray:
     Each point keeps its latitude, longitude and altitude. Directions do not change: the east, north and up axes at a
     given latitude and longitude are the same for both.
     """
-    centred = _earth_centred(np.array([origin])) + points @ _enu_axes(origin)
+    centred = _earth_centred(np.array([origin])) + points @ enu_axes(origin)
     radius = np.linalg.norm(centred, axis=1)
     latitude, longitude = np.arcsin(centred[:, 2] / radius), np.arctan2(centred[:, 1], centred[:, 0])
     return enu_from_wgs84(np.column_stack([np.degrees(latitude), np.degrees(longitude), radius - EARTH_RADIUS]), origin)
@@ -99,7 +99,7 @@ def _earth_studio(document: Mapping[str, Any]) -> EarthStudio:
         rotations = _global_from_local(exported, centred) @ rotations
 
     origin = _origin(document, coordinates)
-    enu_from_earth = _enu_axes(origin)
+    enu_from_earth = enu_axes(origin)
     base = _earth_centred(np.array([origin]))[0]
     positions = (centred - base) @ enu_from_earth.T
     width, height = int(document["width"]), int(document["height"])
@@ -164,19 +164,6 @@ def _gps_from_earth_centred(position: FloatArray) -> Gps:
     x, y, z = position
     radius = float(np.linalg.norm(position))
     return Gps(float(np.degrees(np.arcsin(z / radius))), float(np.degrees(np.arctan2(y, x))), radius - EARTH_RADIUS)
-
-
-def _enu_axes(origin: Gps) -> FloatArray:
-    """Return east, north and up at a position on the sphere as rows (3, 3), in earth-centred axes."""
-    latitude, longitude = np.radians(origin.latitude_deg), np.radians(origin.longitude_deg)
-    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
-    return np.array(
-        [
-            [-sin_lon, cos_lon, 0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
 
 
 def _rotation(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:

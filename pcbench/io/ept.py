@@ -23,7 +23,7 @@ from pcbench.io.las_checks import LasCounts, count_records
 from pcbench.io.las_crs import WKT, read_crs
 from pcbench.io.las_header import EXTRA_BYTES, LasHeader, read_extras, read_header
 from pcbench.io.las_records import LasFilters, has_normals, no_match_error, parse_filters, record_type
-from pcbench.io.laz import decompress_files
+from pcbench.io.laz import LazRun, decompress, read_chunks
 from pcbench.io.names import COLORS, NORMALS, XYZ, standard_names
 
 _EXTENSIONS = {"laszip": "laz", "binary": "bin"}
@@ -251,7 +251,7 @@ def _read_laszip(
     index: EptIndex, nodes: Sequence[EptNode], filters: LasFilters, warn: Warn, allow_empty: bool
 ) -> tuple[Fields, LasCounts | None]:
     lines: list[str] = []
-    files: list[tuple[Path, LasHeader]] = []
+    runs: list[LazRun] = []
     for node in nodes:
         path = index.node_path(node)
         with errors_named(path.name), path.open("rb") as file:
@@ -259,12 +259,12 @@ def _read_laszip(
             if header.count != node.points or not header.compressed:
                 raise InputError(f"expected LAZ with {node.points} points, got {header.count}: copy the file again")
             extras = read_extras(header, lines.append)
-            files.append((path, header))
-            if _layout(header) != _layout(files[0][1]):
+            runs.append(LazRun(path, header, 0, len(read_chunks(file, header)), header.count, path.name))
+            if _layout(header) != _layout(runs[0].header):
                 raise InputError(
                     "expected the point format, scale and offset of other nodes, got others: copy it again"
                 )
-    records = decompress_files(files, lines.append).view(record_type(header, extras))
+    records = decompress(runs).view(record_type(header, extras))
     for line in dict.fromkeys(lines):  # one line, not one per node
         warn(line)
     counts = count_records(records, replace(header, bounds=None))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,11 @@ from pcbench.scratch import scratch_file
 from pcbench.systems import rename_open
 
 Warn = Callable[[str], None]
-T = TypeVar("T")
 
 _MAX_JSON_BYTES = 1 << 30  # for results and cameras
 MAX_PADDING = 1 << 16
 """Largest number of bytes after the last record of a file that may be padding."""
 _PADDING = b"\0 \t\r\n\x1a"
-_FILE_SETTINGS = ("matrix", "points", "polygon")  # kinds of settings that name a file
 
 
 class Fields(TypedDict, total=False):
@@ -46,6 +44,23 @@ class Fields(TypedDict, total=False):
     unit: str | None
     stored: Storage | None
     brightest: int
+
+
+class Look(NamedTuple):
+    """What a look at a file tells before it is read.
+
+    Attributes:
+        holds_mesh: whether it holds a mesh, and not only points.
+        header: its header, if the readers of its format accept one, which they then do not read again.
+    """
+
+    holds_mesh: bool
+    header: Any = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments for the readers of the format."""
+        return {} if self.header is None else {"header": self.header}
 
 
 def read_json(path: Path) -> Any:
@@ -76,29 +91,13 @@ def read_json_object(path: Path) -> dict[str, Any]:
     return values if isinstance(values, dict) else {}
 
 
-def read_named(path: Path, read: Callable[[Path, Warn], T], on_warning: Warn | None) -> T:
-    """Run a reader on a file and prefix its errors and warnings with the path.
-
-    Args:
-        path: input file.
-        read: reader, called with the path and a callback for warnings, which are lines without the path.
-        on_warning: callback for each warning. Defaults to `warnings.warn`, attributed to the caller of the function
-            that called this one.
-
-    Raises:
-        InputError: the file does not exist, or the reader refuses it.
-        MissingExtra: the reader needs a library that is not installed.
-    """
-    notes: list[str] = []
-    with errors_named(path):
-        check_readable(path)
-        result = read(path, notes.append)
-    for note in notes:
+def report_warnings(lines: Iterable[str], on_warning: Warn | None) -> None:
+    """Give warnings to a callback, or else to `warnings.warn`, attributed to the caller of the calling function."""
+    for line in lines:
         if on_warning is None:
-            warnings.warn(f"{path}: {note}", stacklevel=3)
+            warnings.warn(line, stacklevel=3)
         else:
-            on_warning(f"{path}: {note}")
-    return result
+            on_warning(line)
 
 
 @contextmanager
@@ -211,19 +210,6 @@ def input_files(path: Path) -> list[Path]:
         return [*([] if is_pattern(path) else [path]), *find_tiles(path, ()).paths]
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def file_in_setting(setting: object) -> Path | None:
-    """Return the file that a registration or region setting names, or None if it names none.
-
-    Args:
-        setting: `matrix:FILE`, `points:FILE` or `polygon:FILE`; or an object whose `text` is one of these.
-    """
-    text = getattr(setting, "text", setting)
-    if not isinstance(text, str):
-        return None
-    kind, _, path = text.partition(":")
-    return Path(path.strip()) if path and kind.strip().lower() in _FILE_SETTINGS else None
 
 
 def check_output(path: Path, inputs: Sequence[Path], others: Sequence[Path] = ()) -> None:

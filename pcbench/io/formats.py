@@ -18,14 +18,14 @@ from pcbench.geometry.mesh import Mesh
 from pcbench.io.colmap import read_colmap
 from pcbench.io.e57 import read_e57
 from pcbench.io.ept import read_ept
-from pcbench.io.files import Fields, Warn
+from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.gltf import read_glb, read_gltf
 from pcbench.io.las import read_las, write_las
 from pcbench.io.numpy_files import read_npy, read_npz, write_npy, write_npz
-from pcbench.io.obj import read_obj, read_obj_points
+from pcbench.io.obj import look_at_obj, read_obj, read_obj_points, read_obj_vertices
 from pcbench.io.off import read_off
 from pcbench.io.pcd import read_pcd, write_pcd
-from pcbench.io.ply import read_ply, read_ply_mesh, write_ply
+from pcbench.io.ply import look_at_ply, read_ply, read_ply_mesh, read_ply_vertices, write_ply
 from pcbench.io.stl import read_stl
 from pcbench.io.text import read_text, write_text
 
@@ -33,9 +33,23 @@ from pcbench.io.text import read_text, write_text
 class CloudFormat(NamedTuple):
     """Reader of a cloud format, and its writer if the format can be written."""
 
-    read: Callable[..., Fields]  # (path, warn); if `filtered`, also `classes`, `returns`, `allow_empty`
+    read: Callable[..., Fields]  # (path, warn); if `filtered`, also `classes`, `returns`, `allow_empty`; or `header`
     write: Callable[[Path, Cloud, Warn], None] | None = None  # calls Warn with one line for each loss
     filtered: bool = False
+
+
+class MeshFormat(NamedTuple):
+    """Readers of a mesh format.
+
+    Attributes:
+        read: (path, warn) to the mesh; also `header` if a look finds one.
+        read_vertices: the same arguments to the fields of its vertices; None: they have none but their coordinates.
+        look: looks whether a file of this extension holds a mesh; None: always.
+    """
+
+    read: Callable[..., Mesh]
+    read_vertices: Callable[..., Fields] | None = None
+    look: Callable[[Path], Look] | None = None
 
 
 CLOUDS = {  # by lower-case extension or complete file name
@@ -59,13 +73,13 @@ CLOUDS = {  # by lower-case extension or complete file name
 
 FILTERABLE_EXTENSIONS = tuple(extension for extension, form in CLOUDS.items() if form.filtered)  # classes and returns
 
-MESHES: dict[str, Callable[[Path, Warn], Mesh]] = {
-    ".stl": read_stl,
-    ".obj": read_obj,
-    ".ply": read_ply_mesh,
-    ".glb": read_glb,
-    ".gltf": read_gltf,
-    ".off": read_off,
+MESHES = {
+    ".stl": MeshFormat(read_stl),
+    ".obj": MeshFormat(read_obj, read_obj_vertices, look_at_obj),
+    ".ply": MeshFormat(read_ply_mesh, read_ply_vertices, look_at_ply),
+    ".glb": MeshFormat(read_glb),
+    ".gltf": MeshFormat(read_gltf),
+    ".off": MeshFormat(read_off),
 }
 
 

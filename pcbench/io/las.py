@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud, Storage
 from pcbench.io import laz
 from pcbench.io.color_depth import brightest
+from pcbench.io.columns import plain_type
 from pcbench.io.files import Fields, Warn, atomic_write
 from pcbench.io.las_checks import count_records, warn_of_rest
 from pcbench.io.las_crs import WKT, read_crs, to_wkt
@@ -93,13 +94,13 @@ def read_las(
     filters = parse_filters(classes, returns)
     with path.open("rb") as file:
         header = read_header(file, warn, allow_empty)
-        extras = read_extras(header, warn)
-        records = read_all_records(file, header, extras, warn)
+    extras = read_extras(header, warn)
+    records = read_all_records(path, header, extras, warn)
     fields = las_fields(filter_records(records, header, filters, allow_empty), header, extras, warn)
     return fields | brightest_of(records)
 
 
-def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
+def read_all_records(path: Path, header: LasHeader, extras: list[ExtraDimension], warn: Warn) -> NDArray[Any]:
     """Read all point records of a LAS, LAZ or COPC file, and compare them with the header.
 
     Raises:
@@ -107,9 +108,9 @@ def read_all_records(file: BinaryIO, header: LasHeader, extras: list[ExtraDimens
         MissingExtra: the file is compressed, and lazrs is not installed.
     """
     if header.compressed:
-        records = read_compressed_records(file, header, extras, warn)
+        records = read_compressed_records(path, header, extras)
     else:
-        records = read_records(file, header, extras)
+        records = read_records(path, header, extras)
         warn_of_rest(header, warn)
     for line in count_records(records, header).warnings(header):
         warn(line)
@@ -266,13 +267,7 @@ def _assign_attributes(cloud: Cloud, warn: Warn) -> tuple[dict[str, NDArray[Any]
         forbidden=r"[^\w !-~]",
         most_bytes=32,
     )
-    for name, values in others.items():
-        if values.dtype.kind == "b":
-            values = values.astype(np.uint8)
-        elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
-            values = values.astype(np.float32 if values.dtype.itemsize < 4 else np.float64)
-        extras[name] = values.astype(values.dtype.newbyteorder("<"))
-    return standard, extras
+    return standard, extras | {name: plain_type(values) for name, values in others.items()}
 
 
 def _fits(name: str, values: NDArray[Any]) -> bool:

@@ -51,10 +51,10 @@ EXTRA_BYTES = ("LASF_Spec", 4)  # record that describes them
 
 _MAX_RECORDS = 10_000  # real files have about a dozen
 _MAX_RECORD_BYTES = 1 << 20  # longer extended records (waveforms, COPC's hierarchy) are not needed
-# The variable length records that are read: coordinate system, extra bytes, LASzip, COPC.
+# The variable length records that are read: coordinate system, extra bytes, LASzip.
 _READ_RECORDS = {
     *(("LASF_Projection", 2112), ("LASF_Projection", 34735), ("LASF_Projection", 34736), EXTRA_BYTES),
-    *(("laszip encoded", 22204), ("copc", 1)),
+    ("laszip encoded", 22204),
 }
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import Any, BinaryIO, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io import laz
-from pcbench.io.files import Warn
 from pcbench.io.las_header import POINT_FORMATS, ExtraDimension, LasHeader
 from pcbench.io.names import COLORS, NORMALS, XYZ, standard_names
 
@@ -44,36 +44,34 @@ def check_complete(header: LasHeader) -> None:
 
 
 def read_records(
-    file: BinaryIO, header: LasHeader, extras: list[ExtraDimension], first: int = 0, count: int | None = None
+    path: Path, header: LasHeader, extras: list[ExtraDimension], first: int = 0, count: int | None = None
 ) -> NDArray[Any]:
-    """Read `count` uncompressed point records from index `first`; by default all.
+    """Read `count` uncompressed point records of a file from index `first`; by default all.
 
     Raises:
         InputError: the file is truncated.
     """
     check_complete(header)
-    data = np.empty((header.count if count is None else count) * header.record_bytes, dtype=np.uint8)
-    file.seek(header.start + first * header.record_bytes)
-    file.readinto(data.data)  # type: ignore[attr-defined]
-    return data.view(record_type(header, extras))
+    count = header.count if count is None else count
+    return np.fromfile(path, record_type(header, extras), count, offset=header.start + first * header.record_bytes)
 
 
 def read_compressed_records(
-    file: BinaryIO,
-    header: LasHeader,
-    extras: list[ExtraDimension],
-    warn: Warn,
-    first_chunk: int = 0,
-    end_chunk: int | None = None,
+    path: Path, header: LasHeader, extras: list[ExtraDimension], first_chunk: int = 0, end_chunk: int | None = None
 ) -> NDArray[Any]:
-    """Decompress the point records of some chunks; by default all.
+    """Decompress the point records of some chunks of a file; by default all.
 
     Raises:
         InputError: the compressed data are damaged.
         MissingExtra: lazrs is not installed.
     """
-    chunks = laz.read_chunks(file, header) if header.count else []
-    return laz.decompress(file, header, chunks, warn, first_chunk, end_chunk).view(record_type(header, extras))
+    with path.open("rb") as file:
+        chunks = laz.read_chunks(file, header) if header.count else []
+    chosen = chunks[first_chunk:end_chunk]
+    if not chosen:
+        return np.empty(0, record_type(header, extras))
+    run = laz.LazRun(path, header, first_chunk, first_chunk + len(chosen), sum(chunk.points for chunk in chosen))
+    return laz.decompress([run]).view(record_type(header, extras))
 
 
 def classes_of(records: NDArray[Any], header: LasHeader) -> NDArray[Any]:
@@ -135,6 +133,9 @@ class LasFilters(NamedTuple):
     def __str__(self) -> str:
         named = [("classes", self.classes), ("returns", self.returns)]
         return " and ".join(f"{name} {_listed(value)}" for name, value in named if value is not None)
+
+
+NO_FILTERS = LasFilters()
 
 
 def parse_filters(classes: Collection[int] | None, returns: str | Collection[int] | None) -> LasFilters:

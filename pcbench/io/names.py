@@ -90,27 +90,27 @@ def standard_names(names: Sequence[str], taken: Collection[str] = ()) -> list[st
     plain = [name.lower().replace(" ", "_").replace(":", "_") for name in names]
     renamed: dict[int, str] = {}
 
-    def rename(at: int, name: str) -> None:
-        if name == names[at] or name not in (*present, *renamed.values()):
-            renamed.setdefault(at, name)
+    def rename(column: int, name: str) -> None:
+        if name == names[column] or name not in (*present, *renamed.values()):
+            renamed.setdefault(column, name)
 
     for name, others in _COORDINATES.items():
-        if found := [plain.index(alias) for alias in (name, *others) if alias in plain]:
-            rename(found[0], name)
+        if columns := [plain.index(alias) for alias in (name, *others) if alias in plain]:
+            rename(columns[0], name)
     for standard, kinds in ((NORMALS, _NORMAL_NAMES), (COLORS, _COLOR_NAMES)):
         for kind in kinds:
             if not set(kind) <= set(plain):
                 continue
-            at_kind = [plain.index(alias) for alias in kind]
-            if not set(standard) & (present - {names[at] for at in at_kind}):
-                renamed |= dict(zip(at_kind, standard, strict=True))
+            of_kind = [plain.index(alias) for alias in kind]
+            if not set(standard) & (present - {names[column] for column in of_kind}):
+                renamed |= dict(zip(of_kind, standard, strict=True))
                 break
-    for at, alias in enumerate(plain):
+    for column, alias in enumerate(plain):
         if alias in PACKED_COLORS:
-            rename(at, alias)
+            rename(column, alias)
         elif alias in _ATTRIBUTE_NAMES:
-            rename(at, _ATTRIBUTE_NAMES[alias])
-    return [renamed.get(at, name) for at, name in enumerate(names)]
+            rename(column, _ATTRIBUTE_NAMES[alias])
+    return [renamed.get(column, name) for column, name in enumerate(names)]
 
 
 class PointFields(NamedTuple):

@@ -59,7 +59,7 @@ class CoordinateCounts:
         points: number of points.
         at_origin: points that are exactly (0, 0, 0).
         at_corner: points with x = y = 0.
-        known: known fill values that occur, including 0.
+        fill_values: known fill values that occur, including 0.
         ends: smallest and largest value of each axis.
         sample: (M, 3) some points at even steps.
     """
@@ -67,7 +67,7 @@ class CoordinateCounts:
     points: int = 0
     at_origin: int = 0
     at_corner: int = 0
-    known: tuple[ValueCount, ...] = ()
+    fill_values: tuple[ValueCount, ...] = ()
     ends: tuple[ValueCount, ...] = ()
     sample: FloatArray | None = None
 
@@ -76,7 +76,7 @@ class CoordinateCounts:
         """Count the values of finite points (N, 3)."""
         if not len(points):
             return cls()
-        known, ends, zeros = list[ValueCount](), list[ValueCount](), list[NDArray[np.bool_]]()
+        fill_values, ends, zeros = list[ValueCount](), list[ValueCount](), list[NDArray[np.bool_]]()
         for axis, values in enumerate(points.T):
             low, high = float(values.min()), float(values.max())
             ends += [ValueCount(axis, end, int(np.count_nonzero(values == end))) for end in {low, high}]
@@ -84,13 +84,13 @@ class CoordinateCounts:
             possible = (v for v in _KNOWN_VALUES if low - _SAME * abs(v) <= v <= high + _SAME * abs(v))
             counts = [(value, np.count_nonzero(_is_same(values, value))) for value in possible]
             counts.append((0.0, np.count_nonzero(zeros[-1])))
-            known += [ValueCount(axis, value, int(count)) for value, count in counts if count]
+            fill_values += [ValueCount(axis, value, int(count)) for value, count in counts if count]
         corner = zeros[0] & zeros[1]
         return cls(
             points=len(points),
             at_origin=int(np.count_nonzero(corner & zeros[2])),
             at_corner=int(np.count_nonzero(corner)),
-            known=tuple(known),
+            fill_values=tuple(fill_values),
             ends=tuple(ends),
             sample=points[even_rows(len(points), _SAMPLE_POINTS)],
         )
@@ -98,19 +98,19 @@ class CoordinateCounts:
     @classmethod
     def merge(cls, parts: Iterable[CoordinateCounts]) -> CoordinateCounts:
         """Return the counts of all pieces of a cloud."""
-        found = [part for part in parts if part.sample is not None]
-        if not found:
+        filled = [part for part in parts if part.sample is not None]
+        if not filled:
             return cls()
-        known = _totals(value for part in found for value in part.known)
-        ends = _totals(value for part in found for value in part.ends)
+        fill_values = _totals(value for part in filled for value in part.fill_values)
+        ends = _totals(value for part in filled for value in part.ends)
         limits = {(axis, pick(v for a, v in ends if a == axis)) for axis in range(3) for pick in (min, max)}
         return cls(
-            points=sum(part.points for part in found),
-            at_origin=sum(part.at_origin for part in found),
-            at_corner=sum(part.at_corner for part in found),
-            known=tuple(known.values()),
+            points=sum(part.points for part in filled),
+            at_origin=sum(part.at_origin for part in filled),
+            at_corner=sum(part.at_corner for part in filled),
+            fill_values=tuple(fill_values.values()),
             ends=tuple(ends[limit] for limit in sorted(limits)),
-            sample=np.concatenate([part.sample for part in found if part.sample is not None]),
+            sample=np.concatenate([part.sample for part in filled if part.sample is not None]),
         )
 
 
@@ -144,7 +144,7 @@ class Nodata:
         others = _Others.of(counts)
         if others is None:
             return cls(counts.points, at_origin=at_origin)
-        values = [v for v in counts.known if others.contradict_known(v)]
+        values = [v for v in counts.fill_values if others.contradict_known(v)]
         for end in counts.ends:
             is_known = any(v.axis == end.axis and _is_same(end.value, v.value) for v in values)
             if not is_known and others.contradict_end(end):
@@ -156,14 +156,14 @@ class Nodata:
 
     def mask(self, points: FloatArray) -> NDArray[np.bool_]:
         """Return which points (N, 3) stand for missing data."""
-        found = np.zeros(len(points), bool)
+        missing = np.zeros(len(points), bool)
         for axis, value, _ in self.values:
-            found |= _is_same(points[:, axis], value)
+            missing |= _is_same(points[:, axis], value)
         if self.at_corner:
-            found |= (points[:, :2] == 0).all(axis=1)
+            missing |= (points[:, :2] == 0).all(axis=1)
         if self.at_origin:
-            found |= (points == 0).all(axis=1)
-        return found
+            missing |= (points == 0).all(axis=1)
+        return missing
 
     def text(self) -> str:
         """Return what stands for missing data, such as "100 of 5,000 points have z = -9999"."""
@@ -191,8 +191,8 @@ def nodata_warning(nodata: Nodata) -> str | None:
 
 def nodata_reason(clouds: Mapping[str, Cloud]) -> str:
     """Return why a computation with clouds, by their names in messages, may have failed; "" without fill values."""
-    found = {name: Nodata.of(CoordinateCounts.of(cloud.points)) for name, cloud in clouds.items()}
-    reasons = [f"in the {name}, {nodata.text()}" for name, nodata in found.items() if nodata]
+    nodata_of = {name: Nodata.of(CoordinateCounts.of(cloud.points)) for name, cloud in clouds.items()}
+    reasons = [f"in the {name}, {nodata.text()}" for name, nodata in nodata_of.items() if nodata]
     return f"{'; '.join(reasons)}: {_REMEDY}; " if reasons else ""
 
 
@@ -224,11 +224,11 @@ class _Others:
         """Return the other points; None if the sample has too few."""
         assert counts.sample is not None
         sample = counts.sample[(np.abs(counts.sample) < MIN_ABSURD).all(axis=1)]
-        for axis, value, _ in counts.known:
+        for axis, value, _ in counts.fill_values:
             if value != 0:
                 sample = sample[~_is_same(sample[:, axis], value)]
         keep = np.ones(len(sample), bool)
-        for axis, value, points in (*counts.known, *counts.ends):
+        for axis, value, points in (*counts.fill_values, *counts.ends):
             has_value = _is_same(sample[:, axis], value)
             if points >= _MIN_REPEATS and np.count_nonzero(has_value) < _MAX_REPEATED_SHARE * len(sample):
                 keep &= ~has_value
@@ -238,35 +238,35 @@ class _Others:
         low, high = np.percentile(sample, _RANGE_RANKS, axis=0)
         return cls(sample, low, high)
 
-    def contradict_known(self, found: ValueCount) -> bool:
+    def contradict_known(self, count: ValueCount) -> bool:
         """Return whether a known fill value stands for missing data; 0 only in z."""
-        if found.value != 0:
-            return self._gap(found) > _MIN_KNOWN_GAP * self._range(found.axis)
-        return found.axis == 2 and found.points > 1 and self._is_isolated(found, _MIN_ZERO_GAP, _MIN_ZERO_GAP_ACROSS)
+        if count.value != 0:
+            return self._gap(count) > _MIN_KNOWN_GAP * self._range(count.axis)
+        return count.axis == 2 and count.points > 1 and self._is_isolated(count, _MIN_ZERO_GAP, _MIN_ZERO_GAP_ACROSS)
 
-    def contradict_end(self, found: ValueCount) -> bool:
+    def contradict_end(self, count: ValueCount) -> bool:
         """Return whether the smallest or largest value of an axis stands for missing data."""
-        if abs(found.value) >= MIN_ABSURD:
+        if abs(count.value) >= MIN_ABSURD:
             return True
-        return found.points >= _MIN_REPEATS and self._is_isolated(found, _MIN_REPEATED_GAP, _MIN_REPEATED_GAP_ACROSS)
+        return count.points >= _MIN_REPEATS and self._is_isolated(count, _MIN_REPEATED_GAP, _MIN_REPEATED_GAP_ACROSS)
 
     def contradict_corner(self) -> bool:
         """Return whether points with x = y = 0 stand for missing data: the others are far away."""
         corner = (ValueCount(axis, 0.0, 1) for axis in range(2))
         return any(self._gap(end) > _MIN_CORNER_GAP * self._range(end.axis) for end in corner)
 
-    def _is_isolated(self, found: ValueCount, ranges: float, extents: float) -> bool:
-        gap, across = self._gap(found), max(self._range(axis) for axis in range(3) if axis != found.axis)
-        values = self.sample[even_rows(len(self.sample), _MAX_DISTINCT_SAMPLE), found.axis]
+    def _is_isolated(self, count: ValueCount, ranges: float, extents: float) -> bool:
+        gap, across = self._gap(count), max(self._range(axis) for axis in range(3) if axis != count.axis)
+        values = self.sample[even_rows(len(self.sample), _MAX_DISTINCT_SAMPLE), count.axis]
         return (
-            gap > ranges * self._range(found.axis)
+            gap > ranges * self._range(count.axis)
             and gap > extents * across
             and len(np.unique(values)) >= _MIN_DISTINCT_SHARE * len(values)
         )
 
-    def _gap(self, found: ValueCount) -> float:
-        low, high = float(self.low[found.axis]), float(self.high[found.axis])
-        return max(low - found.value, found.value - high, 0.0)
+    def _gap(self, count: ValueCount) -> float:
+        low, high = float(self.low[count.axis]), float(self.high[count.axis])
+        return max(low - count.value, count.value - high, 0.0)
 
     def _range(self, axis: int) -> float:
         return float(self.high[axis]) - float(self.low[axis])

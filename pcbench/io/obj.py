@@ -15,7 +15,7 @@ import numpy as np
 
 from pcbench.errors import InputError
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import Fields, Warn
+from pcbench.io.files import Fields, Look, Warn
 from pcbench.io.names import COLORS, NORMALS, Columns, take_fields
 from pcbench.io.polygons import left_out_surface, triangulate
 
@@ -26,19 +26,20 @@ _SURFACES = (b"f", b"fo", *_CURVED)
 _SURFACE = re.compile(rb"^[ \t]*(fo?|surf|bsp|bzp|cdp)[ \t]", re.MULTILINE)
 
 
-def has_surface(path: Path) -> bool:
-    """Return whether a file has faces or curved surfaces, without which it is a cloud.
+def look_at_obj(path: Path) -> Look:
+    """Search for faces or curved surfaces, without which a file is a cloud.
 
     Raises:
         OSError: the file cannot be read.
     """
-    return _SURFACE.search(path.read_bytes()) is not None
+    return Look(_SURFACE.search(path.read_bytes()) is not None)
 
 
 def read_obj_points(path: Path, warn: Warn) -> Fields:
     """Read the vertices as `read_obj_vertices` does, with a warning if they belong to a mesh."""
-    fields = read_obj_vertices(path, warn)
-    if surfaces := len(_SURFACE.findall(path.read_bytes())):
+    data = path.read_bytes()
+    fields = _vertices(data, warn)
+    if surfaces := len(_SURFACE.findall(data)):
         warn(left_out_surface(len(fields["points"]), f"{surfaces} face{'s' * (surfaces > 1)}"))
     return fields
 
@@ -50,9 +51,13 @@ def read_obj_vertices(path: Path, warn: Warn) -> Fields:
         InputError: a line is malformed, or there are no vertices.
         OSError: the file cannot be read.
     """
+    return _vertices(path.read_bytes(), warn)
+
+
+def _vertices(data: bytes, warn: Warn) -> Fields:
     rows: dict[bytes, list[list[float]]] = {b"v": [], b"vn": []}
     with_faces = False
-    for number, line in enumerate(_lines(path), 1):
+    for number, line in enumerate(_lines(data), 1):
         words = line.split()
         if not words or words[0] not in rows:
             with_faces |= bool(words) and words[0] in _SURFACES
@@ -80,9 +85,9 @@ def read_obj_vertices(path: Path, warn: Warn) -> Fields:
     return Fields(points=points, normals=fields.normals, colors=fields.colors, attributes=fields.attributes)
 
 
-def _lines(path: Path) -> list[bytes]:
+def _lines(data: bytes) -> list[bytes]:
     """Return the lines without a byte order mark, which would hide the first vertex; a backslash joins two."""
-    data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    data = data.removeprefix(b"\xef\xbb\xbf")
     return data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
 
 
@@ -95,7 +100,7 @@ def read_obj(path: Path, warn: Warn) -> Mesh:
     """
     coordinates, lengths, corners = array("d"), array("q"), array("q")
     left_out = 0
-    for number, line in enumerate(_lines(path), 1):
+    for number, line in enumerate(_lines(path.read_bytes()), 1):
         words = line.split()
         if not words or words[0] not in _KEYWORDS:
             continue

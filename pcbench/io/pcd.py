@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import lzf
+from pcbench.io.columns import as_integers, excerpt, packed_rows, parse_rows, plain_type
 from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end, read_rest
 from pcbench.io.names import (
     PACKED_COLORS,
@@ -163,9 +165,7 @@ def _read_header(file: BinaryIO) -> _PcdHeader:
         if key == "COLUMNS":  # an old name
             key = "FIELDS"
         if key not in _KEYS or not line.isascii() or not " ".join(words).isprintable():
-            raise InputError(
-                f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {_excerpt(line)}"
-            )
+            raise InputError(f"header: expected a line that starts with one of {', '.join(_KEYS)}; got {excerpt(line)}")
         if key in entries:
             raise InputError(f"header: expected one {key} line, got two: export the file again")
         entries[key] = words[1:]
@@ -235,11 +235,6 @@ def _check_fields(fields: list[_Field]) -> None:
             raise InputError(f"header: expected COUNT 1 for {field.name[:40]!r}, got {field.count}: export it again")
 
 
-def _excerpt(line: bytes) -> str:
-    text = line.strip()
-    return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
-
-
 # ---- body ---------------------------------------------------------------------------------------------------------
 
 
@@ -299,7 +294,7 @@ def _ascii_columns(text: bytes, header: _PcdHeader, warn: Warn) -> Fieldwise:
     rest = b"\n".join(lines[header.count :])
     check_end(rest[:MAX_PADDING], len(rest), 2 * header.values - 1, f"{header.count} points", warn)
     del lines[header.count :]
-    table = _ascii_table(lines, header)
+    table = parse_rows(lines, header.values, _place)
     columns: Fieldwise = {}
     offset = 0
     for field in header.fields:
@@ -307,52 +302,29 @@ def _ascii_columns(text: bytes, header: _PcdHeader, warn: Warn) -> Fieldwise:
         if field.name in XYZ:
             columns[field.name] = values
         elif field.name != "_":
-            columns[field.name] = _convert_column(values, field)
-            if field.dtype.itemsize == 8 and field.dtype.kind != "f" and np.abs(values).max() >= 2**53:
-                columns[field.name] = _long_integers(lines, offset, field)
+            columns[field.name] = _typed(values, lines, offset, field)
         offset += field.count
     return columns
 
 
-def _ascii_table(lines: list[bytes], header: _PcdHeader) -> NDArray[np.float64]:
-    try:
-        table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
-        if table.shape == (header.count, header.values):
-            return table
-    except ValueError:
-        pass  # the loop below finds the row
-    for number, line in enumerate(lines):
-        words = line.split()
-        if len(words) != header.values:
-            raise InputError(f"point {number + 1}: expected {header.values} values, got {len(words)}")
-        for word in words:
-            try:
-                float(word)
-            except ValueError:
-                raise InputError(f"point {number + 1}: expected numbers, got {_excerpt(line)}") from None
-    raise InputError("expected lines of numbers, got other text: export the file again")
-
-
-def _convert_column(values: NDArray[np.float64], field: _Field) -> NDArray[Any]:
+def _typed(values: FloatArray, lines: list[bytes], offset: int, field: _Field) -> NDArray[Any]:
+    """Convert the numbers of a field (N, count) to its type."""
     if field.dtype.kind == "f":
         return values.astype(field.dtype)
-    typed = values.astype(field.dtype)
-    if len(wrong := np.flatnonzero((typed != values).any(axis=1))):
-        raise InputError(
-            f"point {wrong[0] + 1}: expected {field.name!r} as {field.dtype.name}, got another number: export it again"
-        )
-    return typed
-
-
-def _long_integers(lines: list[bytes], offset: int, field: _Field) -> NDArray[Any]:
-    """Parse integers that float64 would round."""
-    try:
+    typed = as_integers(values, field.dtype, field.name, field.dtype.name, _place)
+    if field.dtype.itemsize < 8 or np.abs(values).max() < 2**53:
+        return typed
+    try:  # float64 has rounded them
         words = [line.split()[offset : offset + field.count] for line in lines]
         return np.array([[int(word) for word in row] for row in words], dtype=field.dtype)
     except (ValueError, OverflowError):
         raise InputError(
             f"expected {field.name!r} as {field.dtype.name}, got another number: export it again"
         ) from None
+
+
+def _place(row: int) -> str:
+    return f"point {row + 1}"
 
 
 # ---- writer -------------------------------------------------------------------------------------------------------
@@ -378,24 +350,16 @@ def write_pcd(path: Path, cloud: Cloud, warn: Warn) -> None:
         red, green, blue = cloud.colors.T.astype(np.uint32)
         columns["rgb"] = red << 16 | green << 8 | blue
     attributes = stored_attributes(cloud.attributes, "PCD", warn, reserved={*columns, *PACKED_COLORS, "_"})
-    for name, values in attributes.items():
-        if values.dtype.kind == "b":
-            values = values.astype(np.uint8)
-        elif values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8):
-            values = values.astype(np.float32 if values.dtype.itemsize < 4 else np.float64)
-        columns[name] = values
+    columns |= {name: plain_type(values) for name, values in attributes.items()}
     if line := left_out_warning("PCD", {"the crs": cloud.crs, "the unit": cloud.unit}):
         warn(line)
-    codes = {name: column.dtype.str[1:] for name, column in columns.items()}
-    rows = np.empty(len(cloud), dtype=[(name, f"<{code}") for name, code in codes.items()])
-    for name, column in columns.items():
-        rows[name] = column
+    dtypes = [column.dtype for column in columns.values()]
     lines = {
         "VERSION": "0.7",
-        "FIELDS": " ".join(codes),
-        "SIZE": " ".join(code[1] for code in codes.values()),
-        "TYPE": " ".join(code[0].upper() for code in codes.values()),
-        "COUNT": " ".join("1" for _ in codes),
+        "FIELDS": " ".join(columns),
+        "SIZE": " ".join(str(dtype.itemsize) for dtype in dtypes),
+        "TYPE": " ".join(dtype.kind.upper() for dtype in dtypes),
+        "COUNT": " ".join("1" for _ in dtypes),
         "WIDTH": str(len(cloud)),
         "HEIGHT": "1",
         "VIEWPOINT": _IDENTITY,
@@ -404,4 +368,4 @@ def write_pcd(path: Path, cloud: Cloud, warn: Warn) -> None:
     }
     with atomic_write(path) as file:
         file.write("".join(f"{key} {value}\n" for key, value in lines.items()).encode())
-        file.write(rows.view(np.uint8).data)
+        file.write(packed_rows(columns).view(np.uint8).data)

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,8 @@ from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
-from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
+from pcbench.io.columns import packed_rows, plain_type
+from pcbench.io.files import MAX_PADDING, Fields, Look, Warn, atomic_write, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -36,12 +38,23 @@ ABOUT = "coordinates about"  # tag of the comment line with the origin that is a
 _NORMAL_BLOCK = 1 << 16  # vertices
 
 
-def read_ply(path: Path, warn: Warn) -> Fields:
-    """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
-    fields = read_ply_vertices(path, warn)
+def look_at_ply(path: Path) -> Look:
+    """Read the header of a PLY file; the grid of a scan is no mesh.
+
+    Raises:
+        InputError: the file does not start with a PLY header.
+        OSError: the file cannot be read.
+    """
     with path.open("rb") as file:
         header = read_header(file)
-        unknown = [e for e in header.elements if e.lists and e.count and e.name != "vertex" and e not in header.surface]
+    return Look(any(not element.is_grid for element in header.surface), header)
+
+
+def read_ply(path: Path, warn: Warn, header: PlyHeader | None = None) -> Fields:
+    """Read the vertices of a PLY file as `read_ply_vertices` does, with a warning if they belong to a mesh."""
+    header = header or look_at_ply(path).header
+    fields = read_ply_vertices(path, warn, header)
+    unknown = [e for e in header.elements if e.lists and e.count and e.name != "vertex" and e not in header.surface]
     if header.surface:
         warn(left_out_surface(len(fields["points"]), header.surface[0].count_text()))
     elif unknown:
@@ -52,7 +65,7 @@ def read_ply(path: Path, warn: Warn) -> Fields:
     return fields
 
 
-def read_ply_vertices(path: Path, warn: Warn) -> Fields:
+def read_ply_vertices(path: Path, warn: Warn, header: PlyHeader | None = None) -> Fields:
     """Read the vertices of a PLY file: x y z, normals, colours; all other scalars are attributes.
 
     Coordinates become float64; those of an ascii file keep all digits, whatever type it declares. Attributes keep their
@@ -66,8 +79,7 @@ def read_ply_vertices(path: Path, warn: Warn) -> Fields:
         OSError: the file cannot be read.
     """
     # Damaged floats may be signalling NaNs or overflow a narrower type; they become NaN or Inf and are dropped later.
-    with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
-        header = read_header(file)
+    with _open_body(path, header) as (file, header), np.errstate(invalid="ignore", over="ignore"):
         check_vertices(header)
         columns = read_elements(file, header, warn, scalars=("vertex",))["vertex"].columns
         return _fields(columns, header, warn)
@@ -93,7 +105,7 @@ class PlyRows:
         return (self.header.element("vertex") or Element("vertex", 0)).count
 
 
-def find_rows(path: Path, warn: Warn) -> PlyRows | None:
+def find_rows(path: Path, warn: Warn, header: PlyHeader | None = None) -> PlyRows | None:
     """Return the vertices of a file from its header, or None if they cannot be read in parts.
 
     They can if they are binary rows of one size, and their colours are bytes: the scale of others depends on all rows.
@@ -102,10 +114,9 @@ def find_rows(path: Path, warn: Warn) -> PlyRows | None:
         InputError: the header is damaged, or the file is truncated.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
-        header = read_header(file)
+    with _open_body(path, header) as (file, header):
         check_vertices(header)
-        start = file.tell()
+        start = header.nbytes
         if header.byte_order is None:
             return None
         for element in header.elements:
@@ -174,18 +185,7 @@ def _fields(columns: Columns, header: PlyHeader, warn: Warn, keep_zero_normals: 
     )
 
 
-def has_faces(path: Path) -> bool:
-    """Return whether a PLY file describes a surface other than the grid of a scan. Only the header is read.
-
-    Raises:
-        InputError: the file does not start with a PLY header.
-        OSError: the file cannot be read.
-    """
-    with path.open("rb") as file:
-        return any(not element.is_grid for element in read_header(file).surface)
-
-
-def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
+def read_ply_mesh(path: Path, warn: Warn, header: PlyHeader | None = None) -> Mesh:
     """Read polygons and triangle strips of a PLY file as triangles, with its crs and unit.
 
     Raises:
@@ -193,8 +193,7 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
             surface is stored in another way.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file, np.errstate(invalid="ignore", over="ignore"):
-        header = read_header(file)
+    with _open_body(path, header) as (file, header), np.errstate(invalid="ignore", over="ignore"):
         check_vertices(header)
         check_faces(header)
         names = [element.name for element in header.surface]
@@ -206,6 +205,15 @@ def read_ply_mesh(path: Path, warn: Warn) -> Mesh:
         assert polygons is not None  # check_faces
         faces.append(triangulate_strips(*polygons) if "strip" in name else triangulate(points, *polygons, warn))
     return Mesh(points, np.concatenate(faces), crs=header.tag_value("crs"), unit=header.tag_value("unit"))
+
+
+@contextmanager
+def _open_body(path: Path, header: PlyHeader | None) -> Iterator[tuple[BinaryIO, PlyHeader]]:
+    """Open a file at the first byte after its header, which is read unless it is given."""
+    with path.open("rb") as file:
+        header = header or read_header(file)
+        file.seek(header.nbytes)
+        yield file, header
 
 
 def _points(columns: Columns, header: PlyHeader) -> FloatArray:
@@ -253,17 +261,32 @@ def write_vertices(path: Path, columns: Columns, tags: Mapping[str, str]) -> Non
     Raises:
         OSError: the file cannot be written; an existing file is then unchanged.
     """
-    types = {name: column.dtype.newbyteorder("=").str[1:] for name, column in columns.items()}
-    count = len(next(iter(columns.values())))
-    rows = np.empty(count, dtype=[(name, f"<{code}") for name, code in types.items()])
-    for name, column in columns.items():
-        rows[name] = column
+    _write(path, columns, tags, None)
+
+
+def write_ply_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int, the unit as a comment line.
+
+    Raises:
+        OSError: the file cannot be written; an existing file is then unchanged.
+    """
+    columns: Columns = {name: mesh.vertices[:, axis] for axis, name in enumerate(XYZ)}
+    _write(path, columns, {"unit": mesh.unit} if mesh.unit else {}, mesh.faces)
+
+
+def _write(path: Path, columns: Columns, tags: Mapping[str, str], triangles: NDArray[Any] | None) -> None:
+    vertices = packed_rows(columns)
     comments = [f"comment {tag} {_one_line(text)}" for tag, text in tags.items()]
-    properties = [f"property {TYPE_NAMES[code]} {name}" for name, code in types.items()]
-    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {count}", *properties, "end_header"]
+    properties = [f"property {TYPE_NAMES[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {len(vertices)}", *properties]
+    faces = np.empty(0 if triangles is None else len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    if triangles is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        faces["count"], faces["corners"] = 3, triangles
     with atomic_write(path) as file:
-        file.write(("\n".join(lines) + "\n").encode())
-        file.write(rows.view(np.uint8).data)
+        file.write(("\n".join([*lines, "end_header"]) + "\n").encode())
+        for rows in (vertices, faces):
+            file.write(rows.view(np.uint8).data)
 
 
 def _one_line(text: str) -> str:
@@ -271,16 +294,12 @@ def _one_line(text: str) -> str:
 
 
 def _as_ply_type(values: NDArray[Any]) -> NDArray[Any]:
-    if values.dtype.newbyteorder("=").str[1:] in TYPE_NAMES:
+    values = plain_type(values)
+    if values.dtype.str[1:] in TYPE_NAMES:
         return values
-    if values.dtype.kind == "b":
-        return values.astype(np.uint8)
-    if values.dtype == np.float16:
-        return values.astype(np.float32)
     if values.dtype.kind in "iu":
         low, high = int(values.min()), int(values.max())
         for dtype in (np.int32, np.uint32):
             if np.iinfo(dtype).min <= low and high <= np.iinfo(dtype).max:
                 return values.astype(dtype)
-    with np.errstate(over="ignore"):
-        return values.astype(np.float64)
+    return values.astype(np.float64)

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import InputError
+from pcbench.io.columns import as_integers, not_numbers_error, parse_rows
 from pcbench.io.files import MAX_PADDING, Warn, check_end, read_rest
 from pcbench.io.names import XYZ, Columns
-from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, Property, excerpt
+from pcbench.io.ply_header import TYPE_NAMES, Element, PlyHeader, Property
 
 
 class Polygons(NamedTuple):
@@ -230,9 +231,10 @@ def _ascii_tables(text: bytes, header: PlyHeader, selection: dict[str, _Selectio
 
 
 def _ascii_table(rows: list[bytes], element: Element, selection: _Selection) -> Table:
-    values = _load_scalar_rows(rows, element) if selection.scalars and not element.lists else None
     polygons: Polygons | None = None
-    if values is None:
+    if selection.scalars and not element.lists:
+        values = parse_rows(rows, len(element.scalars), element.place_after)
+    else:
         scalars: list[list[float]] = []
         lengths, words = array("q"), list[bytes]()
         for number, row in enumerate(rows):
@@ -248,19 +250,8 @@ def _ascii_table(rows: list[bytes], element: Element, selection: _Selection) -> 
     if not selection.scalars:
         return Table({}, polygons)
     values = values.reshape(len(rows), len(element.scalars))
-    return Table({prop.name: _convert_column(values[:, k], prop) for k, prop in enumerate(element.scalars)}, polygons)
-
-
-def _load_scalar_rows(rows: list[bytes], element: Element) -> NDArray[np.float64] | None:
-    """Parse the scalars (rows, scalars) of an element without lists; float64 holds every PLY type exactly.
-
-    Return None if a row is malformed, so that the slower row-by-row parser reports it.
-    """
-    try:
-        values = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    return values if values.shape == (element.count, len(element.scalars)) else None
+    columns = {prop.name: _typed(values[:, k], prop, element) for k, prop in enumerate(element.scalars)}
+    return Table(columns, polygons)
 
 
 def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], list[bytes]]:
@@ -290,11 +281,11 @@ def _ascii_row(row: bytes, number: int, element: Element) -> tuple[list[float], 
     except ValueError:
         offset = -1
     if offset < 0 or b"_" in row:  # Python reads 1_000 as a number; PLY does not
-        raise InputError(f"after {element.count_text(number)}: expected numbers, got {excerpt(row)}: export it again")
+        raise not_numbers_error(element.place_after(number), row)
     if offset != len(words):
         more = "at least " if offset > len(words) else ""
         raise InputError(
-            f"after {element.count_text(number)}: expected {more}{offset} values, got {len(words)}: export it again"
+            f"{element.place_after(number)}: expected {more}{offset} values, got {len(words)}: export the file again"
         )
     return values, polygon
 
@@ -306,12 +297,8 @@ def _numbers(words: list[bytes]) -> NDArray[np.float64]:
         raise InputError(f"expected vertex indices in the faces, got other text: {str(error)[:60]}") from error
 
 
-def _convert_column(values: NDArray[np.float64], prop: Property) -> NDArray[Any]:
+def _typed(values: NDArray[np.float64], prop: Property, element: Element) -> NDArray[Any]:
     """Convert an ascii column to its declared type; coordinates stay float64 to keep all digits."""
     if prop.dtype.kind == "f":
         return values if prop.name in XYZ else values.astype(prop.dtype)
-    typed = values.astype(prop.dtype)
-    if len(wrong := np.flatnonzero(typed != values)):
-        name = TYPE_NAMES[prop.dtype.str[1:]]
-        raise InputError(f"vertex {wrong[0]}: expected {prop.name!r} as {name}, got {values[wrong[0]]:g}")
-    return typed
+    return as_integers(values, prop.dtype, prop.name, TYPE_NAMES[prop.dtype.str[1:]], element.place_after)

@@ -13,6 +13,8 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 
 from pcbench.errors import InputError
+from pcbench.io.columns import excerpt
+from pcbench.io.files import errors_named
 from pcbench.io.names import XYZ, standard_names
 
 _MAX_HEADER_BYTES = 1 << 20
@@ -98,6 +100,10 @@ class Element:
         plural = {"vertex": "vertices", "face": "faces", "edge": "edges"}.get(self.name, f"{self.name[:40]!r} elements")
         return f"{self.count} {plural}" if count is None else f"{count} of {self.count} {plural}"
 
+    def place_after(self, complete: int) -> str:
+        """Return the place after `complete` rows, for a message."""
+        return f"after {self.count_text(complete)}"
+
     def truncation_error(self, complete: int) -> InputError:
         """Return the error of a file that ends after `complete` rows."""
         return InputError(f"truncated: got {self.count_text(complete)}: copy or export the file again")
@@ -110,6 +116,7 @@ class PlyHeader:
     byte_order: Literal["<", ">"] | None  # None: ascii
     elements: list[Element]
     comments: list[str]
+    nbytes: int  # up to the first element
 
     def element(self, name: str) -> Element | None:
         """Return the element of a name, or None."""
@@ -188,85 +195,71 @@ def read_header(file: BinaryIO) -> PlyHeader:
             raise InputError(
                 f"truncated: the header ends after line {number - 1} without end_header: copy the file again"
             )
-        if b"\0" in line:
-            raise InputError(f"header line {number}: expected text, got a NUL byte")
         words = line.split()
-        if not words:
-            continue
-        if words[0] in (b"comment", b"obj_info"):  # free text in any encoding
-            if words[0] == b"comment":
-                comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
-            continue
-        if not line.isascii() or not b" ".join(words).decode().isprintable():
-            raise InputError(f"header line {number}: expected ASCII text, got {excerpt(line)}")
-        match [word.decode() for word in words]:
-            case ["end_header"]:
-                break
-            case ["format", name, "1.0"] if name in _BYTE_ORDERS and not formats:
-                byte_order = _BYTE_ORDERS[name]
-                formats.append(name)
-            case ["format", *_] if formats:
-                raise InputError(f"header line {number}: expected one format line, got a second: export the file again")
-            case ["format", *_]:
-                known = ", ".join(_BYTE_ORDERS)
-                raise InputError(f"header line {number}: expected 'format {known} 1.0', got {excerpt(line)}")
-            case ["element", name, count]:
-                if name in elements:
-                    raise InputError(f"header line {number}: expected unique elements, got {name[:40]!r} twice")
-                elements[name] = current = Element(name, _count(count, name, number))
-            case ["property", *rest] if elements:
-                current.properties.append(_property(rest, number))
-            case ["property", *_]:
-                raise InputError(
-                    f"header line {number}: expected an element before the first property: export it again"
-                )
-            case _:
-                known = "format, element, property, comment or end_header"
-                raise InputError(f"header line {number}: expected {known}, got {excerpt(line)}")
+        if words == [b"end_header"]:
+            break
+        with errors_named(f"header line {number}"):
+            if b"\0" in line:
+                raise InputError("expected text, got a NUL byte: export the file again")
+            if words and words[0] in (b"comment", b"obj_info"):  # free text in any encoding
+                if words[0] == b"comment":
+                    comments.append(b" ".join(words[1:]).decode("utf-8", errors="replace"))
+                continue
+            if not line.isascii() or not b" ".join(words).decode().isprintable():
+                raise InputError(f"expected ASCII text, got {excerpt(line)}")
+            match [word.decode() for word in words]:
+                case []:
+                    pass
+                case ["format", name, "1.0"] if name in _BYTE_ORDERS and not formats:
+                    byte_order = _BYTE_ORDERS[name]
+                    formats.append(name)
+                case ["format", *_] if formats:
+                    raise InputError("expected one format line, got a second: export the file again")
+                case ["format", *_]:
+                    raise InputError(f"expected 'format {', '.join(_BYTE_ORDERS)} 1.0', got {excerpt(line)}")
+                case ["element", name, count]:
+                    if name in elements:
+                        raise InputError(f"expected unique elements, got {name[:40]!r} twice")
+                    elements[name] = current = Element(name, _count(count, name))
+                case ["property", *rest] if elements:
+                    current.properties.append(_property(rest))
+                case ["property", *_]:
+                    raise InputError("expected an element before the first property: export it again")
+                case _:
+                    raise InputError(f"expected format, element, property, comment or end_header, got {excerpt(line)}")
     if not formats:
         raise InputError(f"header: expected a format line ({', '.join(_BYTE_ORDERS)}), got none: export the file again")
     if (vertex := elements.get("vertex")) is not None:
         elements["vertex"] = _with_standard_names(vertex)
     ordered = [_with_byte_order(element, byte_order or "=") for element in elements.values()]
-    return PlyHeader(byte_order, ordered, comments)
+    return PlyHeader(byte_order, ordered, comments, used)
 
 
-def excerpt(line: bytes) -> str:
-    """Return the start of a line, for an error message."""
-    text = line.strip()
-    return repr(text[:60])[1:] + ("..." if len(text) > 60 else "")
-
-
-def _count(word: str, element: str, number: int) -> int:
-    if word.startswith("-") and word[1:].isdigit():
-        raise InputError(f"header line {number}: expected a count of {element!r} of at least 0, got {word[:40]}")
+def _count(word: str, element: str) -> int:
     if not word.isdigit():
-        raise InputError(f"header line {number}: expected the count of {element!r} as an integer, got {word[:40]!r}")
+        raise InputError(f"expected the count of {element!r} as an integer of at least 0, got {word[:40]!r}")
     if len(word) > _MAX_COUNT_DIGITS:
-        raise InputError(
-            f"header line {number}: {word[:40]} of {element!r} are more than any file contains: export it again"
-        )
+        raise InputError(f"{word[:40]} of {element!r} are more than any file contains: export it again")
     return int(word)
 
 
-def _property(words: list[str], number: int) -> Property:
+def _property(words: list[str]) -> Property:
     match words:
         case ["list", length, item, name]:
-            counter = _type(length, number)
+            counter = _type(length)
             if counter.kind == "f":
-                raise InputError(f"header line {number}: expected an integer type for the list length, got {length!r}")
-            return Property(name, _type(item, number), counter)
+                raise InputError(f"expected an integer type for the list length, got {length!r}")
+            return Property(name, _type(item), counter)
         case [item, name] if item != "list":
-            return Property(name, _type(item, number))
+            return Property(name, _type(item))
     raise InputError(
-        f"header line {number}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME',"
-        f" got {' '.join(['property', *words])[:60]!r}"
+        f"expected 'property TYPE NAME' or 'property list TYPE TYPE NAME', got {' '.join(['property', *words])[:60]!r}"
     )
 
 
-def _type(word: str, number: int) -> np.dtype[Any]:
+def _type(word: str) -> np.dtype[Any]:
     if word not in _TYPES:
-        raise InputError(f"header line {number}: expected a type of {', '.join(_TYPES)}; got {word[:40]!r}")
+        raise InputError(f"expected a type of {', '.join(_TYPES)}; got {word[:40]!r}")
     return np.dtype(_TYPES[word])
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index
-from pcbench.measure.metrics import NORMAL_MAD, nmad, percentiles
+from pcbench.geometry.order_statistics import NORMAL_MAD
+from pcbench.measure.metrics import nmad, percentiles
 from pcbench.measure.plane_sample import PlaneSample
 
 LOD_Z = 1.96  # normal quantile of a two-sided 95 % level of detection

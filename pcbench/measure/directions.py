@@ -14,39 +14,31 @@ from pcbench.geometry.quantisation import PlacedQuantisation
 from pcbench.measure import floors, metrics
 from pcbench.measure.metrics import Distances
 from pcbench.measure.plane_sample import PlaneSample, sample_planes
+from pcbench.measure.quantity import LENGTH, SQUARED_LENGTH
 from pcbench.measure.reference import Reference
 
 
 class MeanMetric(NamedTuple):
     """A metric that is a mean over the queries of one direction.
 
-    Floors, intervals, area weighting, differences between candidates and all outputs follow from this definition.
+    Floors, intervals, area weighting, differences between candidates and all outputs follow from this definition;
+    `pcbench.report.layout` has its labels.
 
     Attributes:
         name: key of the metric.
-        label: label of its row in tables.
         definition: definition in words.
-        power: power of the unit of length.
+        unit: unit of the values, see `Quantity.unit`.
         values_of: function that returns the averaged values (M,), or None if they do not exist.
         root_name: key of its square root, if that is reported too.
-        root_label: label of the square root in tables.
         has_symmetric_max: whether the larger of both directions is reported.
-        headline: label in the summary, of the square root if there is one; empty: not in the summary.
-        column: heading of its column in the summary.
-        ranks: `Headline.rank` of that column for c→r and r→c, each with the rank of the floor.
     """
 
     name: str
-    label: str
     definition: str
-    power: int
+    unit: str
     values_of: Callable[[Distances], FloatArray | None]
     root_name: str | None = None
-    root_label: str | None = None
     has_symmetric_max: bool = False
-    headline: str = ""
-    column: str = ""
-    ranks: tuple[tuple[int | None, int | None], tuple[int | None, int | None]] = ((None, None), (None, None))
 
 
 PLANE_METRIC = "d2_mse"
@@ -54,37 +46,21 @@ PLANE_METRIC = "d2_mse"
 MEAN_METRICS = (
     MeanMetric(
         "d1_mse",
-        "D1 MSE",
         "mean square, point to nearest point",
-        2,
+        SQUARED_LENGTH,
         lambda distances: np.square(distances.to_points),
-        "d1_rms",
-        "D1 RMS",
+        root_name="d1_rms",
         has_symmetric_max=True,
     ),
     MeanMetric(
         PLANE_METRIC,
-        "D2 MSE",
         "mean square, point to tangent plane of the reference",
-        2,
+        SQUARED_LENGTH,
         lambda distances: distances.plane_squares,
-        "d2_rms",
-        "D2 RMS",
+        root_name="d2_rms",
         has_symmetric_max=True,
-        headline="RMS off the surface (D2)",
-        column="D2 RMS",
-        ranks=((0, 1), (None, None)),
     ),
-    MeanMetric(
-        "mean_distance",
-        "mean distance",
-        "mean distance to the nearest point",
-        1,
-        lambda distances: distances.to_points,
-        headline="mean distance",
-        column="mean",
-        ranks=((5, 5), (0, 1)),
-    ),
+    MeanMetric("mean_distance", "mean distance to the nearest point", LENGTH, lambda distances: distances.to_points),
 )
 
 
@@ -124,9 +100,11 @@ def from_candidate(
     distances, closest = matches
 
     def measure(rows: IntArray | None) -> FloatArray:
-        at = closest if rows is None else closest[rows]
-        n = reference.surface.compute_normals(at)
-        return metrics.plane_distances(queries, reference.points, n, query_rows=rows, closest_rows=at, normal_rows=at)
+        nearest = closest if rows is None else closest[rows]
+        n = reference.surface.compute_normals(nearest)
+        return metrics.plane_distances(
+            queries, reference.points, n, query_rows=rows, closest_rows=nearest, normal_rows=nearest
+        )
 
     planes = _to_planes(reference, distances, measure, seed)
     few = queries[floors.even_sample(len(queries))]
@@ -158,11 +136,11 @@ def from_reference(
     measured, queries = reference.rows, reference.measured_points
 
     def measure(rows: IntArray | None) -> FloatArray:
-        at = measured if rows is None else rows if measured is None else measured[rows]
+        tangents = measured if rows is None else rows if measured is None else measured[rows]
         closest = back.indices if rows is None else back.indices[rows]
-        n = reference.surface.compute_normals(at)
+        n = reference.surface.compute_normals(tangents)
         return metrics.plane_distances(
-            queries, candidate.points, n, query_rows=rows, closest_rows=closest, normal_rows=at
+            queries, candidate.points, n, query_rows=rows, closest_rows=closest, normal_rows=tangents
         )
 
     planes = _to_planes(reference, back.distances, measure, seed)

@@ -230,9 +230,9 @@ def _offsets_between_lines(reference: FloorSurface, rows: IntArray, gaps: FloatA
     In between, a curved surface leaves the plane with the square of the distance.
     """
     points = reference.points[rows]
-    found = reference.index.query(points + gaps).indices
+    closest = reference.index.query(points + gaps).indices
     normals = reference.surface.normals(rows)
-    offsets: FloatArray = np.einsum("ni,ni->n", reference.points[found] - points, normals)
+    offsets: FloatArray = np.einsum("ni,ni->n", reference.points[closest] - points, normals)
     return offsets
 
 
@@ -249,10 +249,12 @@ def _shrink_to_surface(
     if not (reference.has_normals and error > 0):
         return positions
     closest = match(rows)
-    known = closest >= 0
-    at = closest[known]
-    n = reference.surface.normals(at)
-    positions[known] -= error * np.einsum("ni,ni->n", positions[known] - reference.points[at], n)[:, None] * n
+    has_match = closest >= 0
+    matched = closest[has_match]
+    n = reference.surface.normals(matched)
+    positions[has_match] -= (
+        error * np.einsum("ni,ni->n", positions[has_match] - reference.points[matched], n)[:, None] * n
+    )
     return positions
 
 
@@ -276,7 +278,7 @@ def _plane_offsets(
     least = 1e-12 * float(separations.max()) or 1.0
     ratio = np.maximum(separations, least) / np.maximum(distances, least)[:, None]
     which = np.abs(np.log(ratio)).argmin(axis=1)
-    closest, found = _take_per_row(near, which), _take_per_row(separations, which)
+    closest, separation = _take_per_row(near, which), _take_per_row(separations, which)
     normals = _leave_one_out_normals(reference, rows, around, closest if index is reference.index else None)
     neighbours, variance = index.points[closest], 0.0
     if rounding is not None:
@@ -284,10 +286,10 @@ def _plane_offsets(
         neighbours = _stored_anew(neighbours, centers, normals, reference.rounding, rounding, seed)
         variance = float(np.mean(reference.rounding.normal_variances(normals) + rounding.normal_variances(normals)))
     off = plane_distances(points, neighbours, normals, query_rows=rows)
-    found = np.maximum(found, least)
-    slope, curvature = _slope_and_curvature(np.square(off), np.square(found))
-    wanted, there = (slope + curvature * np.square(lengths) for lengths in (distances, found))
-    factors = np.square(distances / found) * wanted / there
+    separation = np.maximum(separation, least)
+    slope, curvature = _slope_and_curvature(np.square(off), np.square(separation))
+    wanted, there = (slope + curvature * np.square(lengths) for lengths in (distances, separation))
+    factors = np.square(distances / separation) * wanted / there
     if variance > 0:  # it is as large at any distance
         share = min(1.0, variance / max(float(np.mean(np.square(off))), 1e-300))
         factors = (1 - share) * factors + share

@@ -128,17 +128,17 @@ def spreads(
     p = np.square(u)
     around = [_box_sums(u, reach) for reach in _CORRELATION_RADII]
     # Per radius: the sum of products, its variance if the cells were independent, and the share of pairs within it.
-    within = np.stack([_grid_totals(u * found) for found in around])
+    within = np.stack([_grid_totals(u * sums) for sums in around])
     chance = np.stack([2 * _grid_totals(p * _box_sums(p, reach)) for reach in _CORRELATION_RADII])
     pairs = np.stack([_grid_totals(w * _box_sums(w, reach)) for reach in _CORRELATION_RADII])
     seen = np.diff(within, axis=0) > _CORRELATION_Z * np.sqrt(np.maximum(np.diff(chance, axis=0), 0))
     steps = np.cumprod(seen, axis=0, dtype=np.int64).sum(axis=0)
-    found = {}
+    uncertainties = {}
     for row, name in enumerate(sampled):
         step = int(steps[row])
         total, alone = float(within[step, row]), float(within[0, row])
         if not total > 0:
-            found[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
+            uncertainties[name] = ScoreUncertainty(0.0, math.inf, math.inf, 0.0)
             continue
         # Subtracting the mean removed a share of the products of pairs within the radius.
         variance = total / max(1 - float(pairs[step, 0]), _MIN_VARIANCE_SHARE)
@@ -149,10 +149,10 @@ def spreads(
         # 2 V^2 / Var V, halved: with few regions the observed tails are too short, which overestimates it.
         degrees_of_freedom = max(total**2 / doubt, _MIN_DEGREES_OF_FREEDOM) if doubt > 0 else math.inf
         independent_regions = alone / (total * float(pairs[0, 0]))
-        found[name] = ScoreUncertainty(
+        uncertainties[name] = ScoreUncertainty(
             math.sqrt(variance), degrees_of_freedom, independent_regions, _CORRELATION_RADII[step] * cells.side
         )
-    return found
+    return uncertainties
 
 
 def interval(score: LinearizedScore, spread: ScoreUncertainty) -> Interval:

@@ -11,6 +11,7 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, unit
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.geometry.voxels import voxel_downsample_to
 from pcbench.measure.deviation import M3C2, m3c2
 from pcbench.measure.m3c2_settings import M3C2Settings
@@ -22,7 +23,6 @@ _MAX_CORES = 50_000  # default core points: the reference, voxel-downsampled
 _CYLINDER_RADIUS_SPACINGS = 6  # in median spacings of the sparser cloud: about 30 of its points per cylinder
 _CYLINDER_HALF_LENGTH_RADII = 1  # half length in radii: longer cylinders reach the opposite wall of a house
 _QUARTER_QUANTILE = 0.3186  # distance from zero within which a quarter of a normal distribution lies, in its sigma
-_NMAD_FACTOR = 1.4826  # sigma of a normal distribution, in its median absolute deviations
 _MAX_CLIPPINGS = 20  # iterations of the estimate of the stable area; a handful suffice
 _MIN_PLANE_POINTS = 3  # points needed for a normal
 
@@ -52,7 +52,7 @@ def compare_along_normals(
     if settings.normal_radius is not None:
         normals = _fit_normals(reference, cores, settings.normal_radius)
     unknown = np.isnan(normals[:, 0])
-    found = m3c2(
+    result = m3c2(
         reference.index,
         candidate,
         cores,
@@ -61,10 +61,10 @@ def compare_along_normals(
         half_length=_CYLINDER_HALF_LENGTH_RADII * radius if settings.depth is None else settings.depth,
     )
     if unknown.any():
-        distances, lod = (np.where(unknown, np.nan, values) for values in (found.distances, found.lod))
-        found = found._replace(normals=normals, distances=distances, lod=lod)
-    found, error = found.shifted(-reference.origin), settings.registration_error
-    return found.with_registration_error(_registration_error(found, registration) if error is None else error)
+        distances, lod = (np.where(unknown, np.nan, values) for values in (result.distances, result.lod))
+        result = result._replace(normals=normals, distances=distances, lod=lod)
+    result, error = result.shifted(-reference.origin), settings.registration_error
+    return result.with_registration_error(_registration_error(result, registration) if error is None else error)
 
 
 def _registration_error(found: M3C2, registration: Registration) -> float:
@@ -81,8 +81,8 @@ def _registration_error(found: M3C2, registration: Registration) -> float:
         return 0.0
     errors = [] if registration.residuals else [_stable_error(found)]
     if registration.covariance is not None:
-        known = np.isfinite(found.normals[:, 0])
-        sigmas = registration.covariance.sigma_along(found.cores[known], found.normals[known])
+        has_normal = np.isfinite(found.normals[:, 0])
+        sigmas = registration.covariance.sigma_along(found.cores[has_normal], found.normals[has_normal])
         sigmas = sigmas[np.isfinite(sigmas)]
         errors.append(float(np.sqrt(np.mean(np.square(sigmas)))) if len(sigmas) else 0.0)
     return max(errors, default=0.0)
@@ -103,7 +103,7 @@ def _stable_error(found: M3C2) -> float:
     deviation = max(float(np.quantile(offsets, 0.25)) / _QUARTER_QUANTILE, float(np.sqrt(np.median(variances))))
     for _ in range(_MAX_CLIPPINGS):
         stable = offsets <= 3 * deviation
-        clipped = _NMAD_FACTOR * float(np.median(offsets[stable]))
+        clipped = NORMAL_MAD * float(np.median(offsets[stable]))
         if clipped == deviation:
             break
         deviation = clipped
@@ -133,8 +133,8 @@ def _custom_cores(reference: Reference, given: Cloud) -> tuple[FloatArray, Float
     cores = cores[inside]
     if given.normals is None:
         return cores, reference.surface.normals(reference.index.query(cores).indices)
-    normals, known = unit(given.normals[inside])
-    return cores, np.where(known[:, None], normals, np.nan)
+    normals, has_normal = unit(given.normals[inside])
+    return cores, np.where(has_normal[:, None], normals, np.nan)
 
 
 def _fit_normals(reference: Reference, cores: FloatArray, radius: float) -> FloatArray:

@@ -25,8 +25,6 @@ from pcbench.geometry.voxels import Cells
 from pcbench.measure.plane_sample import PlaneSample
 from pcbench.native import _core
 
-NORMAL_MAD = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
-
 Points = Cloud | ArrayLike | str | PathLike[str]  # a cloud, its points (N, 3), or the path of its file
 PERCENTILE_RANKS = (5.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
@@ -129,8 +127,8 @@ def harmonic_mean(precision: float, recall: float) -> float:
 def percentiles(distances: ArrayLike, ranks: tuple[float, ...] = PERCENTILE_RANKS) -> dict[str, float]:
     """Percentiles of one-way distances, as {"p5": ...}, with linear interpolation between order statistics."""
     values = _distances(distances, "percentiles")
-    found = order_statistics.percentiles(values, ranks)
-    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, found, strict=True)}
+    values_at_ranks = order_statistics.percentiles(values, ranks)
+    return {f"p{rank:g}": float(v) for rank, v in zip(ranks, values_at_ranks, strict=True)}
 
 
 def nmad(values: ArrayLike) -> float:
@@ -141,7 +139,7 @@ def nmad(values: ArrayLike) -> float:
     beside the standard deviation.
     """
     numbers = _distances(values, None)
-    return NORMAL_MAD * order_statistics.median_distance(numbers, order_statistics.median(numbers))
+    return order_statistics.NORMAL_MAD * order_statistics.median_distance(numbers, order_statistics.median(numbers))
 
 
 def area_weighted_mean(values: ArrayLike, voxels: Cells) -> float:

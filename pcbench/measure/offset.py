@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
+from pcbench.geometry.order_statistics import NORMAL_MAD
 from pcbench.measure import intervals
 from pcbench.measure.intervals import CorrelationCells, Interval, LinearizedScore
 from pcbench.measure.metrics import Distances
@@ -60,7 +61,7 @@ def signed_offset(distances: Distances, cell_of_query: IntArray, cells: Correlat
         return None
     weights = weights / weights.sum()
     median = _median(signed, weights)
-    nmad = 1.4826 * _median(np.abs(signed - median), weights)
+    nmad = NORMAL_MAD * _median(np.abs(signed - median), weights)
     window = _DENSITY_REACH * nmad
     within = float(weights[np.abs(signed - median) <= window].sum())
     if nmad == 0:

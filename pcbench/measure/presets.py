@@ -249,10 +249,10 @@ def _all_nearest(queries: Index, others: Index, nearest: Matches, several: NDArr
     if not several.any():
         return _NearestPoints(None, nearest.indices)
     single, tied = np.flatnonzero(~several), np.flatnonzero(several)
-    found = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
-    near = np.square(found.distances.reshape(len(tied), -1))
+    candidates = others.query(queries.points[tied], k=min(_MAX_TIES, len(others)))
+    near = np.square(candidates.distances.reshape(len(tied), -1))
     which, column = np.nonzero(near - near[:, :1] < _TIE_TOLERANCE)
-    indices = found.indices.reshape(len(tied), -1)[which, column]
+    indices = candidates.indices.reshape(len(tied), -1)[which, column]
     return _NearestPoints(np.concatenate([single, tied[which]]), np.concatenate([nearest.indices[single], indices]))
 
 
@@ -311,3 +311,4 @@ _DEFINITIONS: dict[str, Callable[[CroppedPair, tuple[float, ...], FloatArray | N
     "tnt": lambda pair, thresholds, _: tnt(pair, thresholds),
 }
 NAMES = tuple(_DEFINITIONS)
+ALWAYS = ("gao2025", "mpeg")  # reported with every comparison

@@ -11,14 +11,14 @@ from dataclasses import asdict, replace
 
 from pcbench.deformation.result import NEGLIGIBLE_SHARE
 from pcbench.deformation.size import DETECTION_POWER, MAX_P_SIGNIFICANT
+from pcbench.measure.budget import PARTS
 from pcbench.measure.deviation import M3C2, Spread
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
 from pcbench.measure.presets import DirectedValues, Preset
-from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Headline, Quantity
+from pcbench.measure.quantity import LENGTH, RATIO, SQUARED_LENGTH, Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate, Estimate
 
-_UNITS = {0: RATIO, 1: LENGTH, 2: SQUARED_LENGTH}  # by the power of the unit of length
 _SPREAD_DEFINITIONS = {  # the numbers of a `Spread` of signed values
     "bias": "mean",
     "rms": "root mean square",
@@ -26,20 +26,11 @@ _SPREAD_DEFINITIONS = {  # the numbers of a `Spread` of signed values
     "std": "standard deviation",
     "nmad": "NMAD (1.4826 median |v - median v|)",
 }
-_SPREAD_LABELS = {"median": "median", "std": "standard deviation", "nmad": "NMAD"}
 _DISTANCE_DEFINITIONS = {
     "distance": "distance to the nearest point",
     "plane_distance": "signed distance to the tangent plane",
 }
-_BUDGET_LABELS = {
-    "unmatched": "budget of D2: no counterpart",
-    "changed": "  changed",
-    "motion": "  motion",
-    "affine": "  stretch, shear",
-    "smooth": "  smooth beyond affine",
-    "noise": "  noise",
-    "unexplained": "  unexplained",
-}
+_SHARE_WITHIN = "share of the {}'s points within the threshold"
 _SPREAD_OF = {"mean_distance": "distance", "d2_mse": "plane_distance"}  # distances that each mean is taken over
 
 
@@ -51,91 +42,100 @@ def quantities(candidate: Candidate) -> Iterator[Quantity]:
 
 def _means(candidate: Candidate) -> Iterator[Quantity]:
     for metric in MEAN_METRICS:
-        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            yield from _mean(candidate.metrics.directed[metric.name][way], metric, way)
-        larger = candidate.metrics.directed[metric.name].symmetric_max
-        if larger is not None:
-            yield _estimate_quantity(metric.name, "symmetric_max", metric.definition, larger, _UNITS[metric.power])
+        directed = candidate.metrics.directed[metric.name]
+        for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+            yield from _mean(directed[direction], metric, direction)
+        if directed.symmetric_max is not None:
+            yield _estimated(metric.name, "symmetric_max", metric.definition, directed.symmetric_max, metric.unit)
         if (kind := _SPREAD_OF.get(metric.name)) in candidate.metrics.spreads:
             yield from _distribution(candidate, str(kind))
 
 
-def _mean(found: Estimate, metric: MeanMetric, way: str) -> Iterator[Quantity]:
+def _mean(estimate: Estimate, metric: MeanMetric, direction: str) -> Iterator[Quantity]:
     """Yield a mean in one direction, its floor, the area-weighted mean, and the roots of a mean square."""
-    name, text, unit = metric.name, metric.definition, _UNITS[metric.power]
-    headline = floor_headline = None
-    if metric.headline:
-        rank, floor_rank = metric.ranks[way != CANDIDATE_TO_REFERENCE]
-        headline = Headline(metric.headline, column=metric.column, rank=rank)
-        floor_headline = Headline("  sampling floor", column="floor", rank=floor_rank)
-    root = metric.root_name  # shown in the summary instead of the mean square
-    value = _estimate_quantity(name, way, text, found, unit, label=metric.label)
-    yield value if root else replace(value, headline=headline)
-    yield Quantity(
-        f"{name}_floor",
-        way,
-        f"sampling floor of: {text}",
-        found.floor,
-        unit,
-        path=("metrics", name, "floor", way),
-        label="  sampling floor",
-        headline=None if root else floor_headline,
+    name, text = metric.name, metric.definition
+    mean = _estimated(name, direction, text, estimate, metric.unit)
+    blank = Quantity("", direction, "", None, metric.unit)
+    yield mean
+    yield replace(
+        blank,
+        metric=f"{name}_floor",
+        definition=f"sampling floor of: {text}",
+        value=estimate.floor,
+        path=("metrics", name, "floor", direction),
     )
-    yield Quantity(
-        f"{name}_area_weighted",
-        way,
-        f"mean over voxels of: {text}",
-        found.area_weighted,
-        unit,
-        path=("metrics", name, "area_weighted", way),
-        label="  area-weighted" if root else "",
+    yield replace(
+        blank,
+        metric=f"{name}_area_weighted",
+        definition=f"mean over voxels of: {text}",
+        value=estimate.area_weighted,
+        path=("metrics", name, "area_weighted", direction),
     )
-    if root is None:
+    if metric.root_name is None:
         return
     yield Quantity(
-        root,
-        way,
+        metric.root_name,
+        direction,
         f"root {text}",
-        _root(found.value),
-        _UNITS[metric.power // 2],
-        path=("metrics", root, way),
-        label=metric.root_label or "",
-        headline=headline,
+        _root(estimate.value),
+        path=("metrics", metric.root_name, direction),
+        square=mean,
     )
     yield Quantity(
-        f"{root}_floor",
-        way,
+        f"{metric.root_name}_floor",
+        direction,
         f"root of the sampling floor of: {text}",
-        _root(found.floor),
-        _UNITS[metric.power // 2],
-        path=("metrics", root, "floor", way),
-        headline=floor_headline,
+        _root(estimate.floor),
+        path=("metrics", metric.root_name, "floor", direction),
     )
 
 
 def _distribution(candidate: Candidate, kind: str) -> Iterator[Quantity]:
     """Yield the distribution of the distances of one kind, in both directions."""
-    both = candidate.metrics.spreads[kind]
-    for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-        for key, definition, value in _statistics(both[way], is_signed=kind == "plane_distance"):
-            signed = ", signed" if kind == "plane_distance" and key == "median" else ""
+    spread = candidate.metrics.spreads[kind]
+    for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+        for key, definition, value in _statistics(spread[direction], is_signed=kind == "plane_distance"):
             yield Quantity(
                 f"{kind}_{key}",
-                way,
+                direction,
                 f"{definition} of: {_DISTANCE_DEFINITIONS[kind]}",
                 value,
-                path=("metrics", "spreads", kind, way, key),
-                label=f"  {_SPREAD_LABELS[key]}{signed}" if key in _SPREAD_LABELS else "",
+                path=("metrics", "spreads", kind, direction, key),
             )
+
+
+def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
+    hausdorff = candidate.metrics.hausdorff
+    for rank in ("p95", "p99"):
+        for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+            yield Quantity(
+                f"hausdorff_{rank}",
+                direction,
+                f"{rank[1:]}th percentile of the distances",
+                getattr(hausdorff[direction], rank),
+                path=("metrics", "hausdorff", rank, direction),
+            )
+    for direction, value in (
+        (CANDIDATE_TO_REFERENCE, hausdorff.accuracy.largest),
+        (REFERENCE_TO_CANDIDATE, hausdorff.completeness.largest),
+        ("symmetric_max", hausdorff.symmetric_max),
+    ):
+        yield Quantity(
+            "hausdorff",
+            direction,
+            "largest distance to the nearest point",
+            value,
+            path=("metrics", "hausdorff", direction),
+        )
 
 
 def _budget(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the parts of D2: the share of each one, its mean square, and the share of the points that it describes."""
     if candidate.budget is None:
         return
-    for name, label in _BUDGET_LABELS.items():
-        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            budget = candidate.budget[way]
+    for name in PARTS:
+        for direction in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
+            budget = candidate.budget[direction]
             part = budget.parts[name]
             for metric, key, definition, value, unit in (
                 ("budget_share", "share", "share of D2 in the part of its budget", budget.share(name), RATIO),
@@ -146,97 +146,40 @@ def _budget(candidate: Candidate) -> Iterator[Quantity]:
             ):  # fmt: skip
                 yield Quantity(
                     metric,
-                    way,
+                    direction,
                     f"{definition}: {name}",
                     value,
                     unit,
                     variant=name,
-                    path=("budget", way, name, key),
-                    section="budget",
-                    label=label if key == "share" else "",
+                    path=("budget", direction, name, key),
+                    group="budget",
                 )
 
 
-def _largest_distances(candidate: Candidate) -> Iterator[Quantity]:
-    found = candidate.metrics.hausdorff
-    for rank in ("p95", "p99"):
-        for way in (CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE):
-            yield Quantity(
-                f"hausdorff_{rank}",
-                way,
-                f"{rank[1:]}th percentile of the distances",
-                getattr(found[way], rank),
-                path=("metrics", "hausdorff", rank, way),
-                label=f"{rank[1:]}th percentile",
-                headline=Headline("95% lie within", column="95%", rank=6) if rank == "p95" else None,
-            )
-    for way, value in (
-        (CANDIDATE_TO_REFERENCE, found.accuracy.largest),
-        (REFERENCE_TO_CANDIDATE, found.completeness.largest),
-        ("symmetric_max", found.symmetric_max),
-    ):
-        is_directed = way != "symmetric_max"
-        yield Quantity(
-            "hausdorff",
-            way,
-            "largest distance to the nearest point",
-            value,
-            path=("metrics", "hausdorff", way),
-            label="Hausdorff (maximum)" if is_directed else "",
-            headline=Headline("all lie within (Hausdorff)", column="largest", rank=9) if is_directed else None,
-        )
-
-
 def _maps(candidate: Candidate) -> Iterator[Quantity]:
-    """Yield the deviation maps except the nearest-point distances; the table may already show their distribution."""
-    deviation, spreads = candidate.deviation, candidate.metrics.spreads
+    """Yield the statistics of the deviation maps except the nearest-point distances, and M3C2."""
+    deviation = candidate.deviation
     for name in deviation.maps:
-        title = f"map {name.replace('_distance', '')}"
-        is_signed = name not in deviation.unsigned
-        for found in _map(deviation.spreads[name], name, title, is_signed=is_signed, is_new=name not in spreads):
-            yield replace(found, path=("deviation", "maps", name, found.variant))
+        for statistic in _map(deviation.spreads[name], name, is_signed=name not in deviation.unsigned):
+            yield replace(statistic, path=("deviation", "maps", name, statistic.variant))
     if deviation.m3c2 is not None:
         yield from _m3c2(deviation.m3c2)
 
 
-def _statistics(spread: Spread, *, is_signed: bool) -> Iterator[tuple[str, str, float | None]]:
-    """Yield name, definition and value of each statistic; the mean of signed values is the bias."""
-    for key, definition in _SPREAD_DEFINITIONS.items():
-        yield "mean" if key == "bias" and not is_signed else key, definition, getattr(spread, key)
-
-
-def _map(spread: Spread, name: str, title: str, *, is_signed: bool, is_new: bool) -> Iterator[Quantity]:
+def _map(spread: Spread, name: str, *, is_signed: bool) -> Iterator[Quantity]:
     """Yield the statistics of a map; the variant is the statistic's name."""
-    mean = "bias" if is_signed else "mean"
-    labels = {mean: f"{title}: {mean}", "rms": "  rms"}
-    if is_new:
-        labels |= {key: f"  {label}" for key, label in _SPREAD_LABELS.items()}
     for key, definition, value in _statistics(spread, is_signed=is_signed):
-        is_main = is_new and key in (mean, "rms")
-        yield Quantity(
-            name,
-            CANDIDATE_TO_REFERENCE,
-            f"{definition} of the deviation map",
-            value,
-            variant=key,
-            section="maps",
-            label=labels.get(key, ""),
-            headline=Headline(f"{title}: {key}", optional=True) if is_main else None,
-        )
+        text = f"{definition} of the deviation map"
+        yield Quantity(name, CANDIDATE_TO_REFERENCE, text, value, variant=key, group="maps")
 
 
 def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
-    for found in _map(m3c2.spread, "m3c2", "map m3c2", is_signed=True, is_new=True):
-        yield replace(found, metric=f"m3c2_{found.variant}", variant="", path=("deviation", "m3c2", found.variant))
-    for key, label, definition, value, unit in (
-        ("lod95_median", "median LoD95", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
-        (
-            "significant_share",
-            "significant share",
-            "share of the distances beyond their level of detection",
-            m3c2.significant_share,
-            RATIO,
-        ),
+    for statistic in _map(m3c2.spread, "m3c2", is_signed=True):
+        key = statistic.variant
+        yield replace(statistic, metric=f"m3c2_{key}", variant="", path=("deviation", "m3c2", key))
+    for key, definition, value, unit in (
+        ("lod95_median", "median level of detection at 95 %", m3c2.median_lod, LENGTH),
+        ("significant_share", "share of the distances beyond their level of detection", m3c2.significant_share, RATIO),
     ):
         yield Quantity(
             f"m3c2_{key}",
@@ -245,54 +188,41 @@ def _m3c2(m3c2: M3C2) -> Iterator[Quantity]:
             value,
             unit,
             path=("deviation", "m3c2", key),
-            section="maps",
-            label=f"  {label}",
-            headline=Headline(f"  {label}", optional=True),
+            group="maps",
         )
+
+
+def _statistics(spread: Spread, *, is_signed: bool) -> Iterator[tuple[str, str, float | None]]:
+    """Yield name, definition and value of each statistic; the mean of signed values is the bias."""
+    for key, definition in _SPREAD_DEFINITIONS.items():
+        yield "mean" if key == "bias" and not is_signed else key, definition, getattr(spread, key)
 
 
 def _chamfer(candidate: Candidate) -> Iterator[Quantity]:
     chamfer = candidate.metrics.chamfer
-    for variant, found, definition, unit, label in (
-        ("sum_unsquared", chamfer.sum_unsquared, "mean c→r + mean r→c", LENGTH, "means"),
-        ("sum_squared", chamfer.sum_squared, "mean square c→r + mean square r→c", SQUARED_LENGTH, "mean squares"),
+    for variant, estimate, definition, unit in (
+        ("sum_unsquared", chamfer.sum_unsquared, "mean c→r + mean r→c", LENGTH),
+        ("sum_squared", chamfer.sum_squared, "mean square c→r + mean square r→c", SQUARED_LENGTH),
     ):
-        title, path = f"Chamfer, sum of {label}", ("metrics", "chamfer", variant)
-        value = _estimate_quantity("chamfer", "both", definition, found, unit, section="scores", label=title)
+        value = _estimated("chamfer", "both", definition, estimate, unit, group="scores")
+        path = ("metrics", "chamfer", variant)
         yield replace(value, variant=variant, path=path, difference=f"chamfer/{variant}")
-        floor = Quantity("chamfer_floor", "both", f"sampling floor of: {definition}", found.floor, unit, variant)
-        yield replace(floor, path=("metrics", "chamfer", "floor", variant), section="scores")
+        floor = Quantity("chamfer_floor", "both", f"sampling floor of: {definition}", estimate.floor, unit, variant)
+        yield replace(floor, path=("metrics", "chamfer", "floor", variant), group="scores")
 
 
 def _fscores(candidate: Candidate) -> Iterator[Quantity]:
     for number, scores in enumerate(candidate.metrics.fscores):
-        label = f"F-score at {scores.threshold:.4g}"
-        headline = Headline(label, optional=True, column="F-score", rank=3)
-        fscore = _estimate_quantity("fscore", "both", "harmonic mean of precision and recall", scores.fscore, RATIO)
-        yield replace(
-            fscore,
-            threshold=scores.threshold,
-            path=("metrics", "fscore", number, "fscore"),
-            difference=f"fscore/{scores.threshold!r}",
-            section="scores",
-            label=label,
-            headline=headline,
-        )
-        label = "  precision, recall"
-        for metric, way, whose, found in (
-            ("precision", CANDIDATE_TO_REFERENCE, "candidate", scores.precision),
-            ("recall", REFERENCE_TO_CANDIDATE, "reference", scores.recall),
+        for metric, direction, definition, estimate, difference in (
+            ("fscore", "both", "harmonic mean of precision and recall", scores.fscore, f"fscore/{scores.threshold!r}"),
+            ("precision", CANDIDATE_TO_REFERENCE, _SHARE_WITHIN.format("candidate"), scores.precision, ""),
+            ("recall", REFERENCE_TO_CANDIDATE, _SHARE_WITHIN.format("reference"), scores.recall, ""),
         ):
-            share = _estimate_quantity(metric, way, f"share of the {whose}'s points within the threshold", found, RATIO)
             yield replace(
-                share,
+                _estimated(metric, direction, definition, estimate, RATIO, group="scores"),
                 threshold=scores.threshold,
                 path=("metrics", "fscore", number, metric),
-                difference="",
-                section="scores",
-                label=label,
-                shares_row=label,
-                headline=Headline(label, optional=True),
+                difference=difference,
             )
 
 
@@ -303,40 +233,42 @@ def _presets(candidate: Candidate) -> Iterator[Quantity]:
 
 def _preset(name: str, preset: Preset) -> Iterator[Quantity]:
     """Yield the values of a preset, without units, which the quoted tool leaves open."""
-    blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, section=f"preset {name}")
+    blank = Quantity("", "", f"preset {name}", None, unit="", variant=name, group=f"preset {name}")
     for key, value in vars(preset).items():
-        path, label = ("metrics", "presets", name, key), f"{name}: {key}"
+        path = ("metrics", "presets", name, key)
         if isinstance(value, DirectedValues):  # its a is the reference: b to a is our candidate to reference
-            for way, number in asdict(value).items():
-                found = replace(blank, metric=key, direction=way, value=number, path=(*path, way))
-                yield found if way == "symmetric" else replace(found, label=label, second=way == "a_to_b")
+            for direction, number in asdict(value).items():
+                yield replace(blank, metric=key, direction=direction, value=number, path=(*path, direction))
         elif isinstance(value, tuple):
-            for row, score in enumerate(value):
-                at = score.threshold
+            for row, scores in enumerate(value):
                 for metric in ("precision", "recall", "fscore"):
-                    found = replace(blank, metric=metric, direction="both", threshold=at, path=(*path, row, metric))
-                    found = replace(found, value=getattr(score, metric))
-                    yield replace(found, label=f"{name}: F-score at {at:.4g}") if metric == "fscore" else found
+                    yield replace(
+                        blank,
+                        metric=metric,
+                        direction="both",
+                        value=getattr(scores, metric),
+                        threshold=scores.threshold,
+                        path=(*path, row, metric),
+                    )
         else:
-            yield replace(blank, metric=key, value=value, path=path, label=label)
+            yield replace(blank, metric=key, value=value, path=path)
 
 
 def _deformation(candidate: Candidate) -> Iterator[Quantity]:
     """Yield the summary of the deformation; comparison.json holds the complete object."""
-    bend = candidate.deformation
-    verdict = f"verdict: {bend.verdict}"
-    size, text = bend.amplitude, f"along the normals, beyond affine; {verdict}"
-    rms = Quantity("deformation_rms", "", text, None, section="deformation", label="  RMS")
+    deformation = candidate.deformation
+    verdict = f"verdict: {deformation.verdict}"
+    size, text = deformation.amplitude, f"along the normals, beyond affine; {verdict}"
     if size is None:
-        yield rms
+        yield Quantity("deformation_rms", "", text, None, group="deformation")
     else:
-        yield replace(rms, value=size.rms, interval=Interval(*size.ci))
-        yield Quantity("deformation_max", "", text, size.max, section="deformation")
+        yield Quantity("deformation_rms", "", text, size.rms, interval=Interval(*size.ci), group="deformation")
+        yield Quantity("deformation_max", "", text, size.max, group="deformation")
     power, p = f"{100 * DETECTION_POWER:g} %", f"{MAX_P_SIGNIFICANT:g}"
     text = f"RMS of a dome that is detected in {power} of all cases at p <= {p}; {verdict}"
-    yield Quantity("minimum_detectable_rms", "", text, bend.minimum_detectable_rms, section="deformation")
+    yield Quantity("minimum_detectable_rms", "", text, deformation.minimum_detectable_rms, group="deformation")
     text = f"RMS of a dome that is detected, its interval above {NEGLIGIBLE_SHARE:.0%} of the noise; {verdict}"
-    yield Quantity("detectable_rms", "", text, bend.size_limit, section="deformation", label="  detectable RMS")
+    yield Quantity("detectable_rms", "", text, deformation.size_limit, group="deformation")
 
 
 def _survey(candidate: Candidate) -> Iterator[Quantity]:
@@ -353,26 +285,25 @@ def _survey(candidate: Candidate) -> Iterator[Quantity]:
                 getattr(rmse, part),
                 variant=variant,
                 path=("registration", "point_rmse", kind, part),
-                section="survey",
+                group="survey",
             )
 
 
-def _estimate_quantity(
-    metric: str, way: str, definition: str, found: Estimate, unit: str, section: str = "distances", label: str = ""
+def _estimated(
+    metric: str, direction: str, definition: str, estimate: Estimate, unit: str, group: str = "distances"
 ) -> Quantity:
     """Return a quantity with an interval, by which candidates are also compared."""
     return Quantity(
         metric,
-        way,
+        direction,
         definition,
-        found.value,
+        estimate.value,
         unit,
-        interval=found.interval,
+        interval=estimate.interval,
         has_interval=True,
-        path=("metrics", metric, way),
-        difference=f"{metric}/{way}",
-        section=section,
-        label=label,
+        path=("metrics", metric, direction),
+        difference=f"{metric}/{direction}",
+        group=group,
     )
 
 

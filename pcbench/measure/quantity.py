@@ -1,31 +1,14 @@
-"""One measured quantity, with everything that an output needs to show it."""
+"""One measured quantity, with everything that identifies it; `pcbench.report.layout` says how tables show it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from pcbench.measure.intervals import Interval
-from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 
 # Units as powers of the reference's unit of length; other units ("deg", "dB") are written as they are.
 LENGTH, SQUARED_LENGTH, RATIO = "length", "length^2", "1"
-
-
-class Headline(NamedTuple):
-    """Presentation of a quantity in the summary.
-
-    Attributes:
-        label: label of its line when candidates are shown side by side.
-        optional: whether the line is omitted if there are enough others.
-        column: heading of its column when each candidate is a row.
-        rank: priority of that column: the highest ranks are omitted first, 0 never; None: no such column.
-    """
-
-    label: str
-    optional: bool = False
-    column: str = ""
-    rank: int | None = None
 
 
 @dataclass(frozen=True)
@@ -44,11 +27,8 @@ class Quantity:
         has_interval: whether comparison.json has a field for the interval even if it is unknown.
         path: keys from the candidate to the value in comparison.json; empty if a larger object is written instead.
         difference: name in `Difference.metric`; empty if candidates are not compared by it.
-        section: section of the table; a rule separates sections.
-        label: label of its line in the table; empty: not in the table. Two leading blanks attach it to the line above.
-        shares_row: name of the line that several metrics share; by default each has its own.
-        second: whether it is in the column r→c under another name of that direction.
-        headline: presentation in the summary; None: not in the summary.
+        square: the mean square whose root this is.
+        group: what it belongs to: "distances", "budget", "maps", "scores", "preset NAME", "deformation" or "survey".
     """
 
     metric: str
@@ -62,21 +42,20 @@ class Quantity:
     has_interval: bool = False
     path: tuple[str | int, ...] = ()
     difference: str = ""
-    section: str = "distances"
-    label: str = ""
-    shares_row: str = ""
-    second: bool = False
-    headline: Headline | None = None
+    square: Quantity | None = None
+    group: str = "distances"
 
     @property
-    def row(self) -> tuple[str, str, float | None]:
-        """Key of its line in tables."""
-        return (self.shares_row or self.metric, "" if self.shares_row else self.variant, self.threshold)
+    def tested_difference(self) -> str:
+        """Name of the difference by which candidates are ranked: a root has the order of its mean square."""
+        return self.difference if self.square is None else self.square.difference
 
     @property
-    def column(self) -> int:
-        """Column in tables: 1 for r→c, 0 for all others."""
-        return int(self.second or self.direction == REFERENCE_TO_CANDIDATE)
+    def known_interval(self) -> Interval | None:
+        """95 % confidence interval; that of a root follows from its mean square."""
+        if self.square is None or self.square.interval is None:
+            return self.interval
+        return Interval(*(math.sqrt(max(end, 0.0)) for end in self.square.interval))
 
     def unit_name(self, length: str) -> str:
         """Return the unit in words; `length` is the unit of lengths."""

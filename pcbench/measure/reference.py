@@ -187,10 +187,10 @@ class Reference:
         # No row is passed, so no further normals are estimated; a sample of them is as good.
         vertical = self.surface.compute_normals(np.empty(0, dtype=np.int64))[:, 2]
         vertical = vertical if self.rows is None else vertical[self.rows]
-        known = np.isfinite(vertical)
-        if not known.any():
+        has_normal = np.isfinite(vertical)
+        if not has_normal.any():
             return
-        share = float((np.abs(vertical[known]) < _MAX_VERTICAL_NZ).mean())
+        share = float((np.abs(vertical[has_normal]) < _MAX_VERTICAL_NZ).mean())
         if share >= _MIN_VERTICAL_SHARE:
             yield Notice(
                 ARBITRARY_SIGN,

@@ -9,7 +9,7 @@ sampling floor of a single point.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -22,8 +22,6 @@ from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.intervals import Interval
 from pcbench.measure.offset import SignedOffset
 from pcbench.measure.presets import Preset
-from pcbench.measure.settings import Settings
-from pcbench.measure.wording import pluralize
 from pcbench.registration import Registration
 
 # The directions as keys of comparison.json and as arrows in tables.
@@ -341,51 +339,6 @@ class Difference(NamedTuple):
     metric: str
     difference: float
     interval: Interval
-
-
-@dataclass(frozen=True, eq=False)
-class CandidateComparisons:
-    """A reference, its candidates, and the differences between them; `comparison["a"]` is the candidate named a."""
-
-    settings: Settings
-    reference: ReferenceSummary
-    candidates: tuple[Candidate, ...]
-    differences: tuple[Difference, ...] = ()
-    tiling: Tiling | None = None
-
-    def __getitem__(self, name: str) -> Candidate:
-        """Return the candidate of that name.
-
-        Raises:
-            KeyError: no candidate has that name.
-        """
-        for candidate in self.candidates:
-            if candidate.name == name:
-                return candidate
-        raise KeyError(f"no candidate {name!r}: there are {', '.join(c.name for c in self.candidates)}")
-
-    def __contains__(self, name: object) -> bool:
-        """Return whether a candidate has that name."""
-        return any(candidate.name == name for candidate in self.candidates)
-
-    def __iter__(self) -> Iterator[Candidate]:
-        return iter(self.candidates)
-
-    def __len__(self) -> int:
-        return len(self.candidates)
-
-    def __repr__(self) -> str:
-        unit = f" {self.reference.unit}" if self.reference.unit else ""
-        count, spacing = pluralize(self.reference.points, "point"), self.reference.spacing_median
-        lines = [f"Comparison with {count}, spacing {spacing:.3g}{unit}"]
-        for candidate in self.candidates:
-            distance = candidate.metrics.mean_distance
-            lines.append(
-                f"  {candidate.name}: {pluralize(candidate.points, 'point')}, mean distance"
-                f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
-                f" deformation {candidate.deformation.verdict}"
-            )
-        return "\n".join(lines)
 
 
 def _root(value: float | None) -> float | None:

@@ -68,13 +68,13 @@ def measure(
     compared = _linearized_scores(means, thresholds)
     within = {f"{way}/{within_key(t)}": means[way][within_key(t)] for way in ways for t in thresholds}
     both = 0.5 * (shares[CANDIDATE_TO_REFERENCE] + shares[REFERENCE_TO_CANDIDATE])
-    known = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
+    table = _ScoreTable({**compared, **within}, intervals.spreads({**compared, **within}, cells, both))
 
-    found = Metrics(
-        directed=_directed_metrics(ways, known),
+    values = Metrics(
+        directed=_directed_metrics(ways, table),
         hausdorff=Hausdorff(forth.extremes, back.extremes),
-        chamfer=Chamfer(**{name: _chamfer(name, ways, known) for name in _CHAMFER}),
-        fscores=tuple(_threshold_scores(threshold, known) for threshold in thresholds),
+        chamfer=Chamfer(**{name: _chamfer(name, ways, table) for name in _CHAMFER}),
+        fscores=tuple(_threshold_scores(threshold, table) for threshold in thresholds),
         percentiles_accuracy=forth.spreads["distance"].percentiles or {},
         percentiles_completeness=back.spreads["distance"].percentiles or {},
         spreads={
@@ -84,8 +84,8 @@ def measure(
         },
         d2_samples={way: d.d2_sample for way, d in ways.items() if d.d2_sample is not None},
     )
-    doubts = _interval_warnings({name: known.spreads[name] for name in compared}, compared, forth.rounding)
-    return Measurement(found, compared, both, tuple(doubts))
+    doubts = _interval_warnings({name: table.spreads[name] for name in compared}, compared, forth.rounding)
+    return Measurement(values, compared, both, tuple(doubts))
 
 
 class _ScoreTable(NamedTuple):
@@ -102,35 +102,35 @@ class _ScoreTable(NamedTuple):
         return Estimate(score.value, interval=intervals.interval(score, self.spreads[name]))
 
 
-def _directed_metrics(ways: Mapping[str, DirectionSummary], known: _ScoreTable) -> dict[str, DirectedMetric]:
+def _directed_metrics(ways: Mapping[str, DirectionSummary], table: _ScoreTable) -> dict[str, DirectedMetric]:
     """Return the mean metrics by name, with floors and area-weighted means."""
-    found = {}
+    directed = {}
     for metric in MEAN_METRICS:
         key = metric.name
         forth, back = (
-            known.estimate(f"{key}/{way}")._replace(
+            table.estimate(f"{key}/{way}")._replace(
                 floor=direction.floors[key], area_weighted=direction.area_weighted[key]
             )
             if key in direction.means
             else Estimate()
             for way, direction in ways.items()
         )
-        larger = known.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
-        found[key] = DirectedMetric(forth, back, larger)
-    return found
+        larger = table.estimate(f"{key}/symmetric_max") if metric.has_symmetric_max else None
+        directed[key] = DirectedMetric(forth, back, larger)
+    return directed
 
 
-def _chamfer(name: str, ways: Mapping[str, DirectionSummary], known: _ScoreTable) -> Estimate:
+def _chamfer(name: str, ways: Mapping[str, DirectionSummary], table: _ScoreTable) -> Estimate:
     floor = _total(direction.floors[_CHAMFER[name]] for direction in ways.values())
-    return known.estimate(f"chamfer/{name}")._replace(floor=floor)
+    return table.estimate(f"chamfer/{name}")._replace(floor=floor)
 
 
-def _threshold_scores(threshold: float, known: _ScoreTable) -> ThresholdScores:
+def _threshold_scores(threshold: float, table: _ScoreTable) -> ThresholdScores:
     return ThresholdScores(
         threshold,
-        precision=known.estimate(f"{CANDIDATE_TO_REFERENCE}/{within_key(threshold)}"),
-        recall=known.estimate(f"{REFERENCE_TO_CANDIDATE}/{within_key(threshold)}"),
-        fscore=known.estimate(f"fscore/{threshold!r}"),
+        precision=table.estimate(f"{CANDIDATE_TO_REFERENCE}/{within_key(threshold)}"),
+        recall=table.estimate(f"{REFERENCE_TO_CANDIDATE}/{within_key(threshold)}"),
+        fscore=table.estimate(f"fscore/{threshold!r}"),
     )
 
 
@@ -138,25 +138,25 @@ def _linearized_scores(
     means: Mapping[str, Mapping[str, LinearizedScore]], thresholds: tuple[float, ...]
 ) -> dict[str, LinearizedScore]:
     """Linearise each score that is compared between candidates: means, symmetric maxima, sums and F-scores."""
-    found: dict[str, LinearizedScore] = {}
+    linearized: dict[str, LinearizedScore] = {}
     forth, back = means[CANDIDATE_TO_REFERENCE], means[REFERENCE_TO_CANDIDATE]
     for metric in MEAN_METRICS:
         key = metric.name
-        found |= {f"{key}/{way}": direction[key] for way, direction in means.items() if key in direction}
+        linearized |= {f"{key}/{way}": direction[key] for way, direction in means.items() if key in direction}
         if metric.has_symmetric_max and key in forth and key in back:
-            found[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
+            linearized[f"{key}/symmetric_max"] = max(forth[key], back[key], key=lambda mean: mean.value)
     for name, key in _CHAMFER.items():
         a, b = forth[key], back[key]
-        found[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)
+        linearized[f"chamfer/{name}"] = LinearizedScore(a.value + b.value, a.influence + b.influence)
     for threshold in thresholds:
         p, r = forth[within_key(threshold)], back[within_key(threshold)]
         total = p.value + r.value
         slopes = (2 * (r.value / total) ** 2, 2 * (p.value / total) ** 2) if total > 0 else (0.0, 0.0)
         influence = slopes[0] * p.influence + slopes[1] * r.influence
-        found[f"fscore/{threshold!r}"] = LinearizedScore(
+        linearized[f"fscore/{threshold!r}"] = LinearizedScore(
             metrics.harmonic_mean(p.value, r.value), influence, 1.0, min(p.queries, r.queries)
         )
-    return found
+    return linearized
 
 
 def _interval_warnings(
@@ -164,14 +164,14 @@ def _interval_warnings(
 ) -> Iterator[Notice]:
     """Warn if the scene is too small for reliable intervals of the mean distances; mere rounding is exempt."""
     least = {"mean_distance": rounding, "d2_mse": rounding**2}
-    found = {
+    tested = {
         name: spread
         for name, spread in spreads.items()
         if (metric := name.split("/")[0]) in least and scores[name].value > least[metric]
     }
-    if not found:
+    if not tested:
         return
-    name, worst = min(found.items(), key=lambda item: item[1].independent_regions)
+    name, worst = min(tested.items(), key=lambda item: item[1].independent_regions)
     if worst.independent_regions < MIN_INDEPENDENT_REGIONS:
         over = f"errors are correlated over {worst.reach:.3g}, which leaves" if worst.reach > 0 else "the scene holds"
         metric, _, way = name.partition("/")

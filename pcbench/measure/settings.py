@@ -4,20 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pcbench.errors import InputError
+from pcbench.geometry.polygon_files import read_polygon
+from pcbench.geometry.region_text import region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.splats import check_limits
 from pcbench.geometry.transform import Similarity
 from pcbench.measure import presets
 from pcbench.measure.m3c2_settings import M3C2Settings
+from pcbench.options import (
+    CROP_HELP,
+    REGISTER_HELP,
+    Bounds,
+    parse_integers,
+    parse_lengths,
+    parse_returns,
+    parse_share,
+    setting,
+)
 from pcbench.registration import Method, as_method, as_similarity
 
 MAPS = ("poisson", "poisson-meshlab", "m3c2")
+_THRESHOLD_SPACINGS = (1.0, 2.0, 5.0)  # of the default thresholds of the F-score
 
 
 @dataclass(frozen=True)
@@ -31,7 +45,7 @@ class Settings:
             `pcbench.geometry.region_text.parse_region`.
         thresholds: distance thresholds of the F-score, in the clouds' unit; None: 1, 2 and 5 times the reference's
             median spacing.
-        presets: definitions of other tools and papers to report too; `gao2025` and `mpeg` are always included.
+        presets: definitions of other tools and papers to report besides `gao2025` and `mpeg`, see `measured_presets`.
         maps: further deviation maps: `poisson` (to a Poisson mesh of the reference, by Open3D), `poisson-meshlab`
             (by pymeshlab) and `m3c2`.
         m3c2: settings of M3C2: an `M3C2Settings`, or its text such as `radius=0.5,depth=2`; implies the map `m3c2`.
@@ -47,21 +61,83 @@ class Settings:
         initial: initial pose candidate -> reference for ICP, a `Similarity` or 4x4 array; None: the identity.
     """
 
-    register: Method | Similarity | ArrayLike | str = "icp"
-    crop: Region | str = "none"
-    thresholds: tuple[float, ...] | None = None
-    presets: tuple[str, ...] = ("gao2025", "mpeg")
-    maps: tuple[str, ...] = ()
-    seed: int = 0
+    register: Method | Similarity | ArrayLike | str = setting(
+        "icp", "--register", REGISTER_HELP, metavar="HOW", shows_default=True
+    )
+    crop: Region | str = setting("none", "--crop", CROP_HELP, metavar="REGION", shows_default=True)
+    thresholds: tuple[float, ...] | None = setting(
+        None,
+        "--thresholds",
+        "F-score distance thresholds, in the clouds' unit.  [default: 1, 2 and 5 times the reference's point spacing]",
+        metavar="T,T,...",
+        parse=parse_lengths,
+    )
+    presets: tuple[str, ...] = setting(
+        (),
+        "--preset",
+        "Also compute metrics as defined by open3d, pdal or tnt (repeatable); gao2025 and mpeg are always computed.",
+        metavar="NAME",
+        is_repeatable=True,
+    )
+    maps: tuple[str, ...] = setting(
+        (),
+        "--map",
+        "Also compute this deviation map: poisson, poisson-meshlab or m3c2 (repeatable).",
+        metavar="NAME",
+        is_repeatable=True,
+    )
+    m3c2: M3C2Settings | str | None = setting(
+        None,
+        "--m3c2",
+        "Settings of M3C2: radius, depth, normal_radius, registration_error, cores=FILE. Implies --map m3c2.",
+        metavar="NAME=VALUE,...",
+    )
+    tolerance: float | None = setting(
+        None,
+        "--tolerance",
+        "For large clouds: estimate distances to tangent planes (D2) from a sample, large enough for a 95 % confidence"
+        " interval of their mean square within this tolerance, such as 1%.",
+        metavar="PERCENT",
+        parse=parse_share,
+    )
+    classes: tuple[int, ...] | None = setting(
+        None, "--classes", "Use only these classes of LAS files, such as 2,6.", metavar="N,N,...", parse=parse_integers
+    )
+    returns: str | tuple[int, ...] | None = setting(
+        None,
+        "--returns",
+        "Use only these returns of LAS files: first, last or numbers such as 1,2.",
+        metavar="WHICH",
+        parse=parse_returns,
+    )
+    min_opacity: float | None = setting(
+        None,
+        "--min-opacity",
+        "Use only Gaussian splats with at least this opacity.",
+        metavar="OPACITY",
+        bounds=Bounds(float, 0, 1),
+    )
+    max_axis: float | None = setting(
+        None,
+        "--max-axis",
+        "Use only Gaussian splats whose largest axis (standard deviation) is at most this length.",
+        metavar="LENGTH",
+        bounds=Bounds(float, 0, is_open=True),
+    )
+    vertices: bool = setting(
+        False,
+        "--vertices",
+        "Measure a candidate mesh at its vertices rather than at points sampled on its faces.",
+    )
+    seed: int = setting(
+        0,
+        "--seed",
+        "Random seed of the samples on meshes, the sampling floors, and the folds of cross-validation.",
+        bounds=Bounds(int, 0),
+        shows_default=True,
+    )
     normal_neighbors: int = 20
-    classes: tuple[int, ...] | None = None
-    returns: str | tuple[int, ...] | None = None
-    min_opacity: float | None = None
-    max_axis: float | None = None
     initial: Similarity | ArrayLike | None = None
-    m3c2: M3C2Settings | str | None = None
-    tolerance: float | None = None
-    vertices: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.register, str):  # a text is parsed when it is used
@@ -86,8 +162,7 @@ class Settings:
             raise InputError(f"unknown map {unknown[0]!r}: expected one of {', '.join(MAPS)}")
         if self.tolerance is not None:
             object.__setattr__(self, "tolerance", _check_tolerance(self.tolerance))
-        always = [name for name in ("gao2025", "mpeg") if name not in wanted]
-        object.__setattr__(self, "presets", (*always, *dict.fromkeys(wanted)))
+        object.__setattr__(self, "presets", tuple(dict.fromkeys(wanted)))
         if isinstance(self.m3c2, str):
             object.__setattr__(self, "m3c2", M3C2Settings.parse(self.m3c2))
         if not isinstance(self.m3c2, M3C2Settings | None):
@@ -95,6 +170,47 @@ class Settings:
         if self.m3c2 is not None and "m3c2" not in maps:
             maps = (*maps, "m3c2")
         object.__setattr__(self, "maps", maps)
+
+    def with_files_read(self) -> Settings:
+        """Return the settings with the method and the region that files describe; paths become absolute.
+
+        Raises:
+            InputError: there is no such method, or a file cannot be read.
+        """
+        register, crop, m3c2 = self.register, self.crop, self.m3c2
+        if isinstance(register, str) and (file := as_method(register).file) is not None:
+            register = as_method(f"{register.partition(':')[0]}:{file.absolute()}")
+        if isinstance(crop, str) and (file := region_file(crop)) is not None:
+            crop = read_polygon(file.absolute())
+        if isinstance(m3c2, M3C2Settings):
+            m3c2 = m3c2.absolute()
+        return replace(self, register=register, crop=crop, m3c2=m3c2)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that the settings name: those of the registration, the region and the core points of M3C2."""
+        method = None if isinstance(self.register, str) else as_method(self.register).file
+        cores = self.m3c2.file if isinstance(self.m3c2, M3C2Settings) else None
+        return [*filter(None, (method, region_file(self.crop), cores))]
+
+    @property
+    def measured_presets(self) -> tuple[str, ...]:
+        """The presets that are computed: those that are always reported, and the given ones."""
+        return tuple(dict.fromkeys((*presets.ALWAYS, *self.presets)))
+
+    def thresholds_for(self, spacing: float) -> tuple[float, ...]:
+        """Return the thresholds of the F-score for a reference of this spacing."""
+        if self.thresholds is not None:
+            return self.thresholds
+        return tuple(factor * spacing for factor in _THRESHOLD_SPACINGS if spacing > 0)
+
+    def with_cores_read(self) -> Settings:
+        """Return the settings with the core points of M3C2 read from their file, if they name one.
+
+        Raises:
+            InputError: the file cannot be read.
+        """
+        return replace(self, m3c2=self.m3c2.read()) if isinstance(self.m3c2, M3C2Settings) else self
 
     def plain(self) -> dict[str, Any]:
         """Return the settings as JSON values: methods and regions as text; rare ones only if they are set."""
@@ -105,6 +221,7 @@ class Settings:
             del values["vertices"]
         if isinstance(self.m3c2, M3C2Settings):
             values["m3c2"] = self.m3c2.text
+        values["presets"] = self.measured_presets
         for name in ("register", "crop"):
             values[name] = getattr(values[name], "text", values[name])
         return values if self.initial is None else {**values, "initial": as_similarity(self.initial).matrix}
@@ -119,9 +236,9 @@ def with_changes(settings: Settings | None, changed: Mapping[str, Any]) -> Setti
     settings = Settings() if settings is None else settings
     if not isinstance(settings, Settings):
         raise InputError(f"expected settings as pcbench.Settings, got {type(settings).__name__}")
-    known = [item.name for item in fields(Settings)]
-    if unknown := [name for name in changed if name not in known]:
-        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(known)}")
+    names = [item.name for item in fields(Settings)]
+    if unknown := [name for name in changed if name not in names]:
+        raise InputError(f"unknown setting {unknown[0]!r}: expected one of {', '.join(names)}")
     return replace(settings, **changed)
 
 

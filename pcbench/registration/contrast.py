@@ -21,6 +21,7 @@ import numpy as np
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
 from pcbench.geometry.normals import Surface
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.sampling import line_gaps, nearest_elsewhere
 
 MIN_CONTRAST = 0.55  # below this contrast all restarts have to return
@@ -140,7 +141,7 @@ def roughness(points: FloatArray) -> float:
     rows = np.arange(0, len(points), max(1, len(points) // _MAX_POSITIONS))
     subset, nearest = points[rows], nearest_elsewhere(surface.index, surface.sampling, rows).indices
     plane_offsets = np.einsum("ni,ni->n", subset - points[nearest], surface.normals(nearest))
-    return 1.4826 * float(np.median(np.abs(plane_offsets)))
+    return robust_sigma(plane_offsets)
 
 
 def _displaced_points(points: FloatArray, center: FloatArray, distance: float, radius: float, size: int) -> FloatArray:

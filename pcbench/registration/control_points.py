@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.arrays import FloatArray, as_rows
 from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.registration.given import file_named
 from pcbench.registration.motion import MotionFrame, PoseCovariance
 from pcbench.registration.residuals import SurveyResiduals
 from pcbench.regular_files import read_text
@@ -62,6 +63,11 @@ class ControlPoints:
         for name, value in values.items():
             object.__setattr__(self, name, value)
         fit_pairs(self)  # fail now, before clouds are read, if the pairs do not determine the pose
+
+    @property
+    def file(self) -> Path | None:
+        """File of pairs from the command line."""
+        return file_named(self.text, "points")
 
     @classmethod
     def read(cls, path: str | Path) -> ControlPoints:

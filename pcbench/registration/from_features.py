@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from pcbench.geometry.arrays import FloatArray, random_rows
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface, estimate_normals
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.voxels import cell_means, cells, robust_extent, voxel_downsample, voxel_downsample_to
 from pcbench.registration.contrast import CONFIDENT_CONTRAST, contrast
@@ -62,6 +64,8 @@ class FeatureSettings:
     """
 
     with_scale: bool = False
+
+    file: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.with_scale, bool):
@@ -219,7 +223,7 @@ class _CellCloud:
         self.sample, self.normals = self.surface.points[which], self.surface.normals(which)
         nearest = self.surface.index.query(self.sample, k=min(10, len(self.surface))).indices[:, -1]
         plane_offsets = np.einsum("ni,ni->n", self.surface.points[nearest] - self.sample, self.normals)
-        roughness = 1.4826 * float(np.median(np.abs(plane_offsets)))
+        roughness = robust_sigma(plane_offsets)
         # At larger distances any two clouds would overlap.
         self.overlap_distance = float(np.clip(24 * roughness, self.side, 2.5 * self.side))
         # Flat ground dominates many scenes and fits itself anywhere: it must not outweigh the walls.
@@ -322,7 +326,7 @@ class _PoseSearch:
             moved,
             nearest,
             near,
-            sigma=1.4826 * float(np.median(np.abs(plane_distances))),
+            sigma=robust_sigma(plane_distances),
             spacing=target.spacing,
             extent=target.extent,
             with_scale=self.icp.with_scale,

@@ -32,6 +32,11 @@ class GivenPose:
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_reference_candidate", as_similarity(self.T_reference_candidate))
 
+    @property
+    def file(self) -> Path | None:
+        """File of a pose from the command line."""
+        return file_named(self.text, "matrix")
+
     @classmethod
     def identity(cls) -> GivenPose:
         """Return the identity pose: the method `none`."""
@@ -48,6 +53,12 @@ class GivenPose:
             InputError: the file does not contain such a matrix.
         """
         return cls(read_matrix(path), f"matrix:{path}")
+
+
+def file_named(text: str, kind: str) -> Path | None:
+    """Return FILE of a method text `kind:FILE`; None for another text."""
+    name, _, file = text.partition(":")
+    return Path(file) if file and name == kind else None
 
 
 def as_similarity(pose: Similarity | ArrayLike) -> Similarity:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class IcpSettings:
     max_correspondence_distance: float | None = None
     max_iterations: int = 100
     max_sample: int = 30_000
+
+    file: ClassVar[None] = None
 
     def __post_init__(self) -> None:
         if self.residuals not in ("plane", "point"):

@@ -11,7 +11,7 @@ from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import FloatArray, IntArray, random_rows, rounding_bound
 from pcbench.geometry.neighbors import Index
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.transform import Similarity, fit_similarity
+from pcbench.geometry.transform import Similarity, fit_similarity, rotation_from_vector
 from pcbench.geometry.voxels import voxel_downsample, voxel_downsample_to
 from pcbench.native import _core
 from pcbench.registration.advice import align_coarsely
@@ -228,14 +228,3 @@ def _point_step(target: Surface, pairs: WeightedPairs) -> tuple[Similarity, floa
     delta = fit_similarity(pairs.moved, closest_points, with_scale=False, weights=pairs.weights)
     size = np.sqrt(np.mean(np.square(delta.apply(pairs.moved) - pairs.moved).sum(axis=1)))
     return delta, float(size)
-
-
-def rotation_from_vector(vector: FloatArray) -> FloatArray:
-    """Return the rotation matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-300:
-        return np.eye(3)
-    x, y, z = vector / angle
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation: FloatArray = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-    return rotation

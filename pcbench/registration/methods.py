@@ -1,7 +1,7 @@
 """Registration methods: their texts, their settings objects, and `register`, which runs them.
 
-To add a method: write a module with a frozen dataclass of its settings (including `text` and `with_scale`) and a
-function that returns a `Fit`. Then add it to `Method`, `_NAMED` (or `parse_method`) and `register` here.
+To add a method: write a module with a frozen dataclass of its settings (including `text`, `with_scale` and `file`) and
+a function that returns a `Fit`. Then add it to `Method`, `_NAMED` (or `parse_method`) and `register` here.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def parse_method(text: str) -> Method:
             `global-similarity` (from any pose, then `icp` or `similarity`), `points:FILE`, `matrix:FILE` or `none`.
 
     Returns:
-        A method object whose `text` is the given text.
+        A method object whose `text` is the given text, and whose `file` is FILE; None for other methods.
 
     Raises:
         InputError: there is no such method, or the file cannot be read.

@@ -11,9 +11,9 @@ import numpy as np
 
 from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import FloatArray
-from pcbench.geometry.transform import Similarity
+from pcbench.geometry.transform import Similarity, rotation_from_vector
 from pcbench.registration.icp_settings import IcpSettings
-from pcbench.registration.icp_stages import refine, rotation_from_vector
+from pcbench.registration.icp_stages import refine
 from pcbench.registration.target import Target
 
 MIN_RETURNED_SHARE = 2 / 3  # share of the restarts that return to a right pose

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.neighbors import Index, Matches
+from pcbench.geometry.order_statistics import robust_sigma
 from pcbench.geometry.sampling import line_gaps
 from pcbench.geometry.transform import Similarity
 from pcbench.registration.target import MIN_EXTENT, Target
@@ -84,7 +85,7 @@ def match_sample(target: Target, sample: Index, T: Similarity, hint: IntArray | 
     if len(surface) < 3 or target.extent <= MIN_EXTENT:
         return SampleMatches(target, moved, nearest, max_on_surface, np.zeros(len(moved)), None, None)
     # Observability uses all pairs that the fit may have used: if the density varies, these are farther apart.
-    reach = float(np.clip(3 * _mad(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing))
+    reach = float(np.clip(3 * robust_sigma(distances[distances <= np.median(distances)]), 3 * spacing, 10 * spacing))
     on_surface, informing = (weigh(surface, moved, nearest, d, robust=True) for d in (max_on_surface, reach))
     sparse_reach = _sparse_reach(target, nearest, max_on_surface)
     return SampleMatches(target, moved, nearest, max_on_surface, sparse_reach, on_surface, informing)
@@ -110,8 +111,3 @@ def _sparse_reach(target: Target, nearest: Matches, max_on_surface: float) -> Fl
             reached = np.maximum(reached, _LINE_GAP_SHARE * np.linalg.norm(line_gaps(index, points), axis=1))
         reach[unclear] = np.minimum(reached, longest)[of_point]
     return reach
-
-
-def _mad(values: FloatArray) -> float:
-    """Return the robust standard deviation about zero: 1.4826 times the median absolute value."""
-    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from pcbench.errors import RegistrationError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.normals import Surface
-from pcbench.geometry.transform import Similarity
+from pcbench.geometry.transform import Similarity, cross_matrix
 from pcbench.registration.icp_settings import IcpSettings
 from pcbench.registration.icp_stages import refine, refine_coarsely
 from pcbench.registration.target import Target
@@ -74,9 +74,9 @@ def symmetry_turns(points: FloatArray) -> list[Similarity]:
     _, axes = np.linalg.eigh(np.einsum("ni,nj->ij", offsets, offsets))  # no BLAS: independent of the thread count
     turns = []
     for axis in axes.T:
-        x, y, z = axis
-        k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        for rotation in (np.eye(3) + k + k @ k, np.eye(3) + 2 * k @ k, np.eye(3) - k + k @ k):
+        cross = cross_matrix(axis)
+        square = cross @ cross
+        for rotation in (np.eye(3) + cross + square, np.eye(3) + 2 * square, np.eye(3) - cross + square):
             turns.append(Similarity(rotation, center - rotation @ center))
     return turns
 

@@ -2,7 +2,6 @@
 
 from pcbench.io.json_values import to_json
 from pcbench.report.answer import answer
-from pcbench.report.comparison import Comparison, compare
 from pcbench.report.document import document
 from pcbench.report.figures import Figures
 from pcbench.report.folder import report_folder, write_deformation, write_report
@@ -12,13 +11,11 @@ from pcbench.report.terminal import print_columns, print_comparison
 from pcbench.report.viewing import ViewingCameras
 
 __all__ = [
-    "Comparison",
     "Figures",
     "InputFile",
     "Inputs",
     "ViewingCameras",
     "answer",
-    "compare",
     "document",
     "html",
     "markdown",

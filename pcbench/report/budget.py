@@ -8,19 +8,19 @@ from pcbench.changes import ADDED, REMOVED, Change
 from pcbench.measure.budget import PARTS
 from pcbench.measure.results import Candidate
 from pcbench.measure.wording import pluralize
-from pcbench.report.words import join_words, length, percentage
+from pcbench.report.moved import MIN_VERTICAL_SHARE
+from pcbench.report.words import area, join_words, length, percentage, position_text
 
 _MIN_NAMED_SHARE = 0.045  # of D2, for a part that the answer names: rounded, 5 %
 _MAX_NAMED_CHANGES = 3
 _MAX_EVEN_RATIO = 1.5  # of the largest offset to the mean one, up to which a part moved as a whole
-_MIN_VERTICAL_SHARE = 0.9  # of the length of a motion that is called raised or lowered
 
 
 def source_words(candidate: Candidate, part: str) -> str:
     """Return where a part of D2 comes from, as the object of "comes from"."""
-    found = candidate.budget
-    changed = "a change" if found is not None and len(found.accuracy.of_changes) == 1 else "changes"
-    is_kept = found is not None and found.keeps_pose
+    budget = candidate.budget
+    changed = "a change" if budget is not None and len(budget.accuracy.of_changes) == 1 else "changes"
+    is_kept = budget is not None and budget.keeps_pose
     return {
         "unmatched": "points without a counterpart",
         "changed": changed,
@@ -45,13 +45,15 @@ def budget_sentence(candidate: Candidate) -> str:
     if candidate.budget is None:
         return ""
     budget = candidate.budget.accuracy
-    known = [name for name in PARTS if name not in ("noise", "unexplained")]
-    order = [*sorted(known, key=budget.share, reverse=True), "noise"]
+    sources = [name for name in PARTS if name not in ("noise", "unexplained")]
+    order = [*sorted(sources, key=budget.share, reverse=True), "noise"]
     named = [name for name in order if budget.share(name) >= _MIN_NAMED_SHARE]
-    parts = [f"{percentage(budget.share(name))} from {source_words(candidate, name)}" for name in named]
     clauses = []
-    if parts:
-        clauses.append(join_words([parts[0].replace(" from", " comes from", 1), *parts[1:]]))
+    if named:
+        parts = [f"from {source_words(candidate, name)}" for name in named]
+        parts[0] = f"comes {parts[0]}"
+        shares = [percentage(budget.share(name)) for name in named]
+        clauses.append(join_words([f"{share} {part}" for share, part in zip(shares, parts, strict=True)]))
     if budget.share("unexplained") >= _MIN_NAMED_SHARE:
         clauses.append(f"{percentage(budget.share('unexplained'))} is unexplained (outliers, edges or uneven errors)")
     return f"Of its mean square, {'; '.join(clauses)}." if clauses else ""
@@ -60,15 +62,19 @@ def budget_sentence(candidate: Candidate) -> str:
 def changes_sentence(changes: Sequence[Change], unit: str | None) -> str:
     """Return the most important changes in one sentence without a subject: "2 parts changed: ..."."""
     words = [change_words(change, unit) for change in changes[:_MAX_NAMED_CHANGES]]
-    rest = len(changes) - len(words)
-    more = f"; and {rest:,} more" if rest > 0 else ""
-    return f"{pluralize(len(changes), 'part')} changed: {'; '.join(words)}{more}."
+    unnamed = len(changes) - len(words)
+    ending = f"; and {unnamed:,} more" if unnamed > 0 else ""
+    return f"{pluralize(len(changes), 'part')} changed: {'; '.join(words)}{ending}."
+
+
+def changes_of(candidate: Candidate) -> Sequence[Change]:
+    """Return the changes of a candidate; none if they were not searched for."""
+    return () if candidate.changes is None else candidate.changes.found
 
 
 def change_words(change: Change, unit: str | None) -> str:
     """Return what happened to a part, where, and its area: "raised by 0.31 m at (1.0, 2.0, 0.5), 12.4 m²"."""
-    place = ", ".join(f"{x:.1f}" for x in change.place)
-    return f"{kind_words(change, unit)} at ({place}), {squared(change.area, unit)}"
+    return f"{kind_words(change, unit)} at {position_text(change.place)}, {area(change.area, unit)}"
 
 
 def kind_words(change: Change, unit: str | None) -> str:
@@ -77,7 +83,7 @@ def kind_words(change: Change, unit: str | None) -> str:
         return change.kind if change.peak is None else f"{change.kind} (up to {length(abs(change.peak), unit)} off)"
     if change.motion is not None:
         distance = sum(x * x for x in change.motion) ** 0.5
-        if abs(change.motion[2]) < _MIN_VERTICAL_SHARE * distance:
+        if abs(change.motion[2]) < MIN_VERTICAL_SHARE * distance:
             return f"moved by {length(distance, unit)}"
         rise = abs(change.motion[2])
         words = f"{'raised' if change.motion[2] > 0 else 'lowered'} by {length(rise, unit)}"
@@ -86,8 +92,3 @@ def kind_words(change: Change, unit: str | None) -> str:
     if change.mean is None:
         return change.kind
     return f"moved by {length(abs(change.mean), unit)} along the normals"
-
-
-def squared(value: float, unit: str | None) -> str:
-    """Return an area with its unit."""
-    return length(value, f"{unit}²" if unit else "square units")

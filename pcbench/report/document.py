@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-import pcbench
 from pcbench.deformation import Deformation
+from pcbench.extras import package_version
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.json_values import json_values
 from pcbench.measure.deviation import M3C2
@@ -263,7 +263,7 @@ def _m3c2(found: M3C2) -> dict[str, Any]:
 def provenance(seed: int | None) -> dict[str, Any]:
     """Return version, commit, seed, machine, command and time of a result."""
     return {
-        "version": pcbench.__version__,
+        "version": package_version(),
         "commit": _commit(),
         "seed": seed,
         "machine": f"{platform.system()} {platform.machine()}, {cpu_count()} cores,"
@@ -279,7 +279,7 @@ def _program() -> str:
     return "pcbench" if path.name == "__main__.py" and "pcbench" in path.parts else path.name
 
 
-def _commit(root: Path = Path(pcbench.__file__).parents[1]) -> str | None:
+def _commit(root: Path = Path(__file__).parents[2]) -> str | None:
     """Return the commit of the source tree at `root`, and whether its code has changed; None without a repository."""
     if not (root / ".git").exists():
         return None

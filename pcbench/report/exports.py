@@ -34,9 +34,8 @@ def latex_table(comparison: SourcedComparison) -> str:
         r"\midrule",
     ]
     for line in main_lines(comparison):
-        label = latex(line.label.strip())
-        start = rf"\quad {label}" if line.label.startswith("  ") else label
-        text.append(f"{start} & {latex_row(text for cell in line.cells for text in cell)}")
+        indent = r"\quad " * line.level
+        text.append(f"{indent}{latex(line.label)} & {latex_row(line.texts)}")
     return "\n".join([*text, r"\bottomrule", r"\end{tabular}", ""])
 
 

@@ -25,13 +25,13 @@ from pcbench.report.colors import Range, ranges, robust_maximum
 from pcbench.report.document import deformation_values, document
 from pcbench.report.figures import Figures
 from pcbench.report.html import PAGE, page, write_page
-from pcbench.report.inputs import InputFile, Inputs, SceneFolder, SourcedComparison
+from pcbench.report.inputs import InputFile, Inputs, SourcedComparison
 from pcbench.report.manifest import check_figures_folder, complete_replacement, is_report, replace_report
 from pcbench.report.markup import csv_text
 from pcbench.report.names import check_name
 from pcbench.report.recorded import record, record_tiling, restore, restore_tiling
 from pcbench.report.table import Row, markdown, rows
-from pcbench.report.viewing import CAMERAS_FILE
+from pcbench.report.viewing import CAMERAS_FILE, SceneFolder
 from pcbench.scratch import lock_output, make_parents, remove_empty, scratch_folder
 
 SETTINGS_SCHEMA = "pcbench.settings/1"

@@ -1,40 +1,25 @@
-"""The input files of a comparison, recorded so that a report can name them and repeat it."""
+"""A finished comparison, with its input files: recorded so that a report can name them and repeat it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pcbench.measure import results
+from pcbench.measure.results import Candidate, Difference, ReferenceSummary, Tiling
+from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
-from pcbench.report.viewing import ViewingCameras
+from pcbench.measure.wording import pluralize
+from pcbench.report.viewing import SceneFolder, ViewingCameras
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file: its path as given, its digest (`pcbench.io.contents.cloud_digest`), and warnings of its reader."""
+    """An input file: its path as given, its digest (`pcbench.io.source.Source.digest`), and warnings of its reader."""
 
     path: str
     sha256: str
     warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class SceneFolder:
-    """The folder of a scene and where its cameras are: `auto` (found in it), or a file or folder."""
-
-    path: Path
-    cameras: str = "auto"
-
-    def absolute(self) -> SceneFolder:
-        """Return the scene with absolute paths."""
-        cameras = self.cameras if self.cameras == "auto" else str(Path(self.cameras).absolute())
-        return SceneFolder(self.path.absolute(), cameras)
-
-    def paths(self) -> list[Path]:
-        """Return the folder, and the file or folder of the cameras if it is named."""
-        return [self.path, *([] if self.cameras == "auto" else [Path(self.cameras)])]
 
 
 @dataclass(frozen=True)
@@ -65,15 +50,59 @@ class Inputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SourcedComparison(results.CandidateComparisons):
-    """A measured comparison with its input files, from which all outputs are written.
+class SourcedComparison:
+    """A reference, its candidates, and the differences between them; `comparison["a"]` is the candidate named a.
 
     Attributes:
-        inputs: the files; None if a cloud came from memory.
+        settings: the settings.
+        reference: the reference.
+        candidates: the candidates with all their results.
+        differences: differences between candidates.
+        tiling: how the comparison was computed in tiles; None: in memory.
+        inputs: the input files; None if a cloud came from memory.
         cameras: the cameras of the scene, which select the views; None if unknown.
         has_map_files: whether the folder `maps` of the report has the deviation maps of all points.
     """
 
+    settings: Settings
+    reference: ReferenceSummary
+    candidates: tuple[Candidate, ...]
+    differences: tuple[Difference, ...] = ()
+    tiling: Tiling | None = None
     inputs: Inputs | None = None
     cameras: ViewingCameras | None = None
     has_map_files: bool = False
+
+    def __getitem__(self, name: str) -> Candidate:
+        """Return the candidate of that name.
+
+        Raises:
+            KeyError: no candidate has that name.
+        """
+        for candidate in self.candidates:
+            if candidate.name == name:
+                return candidate
+        raise KeyError(f"no candidate {name!r}: there are {', '.join(c.name for c in self.candidates)}")
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a candidate has that name."""
+        return any(candidate.name == name for candidate in self.candidates)
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return iter(self.candidates)
+
+    def __len__(self) -> int:
+        return len(self.candidates)
+
+    def __repr__(self) -> str:
+        unit = f" {self.reference.unit}" if self.reference.unit else ""
+        count, spacing = pluralize(self.reference.points, "point"), self.reference.spacing_median
+        lines = [f"Comparison with {count}, spacing {spacing:.3g}{unit}"]
+        for candidate in self.candidates:
+            distance = candidate.metrics.mean_distance
+            lines.append(
+                f"  {candidate.name}: {pluralize(candidate.points, 'point')}, mean distance"
+                f" {distance.accuracy.value:.4g} c→r, {distance.completeness.value:.4g} r→c{unit},"
+                f" deformation {candidate.deformation.verdict}"
+            )
+        return "\n".join(lines)

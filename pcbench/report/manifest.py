@@ -16,50 +16,17 @@ from typing import Any
 
 from pcbench.errors import InputError
 from pcbench.io.files import atomic_write, read_json_object
-from pcbench.report.figures import FORMATS
 
 MANIFEST = "manifest.json"
 SCHEMA = "pcbench.manifest/1"
 FIGURES = "figures"
 MAPS = "maps"  # folder of the map files of a tiled comparison
 _PENDING = ".pcbench-replacement"  # a complete new report whose files are still to be moved
-_OLD_MANIFEST = ".old-manifest.json"
-
-# Files of reports of earlier versions, which have no manifest.
-_COMPARISON_FILES = ("comparison.json", "metrics.csv", "table.md", "settings.json")
-_DEFORMATION_FILES = ("deformation.json", "deformation.ply", "deformation.csv", "aligned.ply", "T.txt", "settings.json")
-_CANDIDATE_SUFFIXES = (
-    "_deformation.csv",
-    "_deformation.ply",
-    "_deviation.ply",
-    "_deviation.laz",
-    "_completeness.ply",
-    "_m3c2.ply",
-    "_T.txt",
-)
-_PICTURES = ("distribution", "reference", "deformation", "displacement")
-_CANDIDATE_PICTURES = (
-    "_colors",
-    "_distance",
-    "_plane_distance",
-    "_mesh_distance",
-    "_poisson_distance",
-    "_poisson_meshlab_distance",
-    "_m3c2_distance",
-    "_completeness",
-    "_section",
-    "_deformation",
-    "_displacement",
-)
 
 
 def is_report(folder: Path) -> bool:
-    """Return whether the folder has a report, of this version or of an earlier one without a manifest."""
-    return (
-        _listed_files(folder / MANIFEST) is not None
-        or str(read_json_object(folder / "comparison.json").get("schema", "")).startswith("pcbench.comparison/")
-        or {"verdict", "model"} <= read_json_object(folder / "deformation.json").keys()
-    )
+    """Return whether the folder has a report."""
+    return _listed_files(folder / MANIFEST) is not None
 
 
 def check_figures_folder(folder: Path) -> None:
@@ -92,13 +59,7 @@ def replace_report(scratch: Path, out: Path) -> None:
     if not out.exists():
         scratch.rename(out)
         return
-    own = _old_files(out)
-    _check_free(out, new | {MANIFEST}, own)
-    if (
-        own and not (out / MANIFEST).exists()
-    ):  # a list of the old report's files, in case the replacement is interrupted
-        _write(scratch / _OLD_MANIFEST, own)
-        (scratch / _OLD_MANIFEST).replace(out / MANIFEST)
+    _check_free(out, new | {MANIFEST}, _listed_files(out / MANIFEST) or set())
     scratch.rename(out / _PENDING)
     complete_replacement(out)
 
@@ -113,7 +74,7 @@ def complete_replacement(folder: Path) -> None:
     pending = folder / _PENDING
     if not pending.is_dir():
         return
-    new, own = _listed_files(pending / MANIFEST), _old_files(folder)
+    new, own = _listed_files(pending / MANIFEST), _listed_files(folder / MANIFEST) or set()
     if new is not None:
         remaining = {name for name in new if (pending / name).is_file()}
         try:
@@ -155,27 +116,6 @@ def _check_free(folder: Path, names: Iterable[str], own: set[str]) -> None:
         raise InputError(
             f"{folder / MANIFEST}: expected the manifest of a report: rename this file, or choose another folder"
         )
-
-
-def _old_files(folder: Path) -> set[str]:
-    """Return the names of the files of an earlier report in a folder, whether they still exist or not."""
-    listed = _listed_files(folder / MANIFEST)
-    if listed is not None:
-        return listed
-    names: set[str] = set()
-    pictures: set[str] = set()
-    candidates: list[Any] = []
-    if (folder / "comparison.json").is_file():
-        rows = read_json_object(folder / "comparison.json").get("candidates")
-        candidates = [row.get("name") for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
-        names |= {*_COMPARISON_FILES, *(f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_SUFFIXES)}
-        pictures |= {f"{name}{suffix}" for name in candidates for suffix in _CANDIDATE_PICTURES}
-    if (folder / "deformation.json").is_file():
-        names |= {*_DEFORMATION_FILES}
-    if names:
-        pictures |= {*_PICTURES}
-    names |= {f"{FIGURES}/{picture}.{ending}" for picture in pictures for ending in FORMATS}
-    return set(filter(_is_inside, names))
 
 
 def _listed_files(manifest: Path) -> set[str] | None:

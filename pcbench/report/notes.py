@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from pcbench.geometry.arrays import bounds
 from pcbench.measure.quantities import quantities
-from pcbench.measure.quantity import Quantity
 from pcbench.measure.results import (
     ARROWS,
     CANDIDATE_TO_REFERENCE,
@@ -17,11 +16,12 @@ from pcbench.measure.results import (
     LeftOut,
     Tiling,
 )
-from pcbench.measure.wording import pluralize
+from pcbench.measure.wording import pluralize, with_unit
 from pcbench.registration.result import LOW_OVERLAP, UNOBSERVABLE
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.layout import label_of
 from pcbench.report.moved import motion_clause, place_sentence
-from pcbench.report.words import join_words, length, one_line, percentage, sample_count
+from pcbench.report.words import interval_text, join_words, length, one_line, percentage, sample_count
 
 CLAIMS = ("similarity", "affine", "non-affine")  # verdicts that assert a deformation
 _MIN_OVERLAP = 0.8  # below it, points beyond the reference dominate the distances
@@ -37,19 +37,19 @@ _REPORTED_DIFFERENCES = (  # all are squared lengths
 
 def warnings(comparison: SourcedComparison) -> list[str]:
     """Return the warnings of a comparison, each text once with the names of its candidates."""
-    found: dict[str, list[str]] = {}
+    names_by_text: dict[str, list[str]] = {}
     inputs = comparison.inputs
     if inputs is not None:
-        found.update({text: [] for text in inputs.reference.warnings})
-    found.update({str(notice): [] for notice in comparison.reference.warnings})
+        names_by_text.update({text: [] for text in inputs.reference.warnings})
+    names_by_text.update({str(notice): [] for notice in comparison.reference.warnings})
     if comparison.tiling is not None and comparison.tiling.left_out:
-        found[_left_out_words(comparison.tiling.left_out)] = []
+        names_by_text[_left_out_words(comparison.tiling.left_out)] = []
     for candidate in comparison:
         if inputs is not None:
-            found.update({text: [] for text in inputs.candidates[candidate.name].warnings})
+            names_by_text.update({text: [] for text in inputs.candidates[candidate.name].warnings})
         for text in _of_candidate(comparison, candidate):
-            found.setdefault(text, []).append(candidate.name)
-    return [f"{join_words(names)}: {text}" if names else text for text, names in found.items()]
+            names_by_text.setdefault(text, []).append(candidate.name)
+    return [f"{join_words(names)}: {text}" if names else text for text, names in names_by_text.items()]
 
 
 def remarks(comparison: SourcedComparison) -> Iterator[str]:
@@ -86,8 +86,8 @@ def tiling_sentence(comparison: SourcedComparison, tiling: Tiling) -> str:
             f" Registration is based on a sample of {tiling.sampled_points:,} of the reference's"
             f" {pluralize(comparison.reference.points, 'point')}."
         )
-    known = comparison.candidates[0].metrics.presets
-    if missing := [name for name in comparison.settings.presets if name not in known]:
+    computed = comparison.candidates[0].metrics.presets
+    if missing := [name for name in comparison.settings.presets if name not in computed]:
         text += f" Not computed in tiles: {'the preset' if len(missing) == 1 else 'the presets'} {join_words(missing)}."
     return text
 
@@ -97,9 +97,12 @@ def details(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         yield bend_sentence(comparison, candidate, candidate.name)
     doubtful = {c.name for c in comparison if c.registration.doubtful}
-    labels = {q.difference: _label(q) for q in quantities(comparison.candidates[0])}
+    labels = {}
+    for quantity in quantities(comparison.candidates[0]):
+        if quantity.difference in _REPORTED_DIFFERENCES and (label := label_of(quantity)) is not None:
+            labels[quantity.difference] = f"{label.text} {ARROWS.get(quantity.direction, '')}".rstrip()
     for difference in comparison.differences:
-        if difference.metric in _REPORTED_DIFFERENCES and not {difference.a, difference.b} & doubtful:
+        if difference.metric in labels and not {difference.a, difference.b} & doubtful:
             yield _difference_words(difference, labels[difference.metric], comparison.reference.unit)
 
 
@@ -158,17 +161,14 @@ def _censored_words(comparison: SourcedComparison, candidate: Candidate) -> str:
 def _left_out_words(left_out: Sequence[LeftOut]) -> str:
     """Return the damaged files that are missing in all numbers; the first ones with their reasons."""
     counts = [file.points for file in left_out]
-    known = sum(count for count in counts if count is not None)
-    points = (
-        f" with {pluralize(known, 'point')}" if None not in counts else f" with at least {pluralize(known, 'point')}"
-    )
+    lost = sum(count for count in counts if count is not None)
+    points = f" with {'at least ' if None in counts else ''}{pluralize(lost, 'point')}"
     listed = "; ".join(f"{file.path} ({one_line(file.reason)})" for file in left_out[:_MAX_LISTED_FILES])
-    rest = len(left_out) - _MAX_LISTED_FILES
-    more = f"; and {pluralize(rest, 'other')} (comparison.json lists all)" if rest > 0 else ""
+    unlisted = len(left_out) - _MAX_LISTED_FILES
+    ending = f"; and {pluralize(unlisted, 'other')} (comparison.json lists all)" if unlisted > 0 else ""
     files = pluralize(len(left_out), "damaged file")
-    return (
-        f"left out {files}{points if known else ''}, which {'is' if len(left_out) == 1 else 'are'} missing in all"
-        + (f" numbers: {listed}{more}")
+    return f"left out {files}{points if lost else ''}, which {'is' if len(left_out) == 1 else 'are'} missing in all" + (
+        f" numbers: {listed}{ending}"
     )
 
 
@@ -177,9 +177,9 @@ def _map_samples(comparison: SourcedComparison) -> Iterator[str]:
     for candidate in comparison:
         if candidate.deviation.sampled_from is not None:
             yield f"{sample_count(candidate.deviation)} of {candidate.name}"
-    first = comparison.candidates[0].completeness
-    if first.sampled_from is not None:
-        yield f"{sample_count(first)} of the reference"
+    reference_map = comparison.candidates[0].completeness
+    if reference_map.sampled_from is not None:
+        yield f"{sample_count(reference_map)} of the reference"
 
 
 def _crop_advice(candidate: Candidate) -> str:
@@ -216,17 +216,13 @@ def _sample_words(comparison: SourcedComparison, candidate: Candidate) -> str:
     )
 
 
-def _label(quantity: Quantity) -> str:
-    arrow = ARROWS.get(quantity.direction)
-    return f"{quantity.label} {arrow}" if arrow else quantity.label
-
-
-def _difference_words(found: Difference, label: str, unit: str | None) -> str:
-    low, high = found.interval
-    squared = f" {unit}²" if unit else ""
-    if low <= 0 <= high:
-        return f"{label}: no significant difference between {found.a} and {found.b} ([{low:.3g}, {high:.3g}]{squared})"
-    better, worse = (found.a, found.b) if high < 0 else (found.b, found.a)
-    bounds = sorted((abs(low), abs(high)))
-    by = f"{abs(found.difference):.3g} [{bounds[0]:.3g}, {bounds[1]:.3g}]{squared}"
-    return f"{label}: {better} is lower than {worse} by {by}"
+def _difference_words(difference: Difference, label: str, unit: str | None) -> str:
+    """Return which of two candidates has the lower mean square, and by how much."""
+    a, b, interval = difference.a, difference.b, difference.interval
+    square_unit = f"{unit}²" if unit else None
+    if interval.low <= 0 <= interval.high:
+        bounds = with_unit(interval_text(interval), square_unit)
+        return f"{label}: no significant difference between {a} and {b} ({bounds})"
+    better, worse = (a, b) if interval.high < 0 else (b, a)
+    amount = f"{abs(difference.difference):.3g} {interval_text(sorted(map(abs, interval)))}"
+    return f"{label}: {better} is lower than {worse} by {with_unit(amount, square_unit)}"

@@ -15,11 +15,12 @@ from pcbench.deformation import Deformation
 from pcbench.errors import InputError, PcbenchError, describe_damage
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud
 from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.source import Source
 from pcbench.measure.budget import D2Budget
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, DirectedBudget
 from pcbench.report.colors import has_colors
@@ -124,13 +125,10 @@ class Report:
         if self.reference_path is None:
             return None
         try:
-            if holds_mesh(self.reference_path):
-                cloud = read_mesh(self.reference_path, on_warning=lambda _: None).sample(MESH_SAMPLES)
-            else:
-                cloud = read_cloud(self.reference_path, on_warning=lambda _: None)
+            shape = Source.open(self.reference_path).read(lambda _: None)
         except PcbenchError:
             return None
-        return _rotated(cloud, self.rotation)
+        return _rotated(shape.sample(MESH_SAMPLES) if isinstance(shape, Mesh) else shape, self.rotation)
 
 
 def read_report(folder: Path, *, upright: bool = False) -> Report:

@@ -15,7 +15,6 @@ import numpy as np
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.regions import Box, Polygon, Sphere, Union
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import file_in_setting
 from pcbench.measure.m3c2_settings import M3C2Settings
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings
@@ -41,7 +40,7 @@ def record(settings: Settings) -> dict[str, Any]:
             del values[name]
     if isinstance(m3c2 := values.pop("m3c2"), M3C2Settings):
         values["m3c2"] = _m3c2_record(m3c2)
-    return {name: _absolute(value) if isinstance(value, str) else _to_record(value) for name, value in values.items()}
+    return {name: _to_record(value) for name, value in values.items()}
 
 
 def restore(values: Mapping[str, Any]) -> Settings:
@@ -76,12 +75,12 @@ def restore_tiling(values: Any) -> TilingSettings:
 
 
 def _to_record(value: Any) -> Any:
+    if (file := getattr(value, "file", None)) is not None:
+        return f"{value.text.partition(':')[0]}:{file.absolute()}"
     if isinstance(value, IcpSettings | FeatureSettings) and value.text in METHODS and parse_method(value.text) == value:
         return value.text
     if type(value).__name__ in _TYPES and is_dataclass(value):
         recorded = {item.name: _to_record(getattr(value, item.name)) for item in fields(value) if item.init}
-        if "text" in recorded:
-            recorded["text"] = _absolute(recorded["text"])
         return {"type": type(value).__name__, **recorded}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
@@ -90,11 +89,6 @@ def _to_record(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_to_record(item) for item in value]
     return getattr(value, "text", value)  # a user-defined region has only its text
-
-
-def _absolute(text: str) -> str:
-    file = file_in_setting(text)
-    return text if file is None else f"{text.partition(':')[0]}:{file.absolute()}"
 
 
 def _m3c2_record(settings: M3C2Settings) -> Any:

@@ -9,13 +9,25 @@ from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import LENGTH, RATIO, Quantity
 from pcbench.measure.results import ARROWS, Candidate
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.table import Line, across
+from pcbench.report.layout import (
+    TERMINAL_RANKS,
+    Cell,
+    Headline,
+    Line,
+    LineQuantities,
+    arrange,
+    column_of,
+    headline_of,
+    line_key,
+)
 from pcbench.report.words import UNKNOWN, columns, number, rounding_limit, shorten_name
 
 MAX_SIDE_BY_SIDE = 2  # candidates in one table with a column each
 _MAX_ROWS = 16
 _GAP = 2  # blanks between columns
 _MIN_NAME_COLUMNS = 16
+
+LengthFormatter = Callable[[float | None], str]
 
 
 class Column(NamedTuple):
@@ -32,76 +44,73 @@ class Column(NamedTuple):
 
 def main_lines(comparison: SourcedComparison) -> list[Line]:
     """Return the rows for candidates side by side: a line per metric with both directions, and its floor below it."""
-    candidates = list(comparison)
-    show, thresholds = _length_formatter(comparison), main_thresholds(comparison)
+    candidates, show = list(comparison), _length_formatter(comparison)
+    has_details = len(main_thresholds(comparison)) == 1  # of F-scores
 
-    def is_shown(quantity: Quantity) -> bool:
-        if quantity.headline is None or quantity.threshold not in (None, *thresholds):
-            return False
-        is_detail = quantity.threshold is not None and quantity.headline.label.startswith("  ")
-        return not is_detail or len(thresholds) == 1
-
-    def text(quantity: Quantity) -> str:
-        return show(quantity.value) if quantity.unit == LENGTH else number(quantity.value)
+    def cell(quantity: Quantity) -> Cell:
+        return Cell(show(quantity.value) if quantity.unit == LENGTH else number(quantity.value))
 
     always: list[Line] = []
     optional: list[Line] = []
-    for row in across(candidates, is_shown):
-        headline = row.first.headline
-        assert headline is not None
-        (optional if headline.optional else always).append(Line(headline.label, row.cells(text)))
+    for headline, line in headline_lines(comparison):
+        if has_details or not headline.level or line.first.threshold is None:
+            group = optional if headline.is_optional else always
+            group.append(Line(headline.text, line.cells(cell), headline.level))
     methods = {c.registration.method.partition(":")[0] for c in candidates}
-    how = "registration" if len(methods) > 1 else methods.pop()
-    rows = [
-        Line(
-            "points measured",
-            [(f"{c.points_in_region:,}", f"{_reference_point_count(comparison):,}") for c in candidates],
-        ),
-        Line(f"{how}: rmse", [(show(c.registration.rmse), "") for c in candidates]),
-        Line(f"{how}: overlap", [(f"{c.registration.overlap:.1%}", "") for c in candidates]),
+    method = "registration" if len(methods) > 1 else methods.pop()
+    reference_points = f"{comparison.reference.points_in_region:,}"
+    lines = [
+        Line.of_texts("points measured", (f"{c.points_in_region:,}" for c in candidates), second=reference_points),
+        Line.of_texts(f"{method}: rmse", (show(c.registration.rmse) for c in candidates)),
+        Line.of_texts(f"{method}: overlap", (f"{c.registration.overlap:.1%}" for c in candidates)),
         *always,
-        Line("deformation", [(c.deformation.label, "") for c in candidates]),
+        Line.of_texts("deformation", (c.deformation.label for c in candidates)),
     ]
     limits = [c.deformation.size_limit for c in candidates]
     if any(limit is not None for limit in limits):
         results = [c.deformation.assuming_pose() for c in candidates]
         amplitudes = [None if result.verdict == "undecided" else result.amplitude for result in results]
         sizes = [None if amplitude is None else amplitude.rms for amplitude in amplitudes]
-        rows.append(Line("  RMS", [(show(size), "") for size in sizes]))
-        rows.append(Line("  detectable RMS", [(show(limit), "") for limit in limits]))
-    return rows + optional[: _MAX_ROWS - len(rows)]
+        lines.append(Line.of_texts("RMS", map(show, sizes), 1))
+        lines.append(Line.of_texts("detectable RMS", map(show, limits), 1))
+    return lines + optional[: _MAX_ROWS - len(lines)]
+
+
+def headline_lines(comparison: SourcedComparison) -> list[tuple[Headline, LineQuantities]]:
+    """Return the lines of the quantities in the summary, for the main ones of several thresholds."""
+    thresholds = (None, *main_thresholds(comparison))
+    lines = arrange(comparison.candidates, lambda q: q.threshold in thresholds and headline_of(q) is not None)
+    return [(headline, line) for line in lines if (headline := headline_of(line.first)) is not None]
 
 
 def main_columns(comparison: SourcedComparison, width: int) -> list[Column]:
     """Return the columns for one row per candidate: the most important ones that fit into `width` terminal columns."""
-    candidates = list(comparison)
+    candidates, show = list(comparison), _length_formatter(comparison, digits=3)
     pose = ["doubtful" if c.registration.doubtful else "" for c in candidates]
-    ranked = [  # in the order of the table; rank 0 is always shown, None never
-        (8, Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates])),
-        (0 if any(pose) else None, Column(("", "pose"), pose)),
-        (4, Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates])),
-        *_quantity_columns(comparison),
-        (2, Column(("", "deformation"), [c.deformation.label for c in candidates])),
-        (
-            7,
-            Column(
-                ("deformed", "RMS"), [_deformation_size(c, _length_formatter(comparison, digits=3)) for c in candidates]
-            ),
-        ),
+    facts = {
+        "points": Column(("", "points"), [f"{c.points_in_region:,}" for c in candidates]),
+        "pose": Column(("", "pose"), pose),
+        "overlap": Column(("", "overlap"), [f"{c.registration.overlap:.0%}" for c in candidates]),
+        "deformation": Column(("", "deformation"), [c.deformation.label for c in candidates]),
+        "deformed RMS": Column(("deformed", "RMS"), [_deformation_size(c, show) for c in candidates]),
+    }
+    before = ("points", "pose", "overlap") if any(pose) else ("points", "overlap")
+    ranked = [  # in the order of the table
+        *((TERMINAL_RANKS[name], facts[name]) for name in before),
+        *_quantity_columns(comparison, show),
+        *((TERMINAL_RANKS[name], facts[name]) for name in ("deformation", "deformed RMS")),
     ]
     room = width - min(max(columns(c.name) for c in candidates), _MIN_NAME_COLUMNS)
-    kept: set[int] = set()
-    ranks = sorted({rank for rank, _ in ranked if rank is not None})
-    for rank in ranks:
-        group = {k for k, (of, _) in enumerate(ranked) if of == rank}
-        needed = sum(ranked[k][1].width + _GAP for k in group)
+    kept_ranks: set[int] = set()
+    for rank in sorted({rank for rank, _ in ranked}):
+        needed = sum(column.width + _GAP for other, column in ranked if other == rank)
         if rank > 0 and needed > room:
             break
-        kept |= group
+        kept_ranks.add(rank)
         room -= needed
-    chosen = [column for k, (_, column) in enumerate(ranked) if k in kept]
-    left = max(width - sum(column.width + _GAP for column in chosen), _MIN_NAME_COLUMNS // 2)
-    return [Column(("", ""), _names(candidates, left)), *chosen]
+    kept = [column for rank, column in ranked if rank in kept_ranks]
+    name_width = max(width - sum(column.width + _GAP for column in kept), _MIN_NAME_COLUMNS // 2)
+    return [Column(("", ""), _names(candidates, name_width)), *kept]
 
 
 def _names(candidates: list[Candidate], width: int) -> list[str]:
@@ -112,40 +121,39 @@ def _names(candidates: list[Candidate], width: int) -> list[str]:
     return names
 
 
-def _reference_point_count(comparison: SourcedComparison) -> int:
-    return comparison.reference.points_in_region
-
-
-def _quantity_columns(comparison: SourcedComparison) -> Iterator[tuple[int, Column]]:
+def _quantity_columns(comparison: SourcedComparison, show: LengthFormatter) -> Iterator[tuple[int, Column]]:
     """Yield the rank and the column of each quantity with a headline, for only the first of several thresholds."""
-    show, thresholds = _length_formatter(comparison, digits=3), main_thresholds(comparison)[:1]
+    first_threshold = (None, *main_thresholds(comparison)[:1])
 
-    def text(quantity: Quantity | None) -> str:
-        if quantity is None or quantity.value is None:
+    def text(quantity: Quantity) -> str:
+        if quantity.value is None:
             return UNKNOWN
         return {LENGTH: show(quantity.value), RATIO: f"{quantity.value:.3f}"}.get(quantity.unit, number(quantity.value))
 
-    found = [{(q.row, q.column): q for q in quantities(candidate) if q.headline} for candidate in comparison]
-    for place, first in found[0].items():
-        headline = first.headline
-        if headline is None or headline.rank is None or first.threshold not in (None, *thresholds):
-            continue
-        below = ARROWS.get(first.direction, "") if first.threshold is None else f"{first.threshold:.3g}"
-        yield headline.rank, Column((headline.column, below), [text(of.get(place)) for of in found])
+    by_place = [
+        {(line_key(q), column_of(q)): (headline, q) for q in quantities(candidate) if (headline := headline_of(q))}
+        for candidate in comparison
+    ]
+    for place, (headline, quantity) in by_place[0].items():  # a floor is beside its value
+        rank = headline.ranks[column_of(quantity)]
+        if rank is not None and quantity.threshold in first_threshold:
+            below = ARROWS.get(quantity.direction, "") if quantity.threshold is None else f"{quantity.threshold:.3g}"
+            cells = [text(shown[place][1]) if place in shown else UNKNOWN for shown in by_place]
+            yield rank, Column((headline.column, below), cells)
 
 
 def main_thresholds(comparison: SourcedComparison) -> list[float]:
     """Return the thresholds that the user set, or the middle one of the default three."""
-    found = [score.threshold for score in comparison.candidates[0].metrics.fscores]
-    return found if comparison.settings.thresholds is not None else found[len(found) // 2 :][:1]
+    thresholds = [score.threshold for score in comparison.candidates[0].metrics.fscores]
+    return thresholds if comparison.settings.thresholds is not None else thresholds[len(thresholds) // 2 :][:1]
 
 
-def _deformation_size(candidate: Candidate, show: Callable[[float | None], str]) -> str:
+def _deformation_size(candidate: Candidate, show: LengthFormatter) -> str:
     result = candidate.deformation.assuming_pose()
     return show(result.amplitude.rms) if result.amplitude is not None and result.verdict == "non-affine" else ""
 
 
-def _length_formatter(comparison: SourcedComparison, digits: int = 4) -> Callable[[float | None], str]:
+def _length_formatter(comparison: SourcedComparison, digits: int = 4) -> LengthFormatter:
     """Return a function that formats lengths; values within rounding are 0."""
     least = rounding_limit(comparison)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from html import escape
 from typing import NamedTuple
 
 from pcbench.measure.quantities import quantities
 from pcbench.measure.quantity import Quantity
-from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
+from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.layout import Cell, Line, arrange, label_of
 from pcbench.report.markup import markdown_row
 from pcbench.report.notes import details, remarks, warnings
-from pcbench.report.words import UNKNOWN, number, title
+from pcbench.report.words import number, title
 
 _DIRECTIONS = {CANDIDATE_TO_REFERENCE: "accuracy", REFERENCE_TO_CANDIDATE: "completeness"}
 _LEGEND = (
@@ -47,63 +48,30 @@ def rows(comparison: SourcedComparison) -> Iterator[Row]:
             yield Row(*name, q.definition, q.value, q.unit_name(unit), *(q.interval or (None, None)))
 
 
-class Line(NamedTuple):
-    """A line of the table: a label, and two cells for each candidate.
-
-    Attributes:
-        label: name of the metric.
-        cells: (c→r, r→c) for each candidate; the second is empty if a number has no direction.
-    """
-
-    label: str
-    cells: list[tuple[str, str]]
-
-
-def lines(comparison: SourcedComparison, *, intervals: bool = False) -> Iterator[Line | None]:
-    """Yield all lines of the table, with 95 % confidence intervals on request; None separates sections."""
+def lines(comparison: SourcedComparison) -> Iterator[Line | None]:
+    """Yield all lines of the table, with 95 % confidence intervals; None separates groups."""
     candidates = comparison.candidates
-    registered = [c.registration for c in candidates]
-    yield Line("points", [(f"{c.points:,}", "") for c in candidates])
-    yield Line("points in region", [(f"{c.points_in_region:,}", "") for c in candidates])
-    yield Line("registration", [(r.method.partition(":")[0], "") for r in registered])
-    yield Line("  rmse", [(number(r.rmse), "") for r in registered])
-    yield Line("  overlap", [(f"{r.overlap:.1%}", "") for r in registered])
-    section = ""
-    for row in across(candidates, lambda quantity: bool(quantity.label)):
-        first = row.first
-        if first.section != section:
+    registrations = [c.registration for c in candidates]
+    yield Line.of_texts("points", (f"{c.points:,}" for c in candidates))
+    yield Line.of_texts("points in region", (f"{c.points_in_region:,}" for c in candidates))
+    yield Line.of_texts("registration", (r.method.partition(":")[0] for r in registrations))
+    yield Line.of_texts("rmse", (number(r.rmse) for r in registrations), 1)
+    yield Line.of_texts("overlap", (f"{r.overlap:.1%}" for r in registrations), 1)
+    group = ""
+    for line in arrange(candidates, lambda quantity: label_of(quantity) is not None):
+        label = label_of(line.first)
+        assert label is not None
+        if line.first.group != group:
             yield None
-            section = first.section
-            if section == "deformation":
-                yield Line("deformation", [(c.deformation.label, "") for c in candidates])
-        yield Line(first.label, row.cells(lambda q: number(q.value, q.interval if intervals else None)))
+            group = line.first.group
+            if group == "deformation":
+                yield Line.of_texts("deformation", (c.deformation.label for c in candidates))
+        yield Line(label.text, line.cells(_cell), label.level)
 
 
-class Across(NamedTuple):
-    """The quantities of one line: two columns per candidate."""
-
-    pairs: list[list[Quantity | None]]
-
-    @property
-    def first(self) -> Quantity:
-        """The first quantity; all have the same label."""
-        return next(quantity for pair in self.pairs for quantity in pair if quantity is not None)
-
-    def cells(self, text: Callable[[Quantity], str]) -> list[tuple[str, str]]:
-        """Return the texts of both columns for each candidate; a column without any quantity is empty."""
-        empty = ["" if all(pair[k] is None for pair in self.pairs) else UNKNOWN for k in (0, 1)]
-        left, right = ([empty[k] if (q := pair[k]) is None else text(q) for pair in self.pairs] for k in (0, 1))
-        return list(zip(left, right, strict=True))
-
-
-def across(candidates: Sequence[Candidate], is_shown: Callable[[Quantity], bool]) -> list[Across]:
-    """Return the quantities of several candidates side by side, in the order of `quantities`."""
-    found: dict[Hashable, Across] = {}
-    for k, candidate in enumerate(candidates):
-        for quantity in filter(is_shown, quantities(candidate)):
-            row = found.setdefault(quantity.row, Across([[None, None] for _ in candidates]))
-            row.pairs[k][quantity.column] = quantity
-    return list(found.values())
+def _cell(quantity: Quantity) -> Cell:
+    interval = quantity.interval
+    return Cell(number(quantity.value), None if interval is None else (number(interval.low), number(interval.high)))
 
 
 def markdown(comparison: SourcedComparison) -> str:
@@ -120,10 +88,9 @@ def markdown(comparison: SourcedComparison) -> str:
         markdown_row(header),
         markdown_row(["---"] + ["---:"] * (len(header) - 1)),
     ]
-    for line in lines(comparison, intervals=True):
-        if line is not None:
-            label = f"&nbsp;&nbsp;{line.label.strip()}" if line.label.startswith("  ") else line.label
-            text.append(markdown_row([label, *(text for cell in line.cells for text in cell)]))
+    for line in filter(None, lines(comparison)):
+        cells = (cell.with_interval for pair in line.cells for cell in pair)
+        text.append(markdown_row([f"{'&nbsp;&nbsp;' * line.level}{line.label}", *cells]))
     text += ["", _legend(comparison), "", *(f"- {sentence}" for sentence in details(comparison))]
     return "\n".join(text).rstrip() + "\n"
 
@@ -138,19 +105,17 @@ def html(comparison: SourcedComparison) -> str:
         for direction, arrow in ARROWS.items()
     )
     body = []
-    for line in lines(comparison):
-        if line is not None:
-            is_detail = line.label.startswith("  ")
-            style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if is_detail else left
-            cells = "".join(f'<td style="{right}">{escape(text)}</td>' for pair in line.cells for text in pair)
-            body.append(f'<tr><th scope="row" style="{style}">{escape(line.label.strip())}</th>{cells}</tr>')
-    first = [
+    for line in filter(None, lines(comparison)):
+        style = f"{left};font-weight:normal;padding-left:2em;opacity:0.75" if line.level else left
+        cells = "".join(f'<td style="{right}">{escape(text)}</td>' for text in line.texts)
+        body.append(f'<tr><th scope="row" style="{style}">{escape(line.label)}</th>{cells}</tr>')
+    sentences = [
         *answer(comparison),
         *remarks(comparison),
         *(f"warning: {warning}" for warning in warnings(comparison)),
     ]
     return (
-        f"<p><b>{escape(title(comparison))}</b></p>{_list(first)}"
+        f"<p><b>{escape(title(comparison))}</b></p>{_list(sentences)}"
         f"<table><thead><tr><th></th>{names}</tr><tr><th></th>{directions}</tr></thead><tbody>{''.join(body)}</tbody></table>"
         f"{_list(details(comparison))}<p>{escape(_legend(comparison))}</p>"
     )

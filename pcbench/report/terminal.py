@@ -8,11 +8,13 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pcbench.measure.results import ARROWS
 from pcbench.report.answer import answer
 from pcbench.report.inputs import SourcedComparison
+from pcbench.report.layout import Line
 from pcbench.report.notes import details, remarks, warnings
 from pcbench.report.summary import MAX_SIDE_BY_SIDE, main_columns, main_lines
-from pcbench.report.table import Line, lines
+from pcbench.report.table import lines
 from pcbench.report.words import columns, pad, shorten_name, title
 
 if TYPE_CHECKING:
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 _GAP = "  "
 _DEFAULT_WIDTH = 80  # terminal columns
 _UNBOUNDED_WIDTH = 100_000  # terminal columns for pipes and files
-_ARROWS = ("c→r", "r→c")
 
 
 def print_comparison(comparison: SourcedComparison, *, full: bool = False, folder: Path | None = None) -> None:
@@ -47,9 +48,7 @@ def print_comparison(comparison: SourcedComparison, *, full: bool = False, folde
         console.print(text, style=style, soft_wrap=True)
 
     say(title(comparison), "bold")
-    for sentence in answer(comparison):
-        say(sentence)
-    for sentence in remarks(comparison):
+    for sentence in (*answer(comparison), *remarks(comparison)):
         say(sentence)
     for warning in warnings(comparison):
         say(f"warning: {warning}", "yellow")
@@ -121,32 +120,34 @@ def _console() -> Console:
 
 def _print_lines(console: Console, names: Sequence[str], unit: str, table: Sequence[Line | None]) -> None:
     """Print a line per metric with two columns per candidate; the table may be wider than a narrow terminal."""
-    metrics = [line for line in table if line is not None]
-    label = max(len(unit), *(len(line.label) for line in metrics))
-    widths = [
-        [max(len(_ARROWS[direction]), *(len(line.cells[k][direction]) for line in metrics)) for direction in (0, 1)]
-        for k in range(len(names))
-    ]
-    needed = label + sum(sum(pair) + 2 * len(_GAP) for pair in widths)
+    arrows, metrics = list(ARROWS.values()), [line for line in table if line is not None]
+    label = max(len(unit), *(len(_indented(line)) for line in metrics))
+    texts = [arrows * len(names), *(line.texts for line in metrics)]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    needed = label + sum(widths) + len(widths) * len(_GAP)
     spare = max(console.width - needed, 0) // len(names)
     heads = []
-    for name, pair in zip(names, widths, strict=True):  # a long name uses the spare width
-        room = sum(pair) + len(_GAP)
-        shown = shorten_name(name, room + spare)
-        pair[0] += max(columns(shown) - room, 0)
-        heads.append(pad(shown, sum(pair) + len(_GAP), right=True))
+    for k, name in enumerate(names):  # a long name uses the spare width
+        room = widths[2 * k] + len(_GAP) + widths[2 * k + 1]
+        shortened = shorten_name(name, room + spare)
+        widths[2 * k] += max(columns(shortened) - room, 0)
+        heads.append(pad(shortened, widths[2 * k] + len(_GAP) + widths[2 * k + 1], right=True))
+
+    def print_row(first: str, cells: Sequence[str], style: str = "") -> None:
+        padded = (text.rjust(width) for text, width in zip(cells, widths, strict=True))
+        _print_row(console, [first.ljust(label), *padded], style)
+
     _print_row(console, ["".ljust(label), *heads], "bold")
-    _print_row(
-        console, [unit.ljust(label), *(a.rjust(w) for pair in widths for a, w in zip(_ARROWS, pair, strict=True))]
-    )
+    print_row(unit, texts[0])
     for line in table:
         if line is None:
             console.print()
-            continue
-        cells = [
-            text.rjust(w) for pair, of in zip(line.cells, widths, strict=True) for text, w in zip(pair, of, strict=True)
-        ]
-        _print_row(console, [line.label.ljust(label), *cells], "dim" if line.label.startswith("  ") else "")
+        else:
+            print_row(_indented(line), line.texts, "dim" if line.level else "")
+
+
+def _indented(line: Line) -> str:
+    return f"{_GAP * line.level}{line.label}"
 
 
 def _print_row(console: Console, cells: Sequence[str], style: str = "") -> None:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+import os
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pcbench.errors import InputError, describe_damage
 from pcbench.geometry.arrays import FloatArray, as_rows, even_rows, random_rows
 from pcbench.geometry.cameras import Camera
+from pcbench.geometry.cloud import Cloud
+from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.transform import Similarity
 from pcbench.geometry.upright import find_up, rotation_to_z
 from pcbench.io.files import read_json
 
+if TYPE_CHECKING:
+    from pcbench.scenes import Scene
+
+SceneLike: TypeAlias = "Scene | str | os.PathLike[str]"
+"""A scene, or the path of its folder."""
 CAMERAS_FILE = "cameras.json"
 SCHEMA = "pcbench.cameras/1"
 _MAX_LEAN_DEG = 10.0  # between the up direction of the cameras and +z, if +z is up: twice its largest standard error
@@ -199,3 +207,64 @@ def _heading(directions: FloatArray, centers: FloatArray) -> FloatArray:
     first_long = progress[np.argmax(np.abs(progress) > 0.5 * np.abs(progress).max())]
     across: FloatArray = np.sign(first_long) * np.array([-along[1], along[0]])
     return across
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """The folder of a scene and where its cameras are: `auto` (found in it), or a file or folder."""
+
+    path: Path
+    cameras: str = "auto"
+
+    def absolute(self) -> SceneFolder:
+        """Return the scene with absolute paths."""
+        cameras = self.cameras if self.cameras == "auto" else str(Path(self.cameras).absolute())
+        return SceneFolder(self.path.absolute(), cameras)
+
+    def paths(self) -> list[Path]:
+        """Return the folder, and the file or folder of the cameras if it is named."""
+        return [self.path, *([] if self.cameras == "auto" else [Path(self.cameras)])]
+
+
+def as_scene(scene: SceneLike | SceneFolder) -> Scene | SceneFolder:
+    """Return a scene, or its folder.
+
+    Raises:
+        InputError: the argument is neither.
+    """
+    if isinstance(scene, SceneFolder):
+        return scene
+    if isinstance(scene, str | os.PathLike):
+        return SceneFolder(Path(scene))
+    from pcbench.scenes import Scene
+
+    if not isinstance(scene, Scene):
+        raise InputError(f"expected a scene or the path of its folder, got {type(scene).__name__}")
+    return scene
+
+
+def viewing_cameras(
+    scene: Scene | SceneFolder | ViewingCameras, shown: Cloud | Mesh, on_warning: Callable[[str], None]
+) -> ViewingCameras:
+    """Return the cameras of a scene for the views of a cloud or a mesh, read from its folder if necessary.
+
+    Raises:
+        InputError: the scene cannot be read, has no cameras, or none of them sees it.
+    """
+    if isinstance(scene, ViewingCameras):
+        return scene
+    if isinstance(scene, SceneFolder):
+        from pcbench.scenes import read_scene
+
+        scene = read_scene(scene.path, cameras=scene.cameras, on_warning=on_warning)
+    if not scene.cameras:
+        raise InputError(
+            f"{scene.folder}: expected a scene with cameras, got none: name their file or folder (--cameras)"
+        )
+    z_is_up = shown.crs is not None or scene.origin is not None
+    cameras = ViewingCameras.of(scene.cameras.values(), z_is_up=z_is_up)
+    try:
+        cameras.check_sight(shown.vertices if isinstance(shown, Mesh) else shown.points)
+    except InputError as error:
+        raise InputError(f"{scene.folder}: {error}") from error
+    return cameras

@@ -3,32 +3,45 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from pcbench.measure.deviation import DeviationMap
-from pcbench.measure.intervals import Interval
-from pcbench.measure.wording import pluralize
+from pcbench.measure.wording import pluralize, with_unit
 from pcbench.report.inputs import SourcedComparison
 
 UNKNOWN = "–"
 _ROUNDING_SHARE = 1e-9  # of the scene's extent
 
 
-def number(value: float | None, ci: Interval | None = None) -> str:
-    """Return a number with four significant digits and its interval; a dash for None."""
-    if value is None:
-        return UNKNOWN
-    text = f"{value:.4g}"
-    return f"{text} [{ci.low:.4g}, {ci.high:.4g}]" if ci else text
+def number(value: float | None) -> str:
+    """Return a number with four significant digits; a dash for None."""
+    return UNKNOWN if value is None else f"{value:.4g}"
 
 
 def length(value: float | None, unit: str | None) -> str:
-    """Return a length with its unit, if known: three significant digits, or whole from 1,000 to a million."""
-    if value is None:
-        return UNKNOWN
-    text = f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
-    return f"{text} {unit}" if unit else text
+    """Return a length with its unit, if known; a dash for None."""
+    return UNKNOWN if value is None else with_unit(length_number(value), unit)
+
+
+def length_number(value: float) -> str:
+    """Return a length without its unit: three significant digits, or whole from 1,000 to a million."""
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def area(value: float, unit: str | None) -> str:
+    """Return an area with its unit, or in square units if it is unknown."""
+    return length(value, f"{unit}²" if unit else "square units")
+
+
+def interval_text(interval: Iterable[float]) -> str:
+    """Return the ends of an interval in brackets, with three significant digits."""
+    return f"[{', '.join(f'{end:.3g}' for end in interval)}]"
+
+
+def position_text(point: Iterable[float]) -> str:
+    """Return coordinates in parentheses, with one decimal."""
+    return f"({', '.join(f'{x:.1f}' for x in point)})"
 
 
 def percentage(share: float) -> str:
@@ -41,9 +54,9 @@ def sample_count(map_: DeviationMap) -> str:
     return point_count(len(map_.points), map_.sampled_from)
 
 
-def point_count(shown: int, sampled_from: int | None = None, noun: str = "point") -> str:
+def point_count(count: int, sampled_from: int | None = None, noun: str = "point") -> str:
     """Return a number of points in words, with the number of all points if they are a sample of them."""
-    return pluralize(shown, noun) if sampled_from is None else f"{shown:,} of {pluralize(sampled_from, noun)}"
+    return pluralize(count, noun) if sampled_from is None else f"{count:,} of {pluralize(sampled_from, noun)}"
 
 
 def memory_text(size: int) -> str:
@@ -107,6 +120,6 @@ def rounding_limit(comparison: SourcedComparison) -> float:
 def title(comparison: SourcedComparison) -> str:
     """Return one line about the reference: its path, number of points and spacing."""
     reference = comparison.reference
-    unit = f" {reference.unit}" if reference.unit else ""
+    spacing = with_unit(f"{reference.spacing_median:.3g}", reference.unit)
     name = "reference" if comparison.inputs is None else printable(str(comparison.inputs.reference.path))
-    return f"{name}: {pluralize(reference.points, 'point')}, spacing {reference.spacing_median:.3g}{unit}"
+    return f"{name}: {pluralize(reference.points, 'point')}, spacing {spacing}"

@@ -36,7 +36,7 @@ from pcbench.scenes.folders import (
     visible_files,
 )
 from pcbench.scenes.names import ImageNames
-from pcbench.scenes.scene import Scene
+from pcbench.scenes.scene import Scene, first_names
 from pcbench.scenes.turned import camera_of_stored, describe_turned
 
 # Smallest plausible focal length as a share of the longer image side; it corresponds to a field of view of 157 degrees.
@@ -125,7 +125,7 @@ def _positions(path: Path, images: Sequence[str], warn: Callable[[str], None]) -
         else:
             found[name] = position
     if unmatched:
-        warn(f"{path}: left out {len(unmatched)} positions without an image: {_list_names(unmatched)}")
+        warn(f"{path}: left out {len(unmatched)} positions without an image: {first_names(unmatched)}")
     return found
 
 
@@ -205,9 +205,9 @@ def _with_cameras(
         )
     if unmatched:
         count = f"{len(unmatched)} of {len(camera_file.cameras)}"
-        warn(f"{source}: left out {count} cameras whose images are missing: {_list_names(unmatched)}")
+        warn(f"{source}: left out {count} cameras whose images are missing: {first_names(unmatched)}")
     if without_camera := [name for name in scene.images if name not in matched]:
-        warn(f"{source}: no camera for {len(without_camera)} of {len(scene)} images: {_list_names(without_camera)}")
+        warn(f"{source}: no camera for {len(without_camera)} of {len(scene)} images: {first_names(without_camera)}")
     for line in describe_turned(turned, ambiguous, len(matched)):
         warn(f"{source}: {line}")
     _warn_of_unread(scene, source, without_camera, warn)
@@ -321,7 +321,3 @@ def _intrinsics_error(k: Intrinsics) -> str:
     else:
         return ""
     return f"expected intrinsics in pixels of {k.width} x {k.height}, got {focal} and {at}: {what}"
-
-
-def _list_names(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -223,10 +223,8 @@ class Scene:
     def describe(self) -> list[str]:
         """Describe the scene in a few lines for users."""
         sizes = sorted({self.size(name) for name in self.images})
-        size_text = ", ".join(f"{width} x {height}" for width, height in sizes[:3]) + (
-            ", ..." if len(sizes) > 3 else ""
-        )
-        lines = [f"{self.folder}: {len(self)} images of {size_text}"]
+        sizes_text = first_names([f"{width} x {height}" for width, height in sizes])
+        lines = [f"{self.folder}: {len(self)} images of {sizes_text}"]
         lines.append(f"  cameras {len(self.cameras)}, GPS {len(self.positions or self.gps)}, masks {len(self.masks)}")
         if self.cameras:
             positions = np.stack([camera.position for camera in self.cameras.values()])
@@ -262,3 +260,8 @@ class Scene:
             elif cameras and name in self.intrinsics:
                 combined.update(repr(self.intrinsics[name]).encode())
         return combined.hexdigest()
+
+
+def first_names(names: Sequence[str]) -> str:
+    """Return the first three names for a note, and dots if there are more."""
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import FloatArray
@@ -40,7 +38,7 @@ from reconstructors.mvs.views import view_stage
 from reconstructors.sfm.sfm import ColmapSfm
 from reconstructors.splat import extract
 from reconstructors.splat.model import LocalFrame
-from reconstructors.splat.photographs import Pyramid, read_photographs, select_usable, training_pinhole
+from reconstructors.splat.photographs import Pyramid, check_training, read_photographs, select_usable, training_pinhole
 from reconstructors.splat.resume import run_with_checkpoints
 
 MODEL = "field.npz"  # in the stage `model`
@@ -85,12 +83,7 @@ class RadianceField:
                 f"expected a resolution from {_MIN_RESOLUTION} to 1024 that is a multiple of {2**_HALVINGS}, got"
                 f" {self.resolution}"
             )
-        if self.image_side < 16:
-            raise ValueError(f"expected photographs of at least 16 pixels, got image_side={self.image_side}")
-        if not (np.isfinite(self.memory) and self.memory > 0):
-            raise ValueError(f"expected memory in gigabytes, got {self.memory}")
-        if not 0 <= self.seed < 2**31:
-            raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
+        check_training(self.image_side, self.memory, self.seed)
 
     @classmethod
     def missing(cls) -> str | None:

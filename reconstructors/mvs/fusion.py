@@ -23,7 +23,7 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import read_cloud
 from pcbench.io.meshes import read_mesh
-from pcbench.scenes.synthetic.files import write_mesh_ply
+from pcbench.io.ply import write_ply_mesh
 from reconstructors.mvs.filter import world_points
 from reconstructors.mvs.maps import DEPTH, NORMAL, DepthMap
 from reconstructors.sfm.model import check_written, truncated_output_error
@@ -300,7 +300,7 @@ def write_mesh(fused: Sequence[Path], out: Path, origin: FloatArray, unit: str |
     finally:
         raw.unlink(missing_ok=True)
         joined.unlink(missing_ok=True)
-    write_mesh_ply(out, Mesh(mesh.vertices + origin, mesh.faces, unit=unit))
+    write_ply_mesh(out, Mesh(mesh.vertices + origin, mesh.faces, unit=unit))
     return len(mesh)
 
 

@@ -25,6 +25,7 @@ from pcbench.plugins.stages import full_disk_explained, stage
 from pcbench.registration import SurveyResiduals
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_image
+from pcbench.scenes.scene import first_names
 from reconstructors.mvs.backend import Backend, choose_backend, compute_colmap_maps
 from reconstructors.mvs.blocks import FilteredImage, fuse_blocks, fused_files, plan_cells
 from reconstructors.mvs.bundled import Matching, compute_bundled_maps, stage_digest
@@ -36,7 +37,7 @@ from reconstructors.mvs.plan import MAX_SOURCES_PER_IMAGE, ImageSurvey, Matching
 from reconstructors.mvs.sources import MIN_POINTS, MatchedImage, choose_references
 from reconstructors.mvs.sparse import SparseModel, recenter_camera, sparse_from_colmap, without_points
 from reconstructors.mvs.views import IMAGE, ViewCache, luminance, pinhole, stage_location, view_stage
-from reconstructors.sfm.features import NoPointsError, join_names
+from reconstructors.sfm.features import NoPointsError
 from reconstructors.sfm.images import drop_unreadable
 from reconstructors.sfm.sfm import ColmapSfm
 
@@ -223,7 +224,7 @@ class DenseMvs:
             )
         if isolated:
             notes.append(
-                f"{len(isolated)} images overlap too little with others to compute depths: {join_names(isolated)}"
+                f"{len(isolated)} images overlap too little with others to compute depths: {first_names(isolated)}"
             )
         return references, plan, notes
 
@@ -338,7 +339,7 @@ def _describe_missing_maps(filtered: Collection[str], references: Sequence[Match
     missing = [r.name for r in references if r.name not in filtered]
     if not missing:
         return []
-    return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {join_names(missing)}"]
+    return [f"{len(missing)} of {len(references)} images have no depth that others confirm: {first_names(missing)}"]
 
 
 def _read_overlap(folder: Path) -> OverlapSamples:

@@ -14,7 +14,7 @@ from pcbench.geometry.cameras import Camera
 from pcbench.registration import SurveyResiduals
 from pcbench.registration.control_points import states_z_is_up
 from pcbench.regular_files import read_text
-from reconstructors.sfm.features import join_names
+from pcbench.scenes.scene import first_names
 from reconstructors.sfm.model import Refine
 
 # Points beyond either limit are removed after the adjustment: COLMAP's defaults.
@@ -137,7 +137,7 @@ def check_names(survey: ControlSurvey, images: Collection[str]) -> list[str]:
             f" names such as {next(iter(images))}"
         )
     return (
-        [f"control points: {len(unknown)} images with marks are not in the scene: {join_names(unknown)}"]
+        [f"control points: {len(unknown)} images with marks are not in the scene: {first_names(unknown)}"]
         if unknown
         else []
     )

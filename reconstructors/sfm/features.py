@@ -15,6 +15,7 @@ from pcbench.geometry.cameras import Intrinsics
 from pcbench.plugins.stages import stage
 from pcbench.scenes import Scene
 from pcbench.scenes.decode import decode_luminance
+from pcbench.scenes.scene import first_names
 from reconstructors.sfm.contrast import stretch_contrast
 
 DATABASE = "database.db"  # file name in each stage's folder
@@ -125,7 +126,7 @@ def describe_stretched(features: Path) -> list[str]:
     names = json.loads((features / _STRETCHED).read_text(encoding="utf-8"))
     if not names:
         return []
-    return [f"{len(names)} dark or faint images: their contrast is stretched to find features: {join_names(names)}"]
+    return [f"{len(names)} dark or faint images: their contrast is stretched to find features: {first_names(names)}"]
 
 
 def _write_masks(scene: Scene, folder: Path) -> Path | None:
@@ -176,9 +177,4 @@ def check_features(counts: Mapping[str, int], scene: Scene) -> list[str]:
             f"too few features: {len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES}"
             f" ({too_few[0]}: {counts.get(too_few[0], 0)}): the images are blank, blurred, masked or too small"
         )
-    return [f"{len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES} features: {join_names(too_few)}"]
-
-
-def join_names(names: list[str]) -> str:
-    """Join the first three names for a note."""
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    return [f"{len(too_few)} of {len(scene)} images have fewer than {MIN_FEATURES} features: {first_names(too_few)}"]

@@ -9,7 +9,8 @@ from typing import Any, Literal
 from pcbench.errors import ReconstructionError
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.scenes import Scene
-from reconstructors.sfm.features import DATABASE, join_names, working_images
+from pcbench.scenes.scene import first_names
+from reconstructors.sfm.features import DATABASE, working_images
 from reconstructors.sfm.model import Refine, check_written
 
 Mapper = Literal["incremental", "global"]
@@ -77,7 +78,7 @@ def largest_component(mapped: Path, scene: Scene) -> tuple[Any, list[str]]:
         sizes = ", ".join(str(model.num_reg_images()) for model in models)
         notes.append(f"{len(models)} components (of {sizes} images): the largest is kept")
     if unregistered:
-        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {join_names(unregistered)}")
+        notes.append(f"{len(unregistered)} of {len(scene)} images are not registered: {first_names(unregistered)}")
     return largest, notes
 
 

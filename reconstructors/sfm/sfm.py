@@ -16,6 +16,7 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.extras import import_problem
 from pcbench.plugins import Reconstruction
 from pcbench.scenes import Scene
+from pcbench.scenes.scene import first_names
 from reconstructors.sfm.alignment import Align, AlignedModel, align, level_model
 from reconstructors.sfm.control import ControlSurvey, check_names, read_control
 from reconstructors.sfm.epipolar import ambiguity_warning, check_cameras, write_pairs
@@ -26,7 +27,6 @@ from reconstructors.sfm.features import (
     count_features,
     describe_stretched,
     extract_features,
-    join_names,
     working_images,
 )
 from reconstructors.sfm.images import drop_unreadable
@@ -194,7 +194,7 @@ def _usable_images(scene: Scene, given: bool, survey: ControlSurvey) -> tuple[Sc
         if not scene.cameras:
             raise InputError("poses=given needs cameras in the scene: a COLMAP model, transforms.json or the like")
         if without_camera := [name for name in scene.images if name not in scene.cameras]:
-            names = join_names(without_camera)
+            names = first_names(without_camera)
             notes.append(f"{len(without_camera)} of {len(scene)} images without a camera are left out: {names}")
             scene = scene.select(set(scene.cameras))
     if len(scene) < 2:

@@ -17,8 +17,9 @@ from pcbench.errors import InputError, ReconstructionError
 from pcbench.geometry.cameras import Camera
 from pcbench.geometry.transform import robust_similarity
 from pcbench.scenes import Scene
+from pcbench.scenes.scene import first_names
 from reconstructors.sfm.epipolar import MIN_STRONG_MATCHES, Agreement, ambiguity_warning, epipolar_agreement
-from reconstructors.sfm.features import DATABASE, join_names
+from reconstructors.sfm.features import DATABASE
 from reconstructors.sfm.mapping import Mapper, largest_component, map_images
 from reconstructors.sfm.matches import remove_pairs
 from reconstructors.sfm.model import Refine, cameras_of
@@ -157,7 +158,7 @@ def describe_differences(best: SolvedModel, other: SolvedModel) -> list[str]:
         if not is_separate.any():
             return []
         order = [int(k) for k in np.argsort(-separations) if is_separate[k]]
-        named = join_names([f"{names[k]} {separations[k]:.3g}" for k in order])
+        named = first_names([f"{names[k]} {separations[k]:.3g}" for k in order])
         separation_text = f"{named} away, the others {median:.3g} (median): these cameras are weakly constrained"
     return [f"{other.describe()}, and puts {separation_text}"]
 

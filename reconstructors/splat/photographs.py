@@ -61,6 +61,20 @@ class Photograph(NamedTuple):
 Pyramid = list[Photograph]  # the sizes of one photograph: the full size first, each next one half as wide
 
 
+def check_training(image_side: int, memory_gb: float, seed: int) -> None:
+    """Check the settings that reconstructors trained on photographs have in common.
+
+    Raises:
+        ValueError: a setting is out of its range.
+    """
+    if image_side < 16:
+        raise ValueError(f"expected photographs of at least 16 pixels, got image_side={image_side}")
+    if not (np.isfinite(memory_gb) and memory_gb > 0):
+        raise ValueError(f"expected memory in gigabytes, got {memory_gb}")
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {seed}")
+
+
 def training_pinhole(camera: Camera, max_side: int) -> Camera:
     """Return the pinhole of a photograph for training, whose longer side has at most `max_side` pixels."""
     return pinhole(camera, min(1.0, max_side / max(camera.intrinsics.width, camera.intrinsics.height)))

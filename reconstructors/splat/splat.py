@@ -49,7 +49,14 @@ from reconstructors.splat.parsimony import (
     score_surface,
     score_views,
 )
-from reconstructors.splat.photographs import Photograph, Pyramid, read_photographs, select_usable, training_pinhole
+from reconstructors.splat.photographs import (
+    Photograph,
+    Pyramid,
+    check_training,
+    read_photographs,
+    select_usable,
+    training_pinhole,
+)
 from reconstructors.splat.ply import write_model
 from reconstructors.splat.resume import load_model, run_with_checkpoints, save_model
 from reconstructors.splat.supervision import Supervision, read_supervision
@@ -198,12 +205,7 @@ class GaussianSplatting:
             raise ValueError(f"expected at least 2 Gaussians, got {self.gaussians}")
         if not 0 <= self.sh_degree <= 3:
             raise ValueError(f"expected spherical harmonics of degree 0 to 3, got {self.sh_degree}")
-        if self.image_side < 16:
-            raise ValueError(f"expected photographs of at least 16 pixels, got image_side={self.image_side}")
-        if not (np.isfinite(self.memory) and self.memory > 0):
-            raise ValueError(f"expected memory in gigabytes, got {self.memory}")
-        if not 0 <= self.seed < 2**31:
-            raise ValueError(f"expected a seed from 0 to 2^31 - 1, got {self.seed}")
+        check_training(self.image_side, self.memory, self.seed)
 
     @classmethod
     def missing(cls) -> str | None:
@@ -414,9 +416,7 @@ class GaussianSplatting:
                 names = dict.fromkeys(name for own in gains for name in own)
                 means = {name: float(np.mean([own[name] for own in gains if name in own])) for name in names}
                 write_gains(folder / GAINS, means)
-            np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
-            save_model(folder / PARAMETERS, model)
-            write_model(folder / MODEL, model, frame, background=color)
+            _save(folder, model, frame, color)
 
         return stage(workspace, "model", inputs, make)
 
@@ -502,9 +502,7 @@ class GaussianSplatting:
         if training.exposure is not None:
             write_gains(folder / GAINS, training.exposure.gains)
         color = background.color[0].tolist()
-        np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
-        save_model(folder / PARAMETERS, model)
-        write_model(folder / MODEL, model, frame, background=color)
+        _save(folder, model, frame, color)
 
     def _blocks_notes(self, trained: Sequence[_TrainedPart], planned: int, workspace: Path) -> Iterator[str]:
         """Yield how the scene was split, and whether parts of it have no training photographs."""
@@ -587,6 +585,13 @@ class GaussianSplatting:
         if cell is not SPACE:
             stereo = stereo.select(cell.contains(stereo.points))
         return combine(surface, stereo, model, part.frame, part.pinholes, maps)
+
+
+def _save(folder: Path, model: Gaussians, frame: LocalFrame, color: list[float]) -> None:
+    """Write a model, before the color of its background, into the folder of its stage."""
+    np.savetxt(folder / BACKGROUND, [color], fmt="%.9g")
+    save_model(folder / PARAMETERS, model)
+    write_model(folder / MODEL, model, frame, background=color)
 
 
 def _sources_note(cloud: Cloud) -> str:

@@ -13,8 +13,8 @@ from optional import import_or_skip
 from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
+from pcbench.comparison import workspace
 from pcbench.errors import InputError
-from pcbench.report import workspace
 
 
 @pytest.fixture(autouse=True)
@@ -198,22 +198,22 @@ def test_wrong_values_are_refused(options, run):
     ("text", "points"), [("1e6", 1_000_000), ("500k", 500_000), ("2M", 2_000_000), ("0.5G", 500_000_000), ("700", 700)]
 )
 def test_numbers_of_points(text, points):
-    from pcbench.cli.options import point_number
+    from pcbench.measure.tiled.settings import parse_points
 
-    assert point_number("--tiles", text) == points
+    assert parse_points("--tiles", text) == points
 
 
 def test_a_failed_run_keeps_its_workspace_and_the_same_command_continues(files, run, monkeypatch):
     seen = []
 
-    def compare_on_disk(*arguments, workspace, **others):
+    def compare_in_tiles(*arguments, workspace, **others):
         seen.append(sorted(path.name for path in workspace.iterdir()))
         if len(seen) == 1:
             (workspace / "tile_1").write_text("finished")
             raise InputError("tiles/b.laz: truncated: copy the file again")
-        return tiled_fake.compare_on_disk(*arguments, workspace=workspace, **others)
+        return tiled_fake.compare_in_tiles(*arguments, workspace=workspace, **others)
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     arguments = ("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "new/report")
     code, _, err = run(*arguments)
     assert code == 2
@@ -231,12 +231,12 @@ def test_a_failed_run_keeps_its_workspace_and_the_same_command_continues(files, 
 def test_other_settings_or_files_start_again(files, run, monkeypatch):
     calls = []
 
-    def compare_on_disk(*arguments, workspace, **others):
+    def compare_in_tiles(*arguments, workspace, **others):
         calls.append((workspace / "tile_1").exists())
         (workspace / "tile_1").write_text("finished")
         raise OSError(28, "No space left on device", str(workspace / "tile_2"))
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     arguments = ("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report")
     assert run(*arguments)[0] == 2
     code, _, err = run(*arguments, "--seed", 3)
@@ -255,12 +255,12 @@ def test_other_settings_or_files_start_again(files, run, monkeypatch):
 def test_a_run_that_met_a_damaged_file_continues_without_it(run, monkeypatch):
     calls = []
 
-    def compare_on_disk(*arguments, workspace, **others):
+    def compare_in_tiles(*arguments, workspace, **others):
         calls.append((workspace / "tile_1").exists())
         (workspace / "tile_1").write_text("finished")
         raise InputError("tiles/b.laz: damaged")
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     arguments = ("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report")
     assert run(*arguments)[0] == 2
     assert run(*arguments, "--skip-bad")[0] == 2
@@ -268,11 +268,11 @@ def test_a_run_that_met_a_damaged_file_continues_without_it(run, monkeypatch):
 
 
 def test_a_run_that_finished_nothing_leaves_no_workspace(run, monkeypatch):
-    def compare_on_disk(*arguments, workspace, **others):
+    def compare_in_tiles(*arguments, workspace, **others):
         (workspace / "results/read").mkdir(parents=True)
         raise InputError("expected the address of a running Dask scheduler")
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     code, _, err = run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--out", "report")
     assert code == 2
     assert is_one_line(err)
@@ -295,11 +295,11 @@ def test_a_pattern_may_not_match_files_of_the_report_or_the_workspace(options, r
 def test_without_a_report_the_workspace_is_temporary(files, run, monkeypatch):
     used = []
 
-    def compare_on_disk(*arguments, workspace, maps, **others):
+    def compare_in_tiles(*arguments, workspace, maps, **others):
         used.append((workspace.parent, maps))
-        return tiled_fake.compare_on_disk(*arguments, workspace=workspace, maps=maps, **others)
+        return tiled_fake.compare_in_tiles(*arguments, workspace=workspace, maps=maps, **others)
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     assert run("compare", "ref.ply", "a.ply", "--tiles", "2k", "-q")[0] == 0
     assert run("compare", "ref.ply", "a.ply", "--tiles", "2k", "-q", "--workspace", "mine/work")[0] == 0
     assert used == [(files / "temporary", None), (Path("mine"), None)]
@@ -317,13 +317,13 @@ def test_an_empty_folder_of_the_user_stays(run):
 def test_two_runs_do_not_share_a_workspace(run, monkeypatch):
     codes = []
 
-    def compare_on_disk(*arguments, **others):
+    def compare_in_tiles(*arguments, **others):
         if not codes:
             codes.append(None)
             codes[0] = run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--workspace", "work")
-        return tiled_fake.compare_on_disk(*arguments, **others)
+        return tiled_fake.compare_in_tiles(*arguments, **others)
 
-    tiled_fake.install(monkeypatch, compare_on_disk)
+    tiled_fake.install(monkeypatch, compare_in_tiles)
     assert run("compare", "ref.ply", "a.ply", "--tiles", "2k", "--workspace", "work", "-q")[0] == 0
     code, _, err = codes[0]
     assert code == 2

@@ -47,7 +47,7 @@ def test_small_weights_only_shift_the_distribution():
         assert chi_squares_tail(value + 200e-7, np.append(small_weights, 1.0)) == pytest.approx(tail, rel=1e-6)
 
 
-# Results of `python tests/bench/chi_squares.py`: value, share of the draws beyond it, standard error. The first is
+# Results of `python benchmarks/chi_squares.py`: value, share of the draws beyond it, standard error. The first is
 # from 400 million plain draws, the others from four million draws of the tilted distribution.
 @pytest.mark.parametrize(
     ("weights", "value", "share", "error"),

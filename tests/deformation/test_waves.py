@@ -61,7 +61,7 @@ def test_noise_shows_no_wave(scene, cell):
     for seed in range(3):
         residuals = scene.noise(cell, features, seed)
         left = residuals - scene.cubic @ scene.geometry.fit("cubic", scene.cubic.T @ residuals)
-        pairs = SimpleNamespace(places=scene.places, normals=scene.normals, left=left, weights=ones)
+        pairs = SimpleNamespace(places=scene.places, normals=scene.normals, remainders=left, weights=ones)
         assert find_waves(pairs).wave is None
 
 
@@ -72,5 +72,5 @@ def test_a_patch_of_a_wave_is_not_a_wave_of_the_scene():
     inside = np.square(places[:, :2] - 30).sum(axis=1) < 10**2
     normals = np.tile([0.0, 0.0, 1.0], (9_000, 1))
     left = rng.normal(0, 0.02, 9_000) + 0.01 * correlated_noise(places, 5.0, rng)[:, 2] + 0.1 * inside
-    pairs = SimpleNamespace(places=places, normals=normals, left=left, weights=np.ones(9_000))
+    pairs = SimpleNamespace(places=places, normals=normals, remainders=left, weights=np.ones(9_000))
     assert find_waves(pairs).wave is None

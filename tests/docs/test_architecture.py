@@ -27,7 +27,7 @@ def test_the_tree_is_the_one_on_disk():
 def test_named_files_exist():
     """Names in capitals such as METHOD.py are placeholders."""
     for page in (PAGE, ROOT / "CONTRIBUTING.md"):
-        for path in re.findall(r"`((?:pcbench|tests|reconstructors|docs)/[\w/.]*)`", page.read_text()):
+        for path in re.findall(r"`((?:pcbench|tests|benchmarks|reconstructors|docs)/[\w/.]*)`", page.read_text()):
             assert re.search(r"[A-Z]{3,}\.py", path) or (ROOT / path).exists(), f"{page.name}: {path}"
 
 
@@ -38,6 +38,8 @@ def test_named_objects_exist():
         ("pcbench/io/formats.py", "MESHES"),
         ("pcbench/measure/directions.py", "MEAN_METRICS"),
         ("pcbench/measure/quantities.py", "_PARTS"),
+        ("pcbench/report/layout.py", "LABELS"),
+        ("pcbench/report/layout.py", "HEADLINES"),
         ("pcbench/measure/presets.py", "_DEFINITIONS"),
         ("pcbench/registration/methods.py", "def parse_method("),
         ("pyproject.toml", '[project.entry-points."pcbench.reconstructors"]'),

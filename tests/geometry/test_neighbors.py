@@ -89,10 +89,10 @@ def test_matches_of_any_finite_coordinates_equal_brute_force(points, queries):
         assert_matches(index.query(queries, 2), brute_force_nearest(queries, points, 2))
 
 
-def test_a_million_points_agree_with_scipy():
+def test_many_points_agree_with_scipy():
     scipy_spatial = import_or_skip("scipy.spatial")
     rng = np.random.default_rng(11)
-    points, queries = clustered_points(rng, 1_000_000), clustered_points(rng, 50_000)
+    points, queries = clustered_points(rng, 200_000), clustered_points(rng, 20_000)
     matches = Index(points).query(queries)
     _, expected = scipy_spatial.cKDTree(points, balanced_tree=False, compact_nodes=False).query(queries, workers=-1)
     x, y, z = (queries - points[expected]).T
@@ -186,8 +186,8 @@ def test_ties_of_many_duplicates_cost_no_more_than_matches():
 
 
 def test_planes_of_many_equal_points_are_fast():
-    """In quadratic time, this would take many hours."""
-    points = np.full((1_000_000, 3), 7.0)
+    """In quadratic time, this would take minutes."""
+    points = np.full((100_000, 3), 7.0)
     planes = Index(points).local_planes(20)
     np.testing.assert_array_equal(planes.nearest_other.distances, 0)
     np.testing.assert_array_equal(planes.nearest_other.indices, np.where(np.arange(len(points)) == 0, 1, 0))
@@ -212,7 +212,7 @@ def test_radius_search_equals_brute_force(shape, fraction):
     neighborhoods = Index(points).query_radius(queries, radius)
     np.testing.assert_array_equal(neighborhoods.counts, inside.sum(axis=1))
     np.testing.assert_array_equal(neighborhoods.indices, np.nonzero(inside)[1])
-    np.testing.assert_array_equal(neighborhoods.neighbors_of(3), np.nonzero(inside[3])[0])
+    np.testing.assert_array_equal(neighborhoods.indices[slice(*neighborhoods.offsets[3:5])], np.nonzero(inside[3])[0])
 
 
 @pytest.mark.parametrize("radius, half_length", [(0.0, 0.2), (0.02, 0.5), (0.2, 0.01), (0.3, 0.0), (2.0, 2.0)])

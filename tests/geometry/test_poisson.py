@@ -1,5 +1,7 @@
 """Poisson reconstruction: a sphere is recovered, its open half stays open, and each refusal."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from optional import break_library, import_or_skip
@@ -25,11 +27,17 @@ def cloud_with_normals(points, normals, **fields):
     return Cloud(points, normals=normals, **fields)
 
 
+def reconstruct_sphere(engine):
+    points, normals = fibonacci_sphere(4000, 10.0)
+    return engine_or_skip(engine)(cloud_with_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
+
+
+sphere = cache(reconstruct_sphere)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_sphere_far_from_the_origin(engine):
-    poisson_mesh = engine_or_skip(engine)
-    points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh(cloud_with_normals(points + UTM, 3 * normals, crs="EPSG:32632", unit="m"))
+    mesh = sphere(engine)
     radii = np.linalg.norm(mesh.vertices - UTM, axis=1)
     assert np.abs(radii - 10).max() < 0.1  # a fifth of the spacing
     assert mesh.is_closed
@@ -52,9 +60,7 @@ def test_an_open_surface_ends_where_its_points_end(engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_reconstruction_is_reproducible(engine):
-    poisson_mesh = engine_or_skip(engine)
-    points, normals = fibonacci_sphere(3000)
-    first, second = (poisson_mesh(cloud_with_normals(points, normals), depth=6) for _ in range(2))
+    first, second = sphere(engine), reconstruct_sphere(engine)
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.faces, second.faces)
 
@@ -86,9 +92,7 @@ def test_a_library_that_cannot_be_loaded_in_the_child_is_reported(monkeypatch, t
 
 
 def test_decimation_keeps_a_sphere():
-    import_or_skip("pymeshlab")
-    points, normals = fibonacci_sphere(4000, 10.0)
-    mesh = poisson_mesh_by_meshlab(cloud_with_normals(points + UTM, normals))
+    mesh = sphere("pymeshlab")
     coarse = decimate(mesh, len(mesh) // 10)
     assert len(coarse) == pytest.approx(len(mesh) / 10, rel=0.01)
     # Chords of edge length a lie a^2 / 8R inside; the coarse faces have a of about 2.5.

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shapes import UTM_DECIMAL as UTM
 from wording import check_error
 
-from pcbench.geometry.transform import Affine, Similarity, fit_affine, fit_similarity, format_matrix, read_matrix
+from pcbench.geometry.transform import Affine, Similarity, fit_similarity, format_matrix, read_matrix
 
 no_deadline = settings(deadline=None)  # must not fail on a busy machine
 QUARTER_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -231,16 +231,6 @@ def test_weights_equal_repetitions():
     assert_close(weighted.matrix, repeated.matrix, 100)
 
 
-def test_fit_affine_recovers_an_exact_map():
-    generator = np.random.default_rng(6)
-    candidate = generator.normal(size=(30, 3))
-    truth = Affine(generator.normal(size=(3, 3)), [1, 2, 3])
-    fitted = fit_affine(candidate, truth.apply(candidate))
-    assert_close(fitted.matrix, truth.matrix, 100)
-    shifted_fit = fit_affine(candidate + UTM, truth.apply(candidate) + UTM)
-    np.testing.assert_allclose(shifted_fit.linear, truth.linear, atol=1e-8)  # coordinates round to 1e-9
-
-
 def test_affine_inverse_of_strong_stretching():
     transform = Affine(np.diag([1.0, 1.0, 1e-9]), np.zeros(3))
     assert_close(transform.inverse().linear, np.diag([1, 1, 1e9]), 1e9)
@@ -339,9 +329,6 @@ RANDOM_POINTS = np.random.default_rng(7).normal(size=(5, 3))
         lambda: fit_similarity(COLLINEAR_POINTS + UTM, COLLINEAR_POINTS),
         lambda: fit_similarity(np.ones((4, 3)), RANDOM_POINTS[:4]),
         lambda: fit_similarity(RANDOM_POINTS, np.ones((5, 3))),
-        lambda: fit_affine(RANDOM_POINTS, RANDOM_POINTS[:4]),
-        lambda: fit_affine(RANDOM_POINTS[:3], RANDOM_POINTS[:3]),
-        lambda: fit_affine(RANDOM_POINTS * [1, 1, 0], RANDOM_POINTS),
     ],
 )
 def test_invalid_arguments_are_refused(make):

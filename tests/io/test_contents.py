@@ -11,7 +11,8 @@ from wording import check_error
 from pcbench.errors import PcbenchError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
-from pcbench.io.contents import FileState, cloud_contents, cloud_digest, digest, read_with_digest
+from pcbench.io.contents import FileState, digest
+from pcbench.io.source import Source
 
 
 def change_silently(path):
@@ -52,15 +53,12 @@ def inputs(tmp_path):
     }
 
 
-def found_digests(path):
-    return cloud_digest(path, cloud_contents([path]))
-
-
 def test_each_byte_of_each_file_counts(inputs):
     for path, files in inputs.items():
-        assert cloud_contents([path]).keys() == set(files)
-        known = {found_digests(path)}
-        assert known == {found_digests(path)}
+        source = Source.open(path)
+        assert source.contents().keys() == set(files)
+        digests = {source.digest()}
+        assert digests == {source.digest(source.contents())}
         for file in files:
             if file.name == "tiles.vpc":  # a changed byte is another index
                 file.write_text(file.read_text() + " ")
@@ -68,24 +66,26 @@ def test_each_byte_of_each_file_counts(inputs):
                 change_silently(file)
             else:
                 continue
-            known.add(found_digests(path))
-        assert len(known) > 1 + len(files) - 2, path
+            digests.add(source.digest())
+        assert len(digests) > 1 + len(files) - 2, path
 
 
 def test_one_file_has_the_digest_of_its_bytes(inputs):
     *several, single = inputs
-    assert found_digests(single) == digest(single) and len(digest(single)) == 64
-    assert all(found_digests(path).startswith("files:") for path in several)
+    assert Source.open(single).digest() == digest(single) and len(digest(single)) == 64
+    assert all(Source.open(path).digest().startswith("files:") for path in several)
 
 
-def test_a_file_that_changes_while_it_is_read(inputs):
+def test_a_file_that_changes_while_it_is_read(inputs, monkeypatch):
     for path, files in inputs.items():
-        value, found = read_with_digest(path, lambda: "value")
-        assert (value, found) == ("value", found_digests(path))
+        source, shape = Source.open(path), object()
+        monkeypatch.setattr(Source, "read", lambda source, on_warning, shape=shape: shape)
+        assert source.read_with_digest(print) == (shape, source.digest())
         if path.suffix != ".vpc":
             last = next(file for file in files[::-1] if file.name != "ept.json")
+            monkeypatch.setattr(Source, "read", lambda source, on_warning, last=last: change_silently(last))
             with check_error(PcbenchError):
-                read_with_digest(path, lambda last=last: change_silently(last))
+                source.read_with_digest(print)
 
 
 def test_a_known_state(tmp_path):

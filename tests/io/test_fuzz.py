@@ -17,14 +17,14 @@ def check_corpus(corpus, count, seed, folder):
 @pytest.mark.parametrize(
     ("corpus", "count"),
     [
-        ("ply", 1000),
-        ("las", 500),
+        ("ply", 300),
+        ("las", 200),
         pytest.param("laz", 250, marks=pytest.mark.long),
-        ("pcd", 500),
-        ("txt", 500),
-        ("meshes", 500),
+        ("pcd", 200),
+        ("txt", 200),
+        ("meshes", 200),
         pytest.param("e57", 25, marks=pytest.mark.long),
-        ("mvs", 500),
+        ("mvs", 200),
     ],
 )
 def test_damaged_files(tmp_path, corpus, count):

@@ -15,8 +15,8 @@ from wording import check_error, check_text
 from pcbench import read_cloud
 from pcbench.children import Limits, run_script
 from pcbench.errors import InputError, MissingExtra, PcbenchError
-from pcbench.io.meshes import holds_mesh, read_mesh, read_shape, read_vertices
-from pcbench.io.pieces import open_cloud
+from pcbench.io.meshes import read_mesh
+from pcbench.io.source import Source
 
 
 def check_cube(mesh):
@@ -34,7 +34,7 @@ def test_builtin_readers(tmp_path, name):
     mesh = read_mesh(path, on_warning=pytest.fail)
     check_cube(mesh)
     assert (mesh.crs, mesh.unit) == (("EPSG:32632", "m") if name.endswith("ply") else (None, None))
-    assert holds_mesh(path)
+    assert Source.open(path).holds_mesh
 
 
 @pytest.fixture
@@ -105,10 +105,11 @@ def test_holds_mesh(tmp_path):
     (tmp_path / "head.ply").write_bytes(header_parts[0] + header_parts[1])  # the body is not read
     (tmp_path / "damaged.ply").write_bytes(b"plyply")
     (tmp_path / "a.obj").write_bytes(obj())
-    (tmp_path / "points.obj").write_bytes(b"v 1 2 3\nv 4 5 6\n")
-    expected = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False, "missing.ply": False}
+    for name in ("points.obj", "a.GLB", "a.npy", "a"):
+        (tmp_path / name).write_bytes(b"v 1 2 3\nv 4 5 6\n")
+    expected = {"cloud.ply": False, "none.ply": False, "head.ply": True, "damaged.ply": False}
     expected |= {"a.obj": True, "points.obj": False, "a.GLB": True, "a.npy": False, "a": False}
-    assert {name: holds_mesh(tmp_path / name) for name in expected} == expected
+    assert {name: Source.open(tmp_path / name).holds_mesh for name in expected} == expected
 
 
 @pytest.mark.usefixtures("trimesh")
@@ -170,19 +171,20 @@ def test_a_mesh_is_not_a_cloud_without_a_word(tmp_path):
         with pytest.warns(UserWarning) as caught:
             assert len(read_cloud(tmp_path / name)) == 8
         check_text(caught[0].message)
-        assert len(read_vertices(tmp_path / name, on_warning=pytest.fail)) == 8
-        assert len(read_shape(tmp_path / name, on_warning=pytest.fail)) == 12
-        [tile] = open_cloud(tmp_path / name).warnings
-        assert tile == str(caught[0].message)
-    assert read_vertices(tmp_path / "a.obj").colors is not None
+        source = Source.open(tmp_path / name)
+        assert source.kind == "mesh" and len(source.read(pytest.fail)) == 12
+        source = Source.open(tmp_path / name, vertices=True)
+        assert source.kind == "cloud" and source.holds_mesh and len(source.read(pytest.fail)) == 8
+        assert source.pieces().warnings == (str(caught[0].message),)
+    assert source.read(pytest.fail).colors is not None
     cells = ("cell", ["list uchar int corners"], [((0, 1, 2),)])
     (tmp_path / "cells.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)] * 3), cells))
     notes = []
-    read_shape(tmp_path / "cells.ply", on_warning=notes.append)
+    Source.open(tmp_path / "cells.ply").read(notes.append)
     check_text(*notes)
     grid = ("range_grid", ["list uchar int vertex_indices"], [((0,),), ((),)])
     (tmp_path / "scan.ply").write_bytes(ply("ascii", ("vertex", XYZ, [(0.0, 0.0, 0.0)]), grid))
-    assert not holds_mesh(tmp_path / "scan.ply")
+    assert not Source.open(tmp_path / "scan.ply").holds_mesh
     (tmp_path / "a.off").write_bytes(off())
     with check_error():
         read_cloud(tmp_path / "a.off")

@@ -10,7 +10,7 @@ from wording import check_text
 
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import names, read_cloud, write_cloud
-from pcbench.io.meshes import holds_mesh
+from pcbench.io.source import Source
 
 XYZ = (1.0, 2.0, 3.0)
 COLOR_NAMES = ["red green blue", "r g b", "R G B", "diffuse_red diffuse_green diffuse_blue", "Red Green Blue"]
@@ -79,13 +79,13 @@ def test_obj_points(tmp_path):
     cloud = read(tmp_path / "a.obj", "\n".join(lines), on_warning=notes.append)
     assert (cloud.points.tolist(), cloud.normals.tolist()) == ([[1, 2, 3], [4, 5, 6]], [[0, 0, 1], [1, 0, 0]])
     assert (cloud.colors.tolist(), notes) == ([[51, 0, 255], [0, 102, 255]], [])
-    assert not holds_mesh(tmp_path / "a.obj")
+    assert not Source.open(tmp_path / "a.obj").holds_mesh
     lines += ["v 7 8 9", "f 1//1 2//1 3//2"]
     cloud = read(tmp_path / "a.obj", "\n".join(lines), on_warning=notes.append)
     assert (len(cloud), cloud.colors, cloud.normals) == (3, None, None)
     for note in notes:
         check_text(note)
-    assert holds_mesh(tmp_path / "a.obj")
+    assert Source.open(tmp_path / "a.obj").holds_mesh
     for text in ("v 1 2\n", "v 1 2 three\n", "vn 1 0 0\n"):
         refusal(tmp_path / "b.obj", text)
 

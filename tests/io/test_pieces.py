@@ -63,6 +63,7 @@ def test_zero_point_file_is_refused_alone(tmp_path):
 
 
 def test_pieces_have_at_least_one_point(tmp_path):
+    (tmp_path / "a.las").write_bytes(las(1, 5))
     with pytest.raises(ValueError, match="pieces of at least one point, got 0"):
         open_cloud(tmp_path / "a.las", piece_points=0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import ply_bytes
 import pytest
 from cloud_pieces import check_pieces
-from las_bytes import copc, las
+from las_bytes import las
 from optional import import_or_skip
 from wording import check_error, check_text
 
@@ -70,46 +70,25 @@ def test_all_files_damaged(tmp_path):
 def test_truncated_laz(large_laz):
     data = large_laz.read_bytes()
     large_laz.write_bytes(data[:-1000])
-    with check_error(masked=True):
+    with check_error():
         open_cloud(large_laz)
 
 
-def damage_chunk(path, number):
-    """Change a bit of the source numbers of a chunk, which lazrs decodes without an error."""
-    data = bytearray(path.read_bytes())
-    start, _ = chunks_of(data)
-    with path.open("rb") as file:
-        chunks = laz.read_chunks(file, las_header.read_header(file, lambda _: None))
-    end = start + 8 + sum(chunk.size for chunk in chunks[: number + 1])
-    data[end - 40_000] ^= 4  # the layer of the sources is the last, before that of times, which are constant
-    path.write_bytes(data)
-
-
 def test_damaged_chunk_is_named_and_others_are_read(large_laz):
-    damage_chunk(large_laz, 1)
+    data = bytearray(large_laz.read_bytes())
+    start, _ = chunks_of(data)
+    with large_laz.open("rb") as file:
+        first, *_ = laz.read_chunks(file, las_header.read_header(file, lambda _: None))
+    sizes = start + 8 + first.size + 30  # of the layers of the second chunk, after its first point
+    data[sizes : sizes + 40] = b"\xff" * 40
+    large_laz.write_bytes(data)
     disk = open_cloud(large_laz, piece_points=50_000)
     assert len(read_piece(disk, disk.pieces[0]).points) == 50_000
-    with check_error() as caught:
+    with check_error():
         read_piece(disk, disk.pieces[1])
-    assert "piece 2 of 3: damaged LAZ data: 50000 of 50000 points, from point 50001 on" in str(caught.value)
     assert len(read_piece(disk, disk.pieces[2]).points) == 20_000
-    with pytest.raises(ValueError, match="50000 of 120000 points, from point 50001 on"):
+    with check_error():
         read_cloud(large_laz)
-
-
-def test_first_chunk_is_compared_with_the_next(large_laz):
-    damage_chunk(large_laz, 0)
-    disk = open_cloud(large_laz, piece_points=1)
-    with pytest.raises(ValueError, match="piece 1 of 3: damaged LAZ data: 50000 of 50000 points, from point 1 on"):
-        read_piece(disk, disk.pieces[0])
-
-
-def test_unverifiable_chunks_give_one_warning(large_laz):
-    for number in range(3):
-        damage_chunk(large_laz, number)
-    check_pieces(large_laz, 1)  # compares the warnings
-    disk = open_cloud(large_laz, piece_points=1)
-    assert read_piece(disk, disk.pieces[2]).notes.lines == (laz.UNVERIFIED,)
 
 
 def test_mutated_chunk_table(large_laz):
@@ -131,35 +110,6 @@ def test_mutated_chunk_table(large_laz):
             outcomes.add("opened")
             assert disk.count == 120_000 == sum(piece.count for piece in disk.pieces)
     assert outcomes == {"refused", "opened"}
-
-
-def change(entry, field, value):
-    def apply(entries):
-        entries[entry][field] = value
-
-    return apply
-
-
-COPC_DAMAGE = {
-    "page outside": change(1, 4, 1 << 40),
-    "page size": change(1, 5, 1 << 30),
-    "page loop": change(2, 6, -1),
-    "node outside": change(2, 4, 1 << 40),
-    "node size": change(2, 5, 9),
-    "node points": change(2, 6, 7),
-    "swapped points": lambda entries: (change(0, 6, 200)(entries), change(2, 6, 100)(entries)),
-    "negative": change(0, 6, -7),
-    "no node": change(2, 6, 0),
-}
-
-
-@pytest.mark.parametrize("damage", COPC_DAMAGE)
-def test_hierarchy_of_copc(tmp_path, damage):
-    import_or_skip("lazrs")
-    (tmp_path / "a.copc.laz").write_bytes(copc(300, change=COPC_DAMAGE[damage]))
-    for read in (read_cloud, open_cloud):
-        with check_error(masked=True):
-            read(tmp_path / "a.copc.laz")
 
 
 def test_file_that_changes_after_opening(tmp_path):

@@ -15,10 +15,11 @@ from optional import import_or_skip
 from wording import check_error, check_text
 
 from pcbench.geometry.cloud import Cloud
-from pcbench.io import has_filters, read_cloud, write_cloud
+from pcbench.io import read_cloud, write_cloud
 from pcbench.io.contents import digest
 from pcbench.io.files import check_output
-from pcbench.io.pieces import is_in_pieces, open_cloud, read_piece
+from pcbench.io.pieces import open_cloud, read_piece
+from pcbench.io.source import Source
 
 
 def write_vpc(path, hrefs, assets="data"):
@@ -177,12 +178,7 @@ def test_folder_of_a_colmap_model_stays_one(tmp_path):
     (tmp_path / "points3D.txt").write_text("1 0.5 1.5 2.5 9 8 7 0.1 1 2\n")
     (tmp_path / "fused.ply").write_bytes(ply_tile(12))
     assert len(check_pieces(tmp_path)[1]) == 1
-    assert not is_in_pieces(tmp_path)
-
-
-def test_is_in_pieces(tiles):
-    assert is_in_pieces(tiles) and is_in_pieces(f"{tiles}/*.las") and is_in_pieces(tiles / "a.vpc")
-    assert not is_in_pieces(tiles / "tile_10.las") and not is_in_pieces(tiles / "none.las")
+    assert Source.open(tmp_path).tiles is None
 
 
 def test_round_trip_through_tiles(tmp_path):
@@ -207,7 +203,8 @@ def test_tiles_without_points_of_a_class(tiles):
 
 
 def test_filters_need_classes_in_all_files(tiles):
-    assert not has_filters(tiles) and has_filters(tiles / "*.las") and has_filters(tiles / "tile_10.las")
+    assert not Source.open(tiles).has_classes
+    assert Source.open(tiles / "*.las").has_classes and Source.open(tiles / "tile_10.las").has_classes
     for read in (read_cloud, open_cloud):
         with check_error():
             read(tiles, classes=(2,))
@@ -257,7 +254,6 @@ def test_ept(tmp_path, data_type):
             np.testing.assert_array_equal(cloud.attributes[name], values)
         assert (cloud.crs, cloud.unit) == ("EPSG:32617", "m")
         assert [piece.count for piece in disk.pieces] == [20, 20, 20]
-        assert is_in_pieces(path)
     check_pieces(folder, 1, classes=(2,), returns="last")
     assert len(read_cloud(folder, classes=(6,))) == 30
     with check_error():
@@ -320,28 +316,24 @@ def test_damaged_node_of_ept_is_named(tmp_path):
         read_cloud(folder)
 
 
-def test_damaged_bytes_of_a_node_are_found_by_the_other_nodes(tmp_path):
+def test_damaged_bytes_of_a_node_are_reported_with_its_name(tmp_path):
     import_or_skip("lazrs")
     folder = ept_bytes.write(tmp_path / "ept", 600)
     node = folder / "ept-data/1-0-0-0.laz"
-    data = node.read_bytes()
+    data = bytearray(node.read_bytes())
+    sizes = int.from_bytes(data[96:100], "little") + 38  # of the layers, after the first point
+    data[sizes : sizes + 40] = b"\xff" * 40
+    node.write_bytes(data)
     disk = open_cloud(folder)
-    messages = set()
-    for offset in range(len(data) - 400, len(data) - 100, 20):
-        damaged = bytearray(data)
-        damaged[offset] ^= 4
-        node.write_bytes(damaged)
-        with pytest.raises(ValueError, match=r"1-0-0-0\.laz: damaged LAZ data") as caught:
-            read_piece(disk, disk.pieces[0])
-        messages.add(str(caught.value).removeprefix(str(folder)))
-    assert any("1-0-0-0.laz: damaged LAZ data: failed verification" in message for message in messages), messages
+    with check_error():
+        read_piece(disk, disk.pieces[0])
 
 
 def test_many_nodes_are_decompressed_in_batches(tmp_path, monkeypatch):
     import_or_skip("lazrs")
     folder = ept_bytes.write(tmp_path / "ept")
     expected = read_cloud(folder)
-    monkeypatch.setattr("pcbench.io.laz._MAX_JOBS", 4)
+    monkeypatch.setattr("pcbench.io.laz._MAX_RUNS", 4)
     assert read_cloud(folder).points.tobytes() == expected.points.tobytes()
 
 

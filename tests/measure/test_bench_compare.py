@@ -15,7 +15,7 @@ from wording import check_text
 
 from pcbench import Cloud, read_cloud, write_cloud
 
-BENCH = ROOT / "tests" / "bench"
+BENCH = ROOT / "benchmarks"
 SIDE_RUN = {"steps": {"total": [2.0, 3.0], "import": [0.5, 0.5]}, "peak": 2**20}
 
 

@@ -10,7 +10,7 @@ from repository import ROOT
 
 from pcbench import read_cloud
 
-BENCH = ROOT / "tests" / "bench"
+BENCH = ROOT / "benchmarks"
 BUSY = "import time; any(time.process_time() > 1 for _ in iter(int, 1))"  # for a second
 # A child whose own child is busy, and which is killed before that one ends.
 KILLS_A_PARENT = f"""

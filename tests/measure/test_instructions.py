@@ -8,7 +8,7 @@ import pytest
 from repository import ROOT
 from wording import check_text
 
-BENCH = ROOT / "tests" / "bench"
+BENCH = ROOT / "benchmarks"
 
 # A library is named at its first occurrence. The line after `calls=` is the inclusive cost of the called function.
 FILE = """\

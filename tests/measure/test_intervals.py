@@ -97,7 +97,7 @@ def test_isolated_points_form_no_cells():
 
 @pytest.mark.parametrize("case", [Case("torus", "none", 1_500, 1_500), Case("boxes", "L/10", 1_500, 1_500)])
 def test_intervals_contain_the_expectation(case):
-    """A short version of tests/bench/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
+    """A short version of benchmarks/intervals.py: 95 % of 60 is 57, and fewer than 51 has a probability below 0.01."""
     result = coverage(case, 60)
     assert (result.shares >= 0.85).all()
     assert (result.widths < 1.9).all()

@@ -13,9 +13,8 @@ from pcbench import Settings, TilingSettings, compare, deform, register
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.mesh_samples import SAMPLED_MESH, sample_candidate
+from pcbench.io.ply import write_ply_mesh
 from pcbench.report import document
-from pcbench.report.on_disk import unsupported_setting
-from pcbench.scenes.synthetic.files import write_mesh_ply
 
 NOISE = 0.002
 UNREGISTERED = Settings("none", thresholds=(0.03,), seed=3)
@@ -41,7 +40,7 @@ def reference(mesh):
 @pytest.fixture
 def files(tmp_path, mesh, reference):
     pcbench.write_cloud(tmp_path / "reference.ply", reference)
-    write_mesh_ply(tmp_path / "mesh.ply", mesh)
+    write_ply_mesh(tmp_path / "mesh.ply", mesh)
     return tmp_path / "reference.ply", tmp_path / "mesh.ply"
 
 
@@ -113,8 +112,8 @@ def test_tiles_refuse_meshes(files, tmp_path):
     reference, mesh = files
     with check_error():
         compare(reference, mesh, Settings("none"), tiling=TilingSettings(5000, workers=1), workspace=tmp_path / "work")
-    assert unsupported_setting(reference, {"mesh": mesh}, Settings(vertices=True)) is None
-    assert unsupported_setting(mesh, {}, Settings(vertices=True)) is not None
+    with check_error():
+        compare(mesh, reference, tiling=TilingSettings(5000, workers=1), workspace=tmp_path / "work")
 
 
 def test_info_says_why_a_mesh_is_not_closed(tmp_path, run):

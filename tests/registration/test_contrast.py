@@ -199,7 +199,7 @@ def test_no_trial_of_any_scene_fails_silently(monkeypatch):
 
 
 def _import_bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import registration_scenes
     import registration_trials
 

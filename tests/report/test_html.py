@@ -139,15 +139,15 @@ def test_the_page_says_what_the_other_outputs_say(comparison):
 
 def test_only_significant_differences_mark_a_best_value(comparison):
     """The incomplete cloud is as accurate as the other one, and farther from the reference's points."""
-    rows = {row.label: row for row in main_rows(comparison) if not row.is_detail}
+    rows = {row.label: row for row in main_rows(comparison) if not row.level}
     marks = [[cell.is_best for cell in pair] for pair in rows["mean distance"].cells]
     low, high = next(d.interval for d in comparison.differences if d.metric == "mean_distance/candidate_to_reference")
     assert low < 0 < high
     assert marks == [[False, True], [False, False]]
     low, high = comparison["a"].metrics.mean_distance.completeness.interval
-    assert rows["mean distance"].cells[0][1].interval == f"{low:.3g} – {high:.3g}"
+    assert rows["mean distance"].cells[0][1].interval == (f"{low:.3g}", f"{high:.3g}")
     low, high = comparison["a"].metrics.d2_mse.accuracy.interval
-    assert rows["RMS off the surface (D2)"].cells[0][0].interval == f"{low**0.5:.3g} – {high**0.5:.3g}"
+    assert rows["RMS off the surface (D2)"].cells[0][0].interval == (f"{low**0.5:.3g}", f"{high**0.5:.3g}")
 
 
 def test_worst_places_are_apart_and_sorted(comparison):
@@ -230,7 +230,7 @@ def test_five_candidates_keep_their_floors_and_the_main_columns_come_first(compa
     many = tuple(replace(comparison.candidates[k % 2], name=f"candidate {k}") for k in range(5))
     changed = replace(comparison, candidates=many, differences=())
     columns = columns_of(main_rows(changed))
-    labels = [column.row.label.split(" at ")[0] for column in columns]
+    labels = [column.line.label.split(" at ")[0] for column in columns]
     assert labels[:4] == ["RMS off the surface (D2)", "mean distance", "F-score", "deformation"]
     assert labels[-3:] == ["points measured", "registration RMSE", "overlap"]
     assert [column.has_directions for column in columns[:4]] == [True, True, False, False]

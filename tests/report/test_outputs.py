@@ -15,9 +15,10 @@ from pcbench.geometry import mesh_samples
 from pcbench.measure import directions, quantities, scores, summaries
 from pcbench.measure.directions import MEAN_METRICS, MeanMetric
 from pcbench.measure.intervals import Interval
-from pcbench.measure.quantity import LENGTH, Headline, Quantity
+from pcbench.measure.quantity import LENGTH, Quantity
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
-from pcbench.report import document, markdown, rows, to_json
+from pcbench.report import document, layout, markdown, rows, to_json
+from pcbench.report.layout import Headline, Label, column_of
 from pcbench.report.summary import main_columns, main_lines
 from pcbench.report.table import lines
 
@@ -94,42 +95,33 @@ def maximum_quantities(candidate):
         (CANDIDATE_TO_REFERENCE, candidate.deviation),
         (REFERENCE_TO_CANDIDATE, candidate.completeness),
     ):
-        value = float(values.scalars["distance"].max())
-        headline = Headline("farthest", column="far", rank=0)
-        yield Quantity("farthest", direction, "largest", value, LENGTH, label="Farthest", headline=headline)
+        yield Quantity("farthest", direction, "largest", float(values.scalars["distance"].max()), LENGTH)
 
 
 def angle_quantities(candidate):
     """Return a quantity of normals, with an interval, in degrees."""
     value = 1.0 + len(candidate.name)
     interval = Interval(value - 0.5, value + 0.5)
-    headline = Headline("normals", column="normals", rank=0)
-    yield Quantity(
-        "normals",
-        CANDIDATE_TO_REFERENCE,
-        "angle",
-        value,
-        "deg",
-        interval=interval,
-        has_interval=True,
-        headline=headline,
-    )
+    yield Quantity("normals", CANDIDATE_TO_REFERENCE, "angle", value, "deg", interval=interval, has_interval=True)
 
 
 def color_quantities(candidate):
     """Return a quantity of colours, without a direction and in two variants."""
     for variant, value in (("rgb", 31.5), ("luma", 34.25)):
-        headline = Headline(f"colours, {variant}", column=variant, rank=0)
-        yield Quantity("color_psnr", "both", "PSNR", value, "dB", variant, label=f"PSNR {variant}", headline=headline)
+        yield Quantity("color_psnr", "both", "PSNR", value, "dB", variant)
 
 
 @pytest.mark.parametrize("make_quantities", [maximum_quantities, angle_quantities, color_quantities])
 def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, make_quantities):
     def part(candidate):
         for quantity in make_quantities(candidate):
-            path = ("metrics", quantity.metric, quantity.variant or quantity.direction)
-            yield replace(quantity, path=path, label=quantity.label or quantity.metric)
+            yield replace(quantity, path=("metrics", quantity.metric, quantity.variant or quantity.direction))
 
+    for quantity in part(clouds["a"]):
+        key = f"{quantity.metric}/{quantity.variant}" if quantity.variant else quantity.metric
+        monkeypatch.setitem(layout.LABELS, key, Label(key))
+    headline = Headline("{0.metric} {0.variant}", column=quantity.metric, ranks=(0, 0))
+    monkeypatch.setitem(layout.HEADLINES, quantity.metric, headline)
     monkeypatch.setattr(quantities, "_PARTS", (*quantities._PARTS, part))
     json_candidates = json.loads(to_json(document(clouds)))["candidates"]
     table, summary = list(filter(None, lines(clouds))), main_lines(clouds)
@@ -146,22 +138,23 @@ def test_a_new_quantity_is_in_every_output(clouds, monkeypatch, make_quantities)
             ]
             assert (row.value, row.unit) == (quantity.value, "m" if quantity.unit == LENGTH else quantity.unit)
             assert (row.ci_low, row.ci_high) == (quantity.interval or (None, None))
-            (line,) = [line for line in table if line.label == quantity.label]
-            assert line.cells[k][quantity.column] == text
-            (line,) = [line for line in summary if line.label == quantity.headline.label]
-            assert line.cells[k][quantity.column] == text
+            label = layout.label_of(quantity).text
+            (line,) = [line for line in table if line.label == label]
+            assert line.cells[k][column_of(quantity)].text == text
+            (line,) = [line for line in summary if line.label == f"{quantity.metric} {quantity.variant}"]
+            assert line.cells[k][column_of(quantity)].text == text
             assert any(
-                c.head[0] == quantity.headline.column and float(c.cells[k]) == pytest.approx(quantity.value, rel=5e-3)
+                c.head[0] == quantity.metric and float(c.cells[k]) == pytest.approx(quantity.value, rel=5e-3)
                 for c in columns  # which have three digits
             )
-    assert f"| {quantity.label} |" in markdown(clouds)
+            assert f"| {label} |" in markdown(clouds)
 
 
 def test_a_new_mean_is_in_every_output(monkeypatch):
     """Its floor, interval and differences are there too."""
-    capped = MeanMetric(
-        "capped", "Capped", "at most 0.5", 1, lambda d: np.minimum(d.to_points, 0.5), headline="capped mean"
-    )
+    capped = MeanMetric("capped", "at most 0.5", LENGTH, lambda d: np.minimum(d.to_points, 0.5))
+    monkeypatch.setitem(layout.LABELS, "capped", Label("Capped"))
+    monkeypatch.setitem(layout.HEADLINES, "capped", Headline("capped mean"))
     for module in (directions, scores, summaries, quantities):
         monkeypatch.setattr(module, "MEAN_METRICS", (*MEAN_METRICS, capped))
     comparison = make_comparison("clouds")

@@ -96,7 +96,7 @@ def fail_as_next_run(out):
 
 @pytest.mark.long
 @pytest.mark.parametrize("next_step", [complete_as_reader, fail_as_next_run])
-@pytest.mark.parametrize("existing", ["a report", "an old report", "an empty folder", "nothing"])
+@pytest.mark.parametrize("existing", ["a report", "an empty folder", "nothing"])
 def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, existing, next_step):
     is_new = []
     for step in range(1, 100):
@@ -106,13 +106,6 @@ def test_a_kill_at_any_step_leaves_a_whole_report(tmp_path, existing, next_step)
         if existing == "a report":
             old_files, user_files = OLD_FILES, USER_FILES
             save(out, old_files)
-        elif existing == "an old report":  # without a manifest
-            document = {"schema": "pcbench.comparison/1", "candidates": [{"name": "a"}, {"name": "../../x"}]}
-            old_files, user_files = (
-                {"comparison.json": json.dumps(document), "a_T.txt": "", "figures/distribution.png": ""},
-                USER_FILES,
-            )
-            write(out, old_files)
         elif existing == "an empty folder":
             out.mkdir()
         write(out, user_files)

@@ -4,15 +4,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tiled_pairs import compare_on_disk
 from wording import check_text
 
 import pcbench
 from pcbench import Cloud, Settings
-from pcbench.measure.tiled.compare import compare_on_disk
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.registration.rounding import COARSE_STEP, step_warnings
 from pcbench.report.answer import answer
-from pcbench.report.comparison import Comparison
 from pcbench.report.document import document
 from pcbench.report.notes import warnings
 
@@ -104,5 +103,5 @@ def test_tiles_have_the_steps_floors_and_warnings_of_the_memory(tmp_path):
             expected.accuracy.floor,
             expected.completeness.floor,
         )
-    values = document(Comparison.of(tiled, None))
+    values = document(tiled)
     assert values["candidates"][0]["steps"] == pytest.approx([0.1] * 3)

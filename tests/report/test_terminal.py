@@ -13,6 +13,7 @@ from pcbench import Cloud, Settings, compare, write_cloud
 from pcbench.measure.quantities import quantities
 from pcbench.measure.results import REFERENCE_TO_CANDIDATE
 from pcbench.report import print_comparison
+from pcbench.report.layout import column_of, headline_of, label_of
 from pcbench.report.summary import main_lines
 from pcbench.report.table import lines
 
@@ -161,14 +162,14 @@ def test_numbers_below_r_to_c_are_of_that_direction():
     """Two numbers that are no pair of directions have their own rows."""
     reference = shapes.terrain(1500, seed=1)[0]
     comparison = compare(reference, {"a": reference + 0.01}, Settings(register="none", maps=("m3c2",)))
-    second = {"points measured", "precision, recall"}
+    second = {"points measured"}
     for q in quantities(comparison.candidates[0]):
-        if q.column == 1:
+        if column_of(q) == 1:
             assert q.direction in (REFERENCE_TO_CANDIDATE, "a_to_b")
-            second |= {q.label.strip(), q.headline.label.strip() if q.headline else ""}
+            second |= {label.text for label in (label_of(q), headline_of(q)) if label is not None}
     for line in (*main_lines(comparison), *filter(None, lines(comparison))):
-        assert line.label.strip() in second or not any(right for _, right in line.cells), line.label
-    labels = {line.label.strip() for line in lines(comparison) if line is not None}
+        assert line.label in second or not any(right.text for _, right in line.cells), line.label
+    labels = {line.label for line in lines(comparison) if line is not None}
     assert {"map m3c2: bias", "significant share", "rmse", "overlap", "detectable RMS"} <= labels
 
 

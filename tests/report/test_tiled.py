@@ -13,12 +13,12 @@ from wording import check_error, check_text
 
 import pcbench
 from pcbench import Cloud, Settings, write_cloud
+from pcbench.comparison.plan import CloudsOnDisk
+from pcbench.comparison.request import Request
 from pcbench.errors import InputError
 from pcbench.io.pieces import CloudFile, CloudOnDisk
-from pcbench.measure import comparison
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.report import document, markdown, to_json
-from pcbench.report.comparison import Comparison
 from pcbench.report.folder import report_folder, write_report
 from pcbench.report.html import page
 from pcbench.report.html.charts import charts
@@ -26,7 +26,6 @@ from pcbench.report.html.layers import layers
 from pcbench.report.html.places import worst_places
 from pcbench.report.html.tiles import tile_maps
 from pcbench.report.notes import remarks, warnings
-from pcbench.report.on_disk import CloudsOnDisk
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.read import read_report
 from pcbench.report.words import memory_text
@@ -41,12 +40,12 @@ def full():
     reference = Cloud(shapes.city(9000, noise=0.01, seed=1)[0], unit="m")
     points = shapes.city(6000, seed=2)[0]
     points = np.concatenate([points + rng.normal(0, 0.02, points.shape), [[25.0, 25.0, 30.0]]])  # one outlier above
-    return comparison.compare(reference, {"a": Cloud(points)}, Settings(register="none"))
+    return pcbench.compare(reference, {"a": Cloud(points)}, Settings(register="none"))
 
 
 @pytest.fixture(scope="module")
 def tiled(full):
-    return Comparison.of(tiled_fake.as_tiled(full, TilingSettings(2000, max_distance=5.0), 2, LEFT_OUT, CENSORED))
+    return tiled_fake.as_tiled(full, TilingSettings(2000, max_distance=5.0), 2, LEFT_OUT, CENSORED)
 
 
 def test_warnings_name_files_left_out_and_capped_distances(tiled):
@@ -68,7 +67,7 @@ def test_remarks_say_how_it_was_computed(tiled, full):
     check_text("\n".join(remarks(replace(tiled, has_map_files=True))), masked=False)
     tiling = replace(tiled.tiling, sampled_points=None, max_distance=None, tiles=1, tile_points=1)
     check_text("\n".join(remarks(replace(tiled, tiling=tiling))), masked=False)
-    assert list(remarks(Comparison.of(full))) == []
+    assert list(remarks(full)) == []
 
 
 def test_table_and_page_have_the_same_notes(tiled):
@@ -92,7 +91,7 @@ def test_the_json_has_all_files_and_shares(tiled):
 
 
 def test_statistics_are_those_of_all_points(tiled, full):
-    sampled, exact = (json.loads(to_json(document(found)))["candidates"][0] for found in (tiled, Comparison.of(full)))
+    sampled, exact = (json.loads(to_json(document(found)))["candidates"][0] for found in (tiled, full))
     del exact["metrics"]["presets"]["mpeg"]
     assert sampled["metrics"] == exact["metrics"]
     assert sampled["deviation"] == exact["deviation"]
@@ -106,16 +105,16 @@ def test_the_worst_place_is_found_although_the_sample_lacks_it(tiled, full):
     scalars = {name: values[lacking] for name, values in map_.scalars.items()}
     deviation = replace(map_, points=map_.points[lacking], rows=map_.rows[lacking], scalars=scalars)
     worst = worst_places(replace(tiled, candidates=(replace(candidate, deviation=deviation),)))[0]
-    assert replace(worst, size="") == replace(worst_places(Comparison.of(full))[0], size="")
+    assert replace(worst, size="") == replace(worst_places(full)[0], size="")
     assert worst.at == (25.0, 25.0, 30.0)
 
 
 def test_distances_at_the_limit_are_called_lower_bounds(full):
     limited = tiled_fake.as_tiled(full, TilingSettings(max_distance=0.5), 2, censored=CENSORED)
-    places = worst_places(Comparison.of(limited))
+    places = worst_places(limited)
     assert places[0].size.startswith("≥ ")
     assert not any("≥" in place.size for place in places[1:3])
-    assert not any("≥" in place.size for place in worst_places(Comparison.of(full)))
+    assert not any("≥" in place.size for place in worst_places(full))
 
 
 def test_the_page_counts_all_points_and_says_that_it_shows_a_sample(tiled):
@@ -157,8 +156,8 @@ def test_the_reference_is_shown_by_points_that_all_candidates_share():
         name: Cloud(points[:count] + rng.normal(0, noise, (count, 3)))
         for name, count, noise in (("a", 2000, 0.02), ("b", 1500, 0.1))
     }
-    full = comparison.compare(Cloud(points), clouds, Settings(register="none"))
-    found = Comparison.of(tiled_fake.as_tiled(full, TilingSettings(), 3))
+    full = pcbench.compare(Cloud(points), clouds, Settings(register="none"))
+    found = tiled_fake.as_tiled(full, TilingSettings(), 3)
     a, b = (candidate.completeness for candidate in found)
     assert not np.array_equal(a.rows, b.rows)
     layer = layers(found)[-1]
@@ -168,7 +167,7 @@ def test_the_reference_is_shown_by_points_that_all_candidates_share():
 
 
 def test_the_page_of_a_comparison_in_memory_has_no_sample(full):
-    html = page(Comparison.of(full), document(Comparison.of(full))["provenance"])
+    html = page(full, document(full)["provenance"])
     assert "of all points of a candidate" in html
     assert "sampled" not in html.partition("<script")[0]
 
@@ -198,7 +197,7 @@ def test_saved_samples_are_read_back_with_their_totals(tiled, tmp_path):
 
 def test_reports_of_earlier_versions_have_no_samples(full, tmp_path):
     with report_folder(tmp_path / "report") as folder:
-        write_report(folder, Comparison.of(full))
+        write_report(folder, full)
         values = json.loads((folder / "comparison.json").read_text())
         del values["tiling"], values["candidates"][0]["map_samples"]
         (folder / "comparison.json").write_text(json.dumps(values))
@@ -251,7 +250,8 @@ def test_the_key_of_a_workspace_follows_files_settings_and_tiles(tmp_path):
 
     def key(settings=settings, tiling=tiling):
         path = tmp_path / "a.ply"
-        return CloudsOnDisk.open(path, {"a": path}, settings, tiling).key(settings, tiling)
+        request = Request.of(path, path, settings)
+        return CloudsOnDisk.open(request, tiling).key(request.settings, tiling)
 
     found = {
         key(),

@@ -5,8 +5,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from pcbench.report import workspace
-from pcbench.report.workspace import default_workspaces, first_free_workspace
+from pcbench.comparison import workspace
+from pcbench.comparison.workspace import default_workspaces, first_free_workspace
 from pcbench.scratch import OutputInUse
 
 KEY = "0123456789abcdef" * 4

@@ -23,11 +23,6 @@ SMALL_CITY = CitySettings(extent=120.0, seed=3)
 DISTORTION = (-0.08, 0.01, 0.002, -0.001)
 
 
-@pytest.fixture(scope="module")
-def city():
-    return build_city(SMALL_CITY, texel=0.5)
-
-
 # ---- the plan ----
 
 

@@ -18,12 +18,13 @@ class PieceFormat(NamedTuple):
     """Functions that raise InputError with messages that do not name the path.
 
     Attributes:
-        describe: (path, largest number of points of a part, warn) to the file and its parts, from headers.
+        describe: (path, largest number of points of a part, warn) to the file and its parts, from headers; also
+            `header`, as the reader of the format.
         read: (path, address of a part, filters, warn) to the points that pass the filters, and counts if it is LAS.
         stated_count: path to the number of points that the header states, without other checks; None if it states none.
     """
 
-    describe: Callable[[Path, int, Warn], tuple[CloudFile, list[Part]]]
+    describe: Callable[..., tuple[CloudFile, list[Part]]]
     read: Callable[[Path, tuple[int, ...], LasFilters, Warn], tuple[Fields, LasCounts | None]]
     stated_count: Callable[[Path], int | None] = lambda path: None
 

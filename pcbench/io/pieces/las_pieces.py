@@ -71,11 +71,11 @@ def read_las_piece(
     first, end = address
     with path.open("rb") as file:
         header = read_header(file, warn)
-        extras = read_extras(header, warn)
-        if header.compressed:
-            records = read_compressed_records(file, header, extras, warn, first, end)
-        else:
-            records = read_records(file, header, extras, first, end - first)
+    extras = read_extras(header, warn)
+    if header.compressed:
+        records = read_compressed_records(path, header, extras, first, end)
+    else:
+        records = read_records(path, header, extras, first, end - first)
     counts = count_records(records, header)
     return las_fields(filter_records(records, header, filters, True), header, extras, warn), counts
 

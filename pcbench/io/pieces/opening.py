@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,59 +11,40 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import bounds
 from pcbench.geometry.crs import degrees_hint
-from pcbench.io.files import as_path, check_readable, errors_named
-from pcbench.io.formats import CLOUDS
-from pcbench.io.las_records import LasFilters, parse_filters
-from pcbench.io.paths import EPT, TileFiles, find_tiles, is_tiled
+from pcbench.io.files import Look, check_readable, errors_named
+from pcbench.io.las_records import LasFilters
+from pcbench.io.merging import StatedCrs, common_crs, normals_warning
 from pcbench.io.pieces.formats import PieceFormat, piece_format
 from pcbench.io.pieces.types import CloudFile, CloudOnDisk, DamagedFile, Piece
-from pcbench.io.reading import cloud_file, filtered_format, stated_unit
-from pcbench.io.tiles import StatedCrs, common_crs, normals_warning
+from pcbench.io.reading import filtered_format, stated_unit
 
 PIECE_POINTS = 1_000_000
 
 
-def is_in_pieces(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path names several files: a folder of tiles, a pattern, a `.vpc` index, or an EPT folder."""
-    file = cloud_file(Path(path))
-    return is_tiled(file) or file.name == EPT
-
-
-def open_cloud(
-    path: str | os.PathLike[str],
+def describe_pieces(
+    path: Path,
+    paths: Sequence[Path],
+    filters: LasFilters,
+    piece_points: int,
     *,
-    classes: Collection[int] | None = None,
-    returns: str | Collection[int] | None = None,
-    piece_points: int = PIECE_POINTS,
-    skip_bad: bool = False,
+    skip_bad: bool,
+    notes: Sequence[tuple[Path, str]],
+    look: Look,
 ) -> CloudOnDisk:
-    """Describe a cloud on disk from the headers of its files; points are only read from formats without such a header.
+    """Describe a cloud on disk from the headers of its files, as `Source.pieces`.
 
     Args:
-        path: a path that `pcbench.read_cloud` accepts.
-        classes: class numbers to keep, as in `pcbench.read_cloud`.
-        returns: returns to keep, as in `pcbench.read_cloud`.
-        piece_points: largest number of points of a piece, if the format allows it: a LAZ chunk, an EPT node, an E57
-            scan and a text file are never divided.
-        skip_bad: whether damaged and missing files are left out and listed in `left_out`.
-
-    Raises:
-        InputError: a file is damaged or missing, or no file is left; files have different coordinate reference systems
-            or units; or a filter is not available for a format. The message names the file.
-        MissingExtra: an optional library is needed for a file.
+        path: path of the cloud.
+        paths: its files.
+        filters: classes and returns to keep.
+        piece_points: largest number of points of a piece.
+        skip_bad: whether damaged and missing files are left out.
+        notes: warnings about the choice of files, each with a path.
+        look: what a look at the file tells, if there is one.
     """
     if piece_points < 1:
         raise InputError(f"expected pieces of at least one point, got {piece_points}")
-    named, lines = as_path(path), list[tuple[Path, str]]()
-    path = cloud_file(named, lambda line: lines.append((named, line)))
-    filters = parse_filters(classes, returns)
-    with errors_named(path):
-        if is_tiled(path):
-            tiles = find_tiles(path, CLOUDS)
-        else:
-            check_readable(path)
-            tiles = TileFiles((path,))
-    lines += [(path, line) for line in tiles.warnings]
+    lines = list(notes)
 
     def warn(line: str) -> None:
         lines.append((path, line))
@@ -72,21 +52,21 @@ def open_cloud(
     files: list[CloudFile] = []
     pieces: list[Piece] = []
     left_out: list[DamagedFile] = []
-    for file in tiles.paths:
+    for file in paths:
         with errors_named(file):
-            filtered_format(file, filters != LasFilters())  # a wrong name or filter is not damage
-        form, notes = piece_format(file), list[str]()
+            filtered_format(file, filters)  # a wrong name or filter is not damage
+        form, warnings = piece_format(file), list[str]()
         try:
             with errors_named(file):
                 check_readable(file)
-                described, parts = form.describe(file, piece_points, notes.append)
+                described, parts = form.describe(file, piece_points, warnings.append, **look.options)
         except InputError as error:
             if not skip_bad:
                 raise
             left_out.append(DamagedFile(file, _stated_count(file, form), str(error).removeprefix(f"{file}: ")))
             continue
-        unit = stated_unit(file, described.crs, described.unit, notes.append)
-        lines += [(file, note) for note in notes]
+        unit = stated_unit(file, described.crs, described.unit, warnings.append)
+        lines += [(file, line) for line in warnings]
         files.append(replace(described, unit=unit))
         for k, part in enumerate(parts, 1):
             label = f"piece {k} of {len(parts)}" if len(parts) > 1 else ""

@@ -18,22 +18,25 @@ from pcbench.io.las_checks import LasCounts
 from pcbench.io.las_records import LasFilters
 from pcbench.io.pieces.las_pieces import group, split
 from pcbench.io.pieces.types import CloudFile, Part, as_corner
-from pcbench.io.ply import find_rows, has_normals, read_rows
-from pcbench.io.ply_header import read_header
+from pcbench.io.ply import find_rows, has_normals, look_at_ply, read_ply, read_rows
+from pcbench.io.ply_header import PlyHeader, read_header
 
 _COORDINATE_BYTES, _NORMAL_BYTES, _VALUE_BYTES = 24, 24, 8
 
 
-def describe_ply(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, list[Part]]:
+def describe_ply(
+    path: Path, piece_points: int, warn: Warn, header: PlyHeader | None = None
+) -> tuple[CloudFile, list[Part]]:
     """Describe a PLY file.
 
     Raises:
         InputError: the header is damaged, or the file is truncated.
         OSError: the file cannot be read.
     """
-    rows = find_rows(path, warn)
+    header = header or look_at_ply(path).header
+    rows = find_rows(path, warn, header)
     if rows is None:
-        return describe_whole(path, piece_points, warn)
+        return _describe(read_ply(path, warn, header), path)
     normals = has_normals(path, rows)
     point_bytes = _COORDINATE_BYTES + _NORMAL_BYTES * normals + rows.dtype.itemsize
     crs, unit = rows.header.tag_value("crs"), rows.header.tag_value("unit")
@@ -115,7 +118,11 @@ def count_ept(path: Path) -> int:
 
 def describe_whole(path: Path, piece_points: int, warn: Warn) -> tuple[CloudFile, list[Part]]:
     """Describe a file by reading it; raises the same errors as `read_cloud`."""
-    fields = format_of(path).read(path, warn)
+    return _describe(format_of(path).read(path, warn), path)
+
+
+def _describe(fields: Fields, path: Path) -> tuple[CloudFile, list[Part]]:
+    """Describe a file that was read."""
     count = len(fields["points"])
     cloud = finite_cloud(fields, lambda _: None)
     low, high = map(as_corner, bounds(cloud.points))

@@ -14,11 +14,11 @@ from pcbench.io.formats import format_of
 from pcbench.io.las_checks import LasCounts
 from pcbench.io.las_header import LasHeader, read_header
 from pcbench.io.las_records import LasFilters
+from pcbench.io.merging import merge_warnings
 from pcbench.io.nodata import CoordinateCounts, Nodata, nodata_warning
 from pcbench.io.paths import EPT
 from pcbench.io.pieces.formats import piece_format
 from pcbench.io.pieces.types import CloudOnDisk, Piece, PieceNotes, PiecePoints
-from pcbench.io.tiles import merge_warnings
 
 
 def read_piece(cloud: CloudOnDisk, piece: Piece) -> PiecePoints:
@@ -69,21 +69,21 @@ def reading_warnings(cloud: CloudOnDisk, notes: Iterable[tuple[Piece, PieceNotes
         notes: pieces that were read, each with its notes, in any order. Checks of a whole file are made if all its
             pieces are there.
     """
-    found = sorted(notes, key=lambda pair: pair[0].number)
-    lines = [(piece.file, line) for piece, note in found for line in note.lines]
+    ordered = sorted(notes, key=lambda pair: pair[0].number)
+    lines = [(piece.file, line) for piece, note in ordered for line in note.lines]
     counts: dict[Path, LasCounts] = {}
-    for piece, note in found:
+    for piece, note in ordered:
         if note.las is not None:
             counts[piece.file] = counts[piece.file].merge(note.las) if piece.file in counts else note.las
     for path, merged in counts.items():
         lines += [(path, line) for line in merged.warnings(_las_header(path))]
-    finite, dropped = sum(note.finite for _, note in found), sum(note.dropped for _, note in found)
+    finite, dropped = sum(note.finite for _, note in ordered), sum(note.dropped for _, note in ordered)
     if dropped:
         lines.append((cloud.path, dropped_warning(dropped, finite + dropped)))
-    if line := nodata_warning(Nodata.of(CoordinateCounts.merge(note.coordinates for _, note in found))):
+    if line := nodata_warning(Nodata.of(CoordinateCounts.merge(note.coordinates for _, note in ordered))):
         lines.append((cloud.path, line))
-    known = set(cloud.file_warnings)
-    return tuple(merge_warnings(pair for pair in lines if pair not in known))
+    from_headers = set(cloud.file_warnings)
+    return tuple(merge_warnings(pair for pair in lines if pair not in from_headers))
 
 
 def _las_header(path: Path) -> LasHeader | None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pcbench.geometry.arrays import FloatArray
 from pcbench.io.las_checks import LasCounts
+from pcbench.io.merging import merge_warnings
 from pcbench.io.nodata import CoordinateCounts
-from pcbench.io.tiles import merge_warnings
 
 Corner = tuple[float, float, float]
 

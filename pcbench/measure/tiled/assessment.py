@@ -138,8 +138,8 @@ class TiledSide(Side):
             return None
         index, inside = aligned.surface.index, aligned.inside
         corner = aligned.tiles.corners[0] if inside.lowest is None else inside.lowest
-        found = index.spread(side, aligned.region, corner)
-        return index.numbers_of(*found.select(voxel_thin_to(found.points, count, side)))
+        picked = index.spread(side, aligned.region, corner)
+        return index.numbers_of(*picked.select(voxel_thin_to(picked.points, count, side)))
 
     def lies_on(self, other: Side, within: float) -> bool:
         """Return whether every point lies within a distance of a point of the other cloud."""
@@ -183,8 +183,8 @@ def measure_floors(
             closest[~reference.region.contains(points)] = -1
         return closest.reshape(rows.shape)
 
-    found = floors.to_candidate(surface, rows, candidate.surface, match, error, rounding)
-    return to_reference, mean_values(found)
+    to_candidate = floors.to_candidate(surface, rows, candidate.surface, match, error, rounding)
+    return to_reference, mean_values(to_candidate)
 
 
 def find_changes(reference: AlignedCloud, candidate: AlignedCloud) -> SeparatedChanges:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
@@ -15,16 +15,19 @@ from pcbench.deformation.polynomials import whole_normal_equations
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.regions import Region
 from pcbench.measure.budget import FIRST, BudgetSums, FitFrame, sum_queries
+from pcbench.measure.deviation import Spread
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.metrics import plane_distances
 from pcbench.measure.tiled.columns import column_file, save_column
 from pcbench.measure.tiled.labels import PointLabels
 from pcbench.measure.tiled.overview import PixelGrid, PixelSums
 from pcbench.measure.tiled.search import nearest_in_tiles
+from pcbench.measure.tiled.spreads import Distribution, spread_of
+from pcbench.measure.tiled.steps import Steps, tile_tasks
 from pcbench.measure.tiled.sums import GroupSums
 from pcbench.measure.tiled.tiles import TiledCloud
 from pcbench.measure.tiled.totals import DirectionTotals
-from pcbench.tasks.results import read_shared
+from pcbench.tasks.results import read_shared, write_result
 
 DISTANCE, PLANE_DISTANCE, MEASURED = "distance", "plane_distance", "measured"
 _MERGED_AT_ONCE = 32  # tiles whose sums are in memory
@@ -120,6 +123,51 @@ class MeasuredDirection:
     def files(self, column: str) -> list[Path]:
         """Return the files of a column of the distances, such as `DISTANCE`, of all tiles with points."""
         return [column_file(self.folder, number, column) for number in self.queries.occupied]
+
+
+def measure_tiles(
+    steps: Steps, pair: TiledPair, stage: str, name: str, region: Region | None
+) -> tuple[MeasuredDirection, MeasuredDirection]:
+    """Measure both directions, c→r and r→c, tile by tile, inside a region.
+
+    Args:
+        steps: the steps of the comparison.
+        pair: both clouds.
+        stage: start of the names of the stages.
+        name: name of the candidate, for progress.
+        region: the measured region in local coordinates; None: everything.
+    """
+    file, key = steps.folder / f"{stage}.pair", f"{steps.key}{stage}"
+    write_result(file, key, pair)
+
+    def measured(
+        way: str, function: Callable[..., DistanceSums], queries: TiledCloud, folder: Path, title: str
+    ) -> MeasuredDirection:
+        folder.mkdir(parents=True, exist_ok=True)
+        tasks = tile_tasks(queries, lambda number: (file, key, number, region))
+        sums = DistanceSums.merge(steps.results(f"{stage}-{way}", function, tasks, title))
+        return MeasuredDirection(f"{stage}-{way}", queries, folder, sums)
+
+    return (
+        measured("forth", measure_candidate_tile, pair.candidate, pair.forth, f"{name}: measuring c→r"),
+        measured("back", measure_reference_tile, pair.reference, pair.back, f"{name}: measuring r→c"),
+    )
+
+
+def measure_spreads(steps: Steps, direction: MeasuredDirection) -> dict[str, Spread]:
+    """Return the summary statistics of the distances to points and to planes, by the names of their columns."""
+    totals = direction.sums.totals
+
+    def spread(name: str, distribution: Distribution) -> Spread:
+        return spread_of(direction.files(name), distribution, map_files=steps.file_map(f"{direction.stage}-{name}"))
+
+    spreads = {DISTANCE: spread(DISTANCE, totals.distances)}
+    if totals.censored:  # these are not even bounds
+        spreads[DISTANCE] = replace(spreads[DISTANCE], std=None, nmad=None)
+    if totals.plane_distances is not None:
+        has_planes = totals.has_planes  # False: distances of points beyond the maximum distance are unknown
+        spreads[PLANE_DISTANCE] = spread(PLANE_DISTANCE, totals.plane_distances) if has_planes else Spread()
+    return spreads
 
 
 def _merge(parts: Sequence[DistanceSums]) -> DistanceSums:

@@ -50,8 +50,8 @@ class PointLabels:
         if not len(self.sample):
             return np.full(len(points), STABLE, np.int32)
         places = points if self.displacement is None else points - self.displacement(points)
-        found: NDArray[np.int32] = self.labels[self._index.query(places).indices]
-        return found
+        labels: NDArray[np.int32] = self.labels[self._index.query(places).indices]
+        return labels
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +73,8 @@ class StableRegion:
     def contains(self, points: FloatArray) -> Mask:
         """Return the mask (N,) of the points inside."""
         points = points if self.origin is None else points + self.origin
-        found: Mask = self.labels.of_points(points) == STABLE
-        return found if self.region is None else found & self.region.contains(points)
+        is_stable: Mask = self.labels.of_points(points) == STABLE
+        return is_stable if self.region is None else is_stable & self.region.contains(points)
 
     def shifted(self, origin: FloatArray) -> StableRegion:
         """Return the region in coordinates minus `origin` (3,)."""

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
-from pcbench.io.map_tiles import write_map_tile
+from pcbench.io.map_tiles import map_tile_extension, write_map_tile, write_overview, write_tile_index
 from pcbench.measure.deviation import DeviationMap, Spread
 from pcbench.measure.tiled.columns import column_file, load_column
-from pcbench.measure.tiled.directions import DISTANCE, MEASURED, PLANE_DISTANCE
+from pcbench.measure.tiled.directions import DISTANCE, MEASURED, PLANE_DISTANCE, MeasuredDirection
+from pcbench.measure.tiled.overview import PixelGrid
+from pcbench.measure.tiled.steps import Steps, tile_tasks
 from pcbench.tasks.files import record_file
 
 MAP_SAMPLE = 300_000
@@ -40,17 +42,17 @@ def sample_map(tiles: Path, folder: Path, number: int, step: int, least: float) 
         step: interval of the rows.
         least: smallest distance of points that are kept whatever their rows.
     """
-    found = _map_points(tiles, folder, number)
-    kept = np.flatnonzero((found.rows % step == 0) | (found.distances >= least))
-    return MapPoints(found.points[kept], found.rows[kept], found.distances[kept], found.plane_distances[kept])
+    points = _map_points(tiles, folder, number)
+    kept = np.flatnonzero((points.rows % step == 0) | (points.distances >= least))
+    return MapPoints(points.points[kept], points.rows[kept], points.distances[kept], points.plane_distances[kept])
 
 
 def write_tile_of_map(tiles: Path, folder: Path, number: int, origin: FloatArray, crs: str | None, path: Path) -> bool:
     """Write all points of a tile of a map; see `pcbench.io.map_tiles.write_map_tile`. Return whether there are any."""
-    found = _map_points(tiles, folder, number)
-    if not len(found.points):
+    points = _map_points(tiles, folder, number)
+    if not len(points.points):
         return False
-    write_map_tile(path, found.points + origin, found.distances, found.plane_distances, crs=crs)
+    write_map_tile(path, points.points + origin, points.distances, points.plane_distances, crs=crs)
     record_file(path)
     return True
 
@@ -82,18 +84,73 @@ def deviation_map(
         origin: (3,) offset that was subtracted from all coordinates.
         with_planes: whether the map has distances to planes.
     """
-    found = list(parts)
-    rows = np.concatenate([part.rows for part in found])
+    sampled = list(parts)
+    rows = np.concatenate([part.rows for part in sampled])
     order = np.argsort(rows, kind="stable")
-    scalars = {DISTANCE: np.concatenate([part.distances for part in found])[order]}
+    scalars = {DISTANCE: np.concatenate([part.distances for part in sampled])[order]}
     if with_planes:
-        scalars[PLANE_DISTANCE] = np.concatenate([part.plane_distances for part in found])[order]
+        scalars[PLANE_DISTANCE] = np.concatenate([part.plane_distances for part in sampled])[order]
     is_sample = len(rows) < count
     return DeviationMap(
-        np.concatenate([part.points for part in found])[order] + origin,
+        np.concatenate([part.points for part in sampled])[order] + origin,
         rows[order],
         scalars,
         sampled_from=count if is_sample else None,
         known_spreads={name: spread for name, spread in spreads.items() if name in scalars},
         sample_step=step if is_sample else None,
     )
+
+
+def show_direction(
+    steps: Steps,
+    direction: MeasuredDirection,
+    spreads: Mapping[str, Spread],
+    origin: FloatArray,
+    *,
+    with_planes: bool,
+) -> DeviationMap:
+    """Return a map of sampled points, for pages and pictures."""
+    distances, tiles = direction.sums.totals.distances, direction.queries
+    step = -(-distances.count // MAP_SAMPLE)
+    share_shown = min(LARGEST_SHARE, MAP_SAMPLE / distances.count)
+    least = distances.histogram.approximate_percentile(100 * (1 - share_shown)) if step > 1 else 0.0
+    tasks = tile_tasks(tiles, lambda number: (tiles.folder, direction.folder, number, step, least))
+    parts = steps.results(f"{direction.stage}-map", sample_map, tasks, "sampling the map")
+    return deviation_map(parts, distances.count, step, spreads, origin, with_planes=with_planes)
+
+
+def write_direction(
+    steps: Steps,
+    direction: MeasuredDirection,
+    maps: Path,
+    name: str,
+    kind: str,
+    *,
+    origin: FloatArray,
+    crs: str | None,
+    pixels: PixelGrid | None,
+) -> None:
+    """Write a map of all points, its index and its overview.
+
+    Args:
+        steps: the steps of the comparison.
+        direction: its distances.
+        maps: folder of all maps, which exists.
+        name: name of the candidate.
+        kind: kind of the map, see `pcbench.io.map_tiles.write_overview`.
+        origin: (3,) offset that was subtracted from all coordinates.
+        crs: coordinate system of the points, if known.
+        pixels: grid of the overview; None: none is written.
+    """
+    folder, tiles = maps / f"{name}_{kind}", direction.queries
+    folder.mkdir(exist_ok=True)
+
+    def arguments(number: int) -> tuple[Any, ...]:
+        path = folder / f"tile_{number:04d}{map_tile_extension()}"
+        return tiles.folder, direction.folder, number, origin, crs, path
+
+    tasks = tile_tasks(tiles, arguments)
+    steps.results(f"{direction.stage}-files", write_tile_of_map, tasks, f"{name}: writing maps")
+    write_tile_index(folder, crs)
+    if pixels is not None and direction.sums.pixels is not None:
+        write_overview(maps, name, direction.sums.pixels.overview(pixels, origin), kind=kind, crs=crs)

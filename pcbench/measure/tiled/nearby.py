@@ -70,16 +70,16 @@ def near_points(file: Path, key: str, places: FloatArray, k: int) -> NearPoints:
         k: number of points.
     """
     cloud = read_shared(file, key, TiledCloud)
-    found = nearest_in_tiles(places, cloud, k)
-    rows, first = np.unique(found.rows, return_index=True)
+    matches = nearest_in_tiles(places, cloud, k)
+    rows, first = np.unique(matches.rows, return_index=True)
 
     def column(name: str) -> Any:
         shown = cloud.has_column(name)
-        values = found.column(cloud, name) if shown else None
+        values = matches.column(cloud, name) if shown else None
         return None if values is None else values.reshape(-1, *values.shape[2:])[first]
 
     classes = column(CLASSES)
-    reach = np.full(len(places), np.inf) if k == cloud.count else found.distances[:, -1]
+    reach = np.full(len(places), np.inf) if k == cloud.count else matches.distances[:, -1]
     return NearPoints(
         column("points"),
         rows,
@@ -117,10 +117,10 @@ def spread_tile(
     """
     cloud = read_shared(file, key, TiledCloud)
     classes = cloud.load(number, CLASSES) if cloud.file(number, CLASSES).exists() else None
-    found = PickedPoints(cloud.load(number, "points"), cloud.load(number, "rows"), classes)
+    points = PickedPoints(cloud.load(number, "points"), cloud.load(number, "rows"), classes)
     if region is not None:
-        found = found.select(np.flatnonzero(region.contains(found.points)))
-    return found.select(cells(found.points, side, corner).first) if len(found.rows) else found
+        points = points.select(np.flatnonzero(region.contains(points.points)))
+    return points.select(cells(points.points, side, corner).first) if len(points.rows) else points
 
 
 def displace_tile(file: Path, key: str, number: int, displacement: Displacement, folder: Path) -> TileSummary:
@@ -199,8 +199,8 @@ class TiledIndex(Index):
         folder.mkdir(parents=True, exist_ok=True)
         tasks = self._tile_tasks(*arguments, folder)
         results = self._runner.run(name, function, tasks, key=key, title="preparing the assessment")
-        found = {tile.number: tile for _, tile in results}
-        every = (found.get(number) or TileSummary.empty(number) for number in range(len(self._cloud)))
+        summaries = {tile.number: tile for _, tile in results}
+        every = (summaries.get(number) or TileSummary.empty(number) for number in range(len(self._cloud)))
         return replace(TiledCloud.of(folder, every), normals="")
 
     def _tile_tasks(self, *arguments: Any) -> list[Task]:
@@ -214,14 +214,14 @@ class TiledIndex(Index):
         self._spreads += 1
         stage, title = f"{self._stage}-spread-{self._spreads}", "spreading points evenly"
         tasks, key = self._tile_tasks(region, side, corner), f"{self._key}{side}"
-        parts = [found for _, found in self._runner.run(stage, spread_tile, tasks, key=key, title=title)]
+        parts = [picked for _, picked in self._runner.run(stage, spread_tile, tasks, key=key, title=title)]
         rows = np.concatenate([part.rows for part in parts])
         classes = None
         if self.classes is not None:
             classes = np.concatenate([part.classes for part in parts if part.classes is not None])
         points, order = np.concatenate([part.points for part in parts]), np.argsort(rows)
-        found = PickedPoints(points, rows, classes).select(order)
-        return found.select(cells(found.points, side, corner).first)
+        picked = PickedPoints(points, rows, classes).select(order)
+        return picked.select(cells(picked.points, side, corner).first)
 
     def first_in_cells(self, side: float) -> IntArray:
         """Return the numbers of the first point in each occupied cell of an edge length, in the order of rows."""
@@ -242,11 +242,11 @@ class TiledIndex(Index):
         places = np.ascontiguousarray(queries, np.float64)
         missing = np.ones(len(places), bool)
         if len(self.points) >= k and self._center_index is not None and len(places):
-            found = self._search(places, k)
-            farthest = found.distances if k == 1 else found.distances[:, -1]
+            matches = self._search(places, k)
+            farthest = matches.distances if k == 1 else matches.distances[:, -1]
             missing = ~self._is_complete(places, farthest)
             if not missing.any():
-                return found
+                return matches
         self._load_around(places[missing], k)
         return self._search(places, k)
 
@@ -256,15 +256,15 @@ class TiledIndex(Index):
         near = self.query(self.points[numbers], k).indices
         every = np.unique(np.append(near.ravel(), numbers))
         every = every[np.argsort(self.rows[every])]
-        at = np.argsort(every)[np.searchsorted(np.sort(every), numbers)]
-        planes = Index(self.points[every]).local_planes(k, at)
+        positions = np.argsort(every)[np.searchsorted(np.sort(every), numbers)]
+        planes = Index(self.points[every]).local_planes(k, positions)
         other = planes.nearest_other
         return planes._replace(nearest_other=Matches(other.distances, every[other.indices]))
 
     def _search(self, places: FloatArray, k: int) -> Matches:
         """Find the k nearest points in memory."""
-        found = self._tree_index.query(places, k)
-        return Matches(found.distances, self._order[found.indices])
+        matches = self._tree_index.query(places, k)
+        return Matches(matches.distances, self._order[matches.indices])
 
     @cached_property
     def _tree_index(self) -> Index:
@@ -302,12 +302,12 @@ class TiledIndex(Index):
 
     def _add(self, found: NearPoints) -> None:
         """Append the points that are not in memory, and keep the normals of those that are."""
-        known = self.rows[self._order]
-        at = np.minimum(np.searchsorted(known, found.rows), max(len(known) - 1, 0))
-        is_known = known[at] == found.rows if len(known) else np.zeros(len(found.rows), bool)
+        sorted_rows = self.rows[self._order]
+        positions = np.minimum(np.searchsorted(sorted_rows, found.rows), max(len(sorted_rows) - 1, 0))
+        is_loaded = sorted_rows[positions] == found.rows if len(sorted_rows) else np.zeros(len(found.rows), bool)
         if self.normals is not None and found.normals is not None:
-            self.normals[self._order[at[is_known]]] = found.normals[is_known]
-        new = np.flatnonzero(~is_known)
+            self.normals[self._order[positions[is_loaded]]] = found.normals[is_loaded]
+        new = np.flatnonzero(~is_loaded)
         if not len(new):
             return
         self.points = np.concatenate([self.points, found.points[new]])
@@ -351,14 +351,14 @@ class TiledSurface(Surface):
         if self.index.normals is None:
             self._fit(rows)
             return self._directions[rows]
-        found = self.index.normals[rows]
-        if (unknown := np.isnan(found[:, 0])).any():  # only the points themselves are in memory
+        normals = self.index.normals[rows]
+        if (unknown := np.isnan(normals[:, 0])).any():  # only the points themselves are in memory
             self.index.query(self.index.points[rows[unknown]])
-            found = self.index.normals[rows]
-            if (unknown := np.isnan(found[:, 0])).any():  # too many points have the same position
+            normals = self.index.normals[rows]
+            if (unknown := np.isnan(normals[:, 0])).any():  # too many points have the same position
                 self._fit(rows[unknown])
-                found[unknown] = self._directions[rows[unknown]]
-        return found
+                normals[unknown] = self._directions[rows[unknown]]
+        return normals
 
     def variation(self, rows: IntArray) -> FloatArray:
         """Return surface variation (M,) at the points with these numbers (M,)."""

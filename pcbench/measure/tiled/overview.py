@@ -106,9 +106,9 @@ class PixelSums:
 
 
 def _largest(keys: IntArray, of_value: IntArray, values: FloatArray) -> FloatArray:
-    found = np.full(len(keys), -np.inf)
-    np.maximum.at(found, np.searchsorted(keys, of_value), values)
-    return found
+    largest = np.full(len(keys), -np.inf)
+    np.maximum.at(largest, np.searchsorted(keys, of_value), values)
+    return largest
 
 
 def _round_length(length: float) -> float:

@@ -12,7 +12,6 @@ from pcbench.geometry.region_text import as_region
 from pcbench.geometry.regions import Box, Region
 from pcbench.geometry.sampling import Sampling, sampling_of, sampling_of_profile
 from pcbench.geometry.voxels import robust_bounds, robust_extent
-from pcbench.measure.comparison import default_thresholds
 from pcbench.measure.intervals import CorrelationGrid
 from pcbench.measure.reference import VOXELS_ALONG, Reference
 from pcbench.measure.tiled import windows
@@ -120,13 +119,13 @@ def prepare_reference(steps: Steps, cloud: StoredCloud, *, are_small: bool) -> T
 
 def _thresholds(steps: Steps, spacing: float) -> tuple[float, ...]:
     """Return the thresholds of the F-score; raises an InputError if distances up to them are not searched."""
-    found, limit = steps.settings.thresholds or default_thresholds(spacing), steps.tiling.max_distance
-    if limit is not None and found and max(found) > limit:
+    thresholds, limit = steps.settings.thresholds_for(spacing), steps.tiling.max_distance
+    if limit is not None and thresholds and max(thresholds) > limit:
         raise InputError(
-            f"expected a maximum distance of at least {max(found):.4g}, the largest threshold of the F-score, got"
-            f" {limit:g}: use --max-distance {1.01 * max(found):.3g}, or smaller --thresholds"
+            f"expected a maximum distance of at least {max(thresholds):.4g}, the largest threshold of the F-score, got"
+            f" {limit:g}: use --max-distance {1.01 * max(thresholds):.3g}, or smaller --thresholds"
         )
-    return found
+    return thresholds
 
 
 def _add_normals(steps: Steps, tiles: TiledCloud) -> tuple[float, TiledCloud]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,56 @@ from pcbench.measure.metrics import FScore, harmonic_mean
 from pcbench.measure.presets import Gao2025, Open3d, Pdal, Preset
 from pcbench.measure.summaries import within_key
 from pcbench.measure.tiled.columns import column_file, load_column, save_column
-from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TileSummary
+from pcbench.measure.tiled.directions import MeasuredDirection, TiledPair, measure_tiles
+from pcbench.measure.tiled.settings import TILED_PRESETS
+from pcbench.measure.tiled.steps import REFERENCE, Steps, tile_tasks
+from pcbench.measure.tiled.tiles import NORMALS, WIDE_NORMALS, TiledCloud, TileSummary
 from pcbench.measure.tiled.totals import DirectionTotals
+
+
+def measure_presets(
+    steps: Steps,
+    pair: TiledPair,
+    directions: tuple[MeasuredDirection, MeasuredDirection],
+    region: Region | None,
+    stage: str,
+    name: str,
+) -> dict[str, Preset]:
+    """Return the presets that tiles support, measured again between clouds cut at the region if there is one.
+
+    Args:
+        steps: the steps of the comparison.
+        pair: both clouds.
+        directions: the distances c→r and r→c of the complete clouds.
+        region: the region in local coordinates; None: everything.
+        stage: start of the names of the candidate's stages.
+        name: name of the candidate, for progress.
+    """
+    names = [preset for preset in steps.settings.measured_presets if preset in TILED_PRESETS]
+    if region is not None and names:
+        cropped = replace(
+            pair,
+            reference=_crop(steps, REFERENCE, pair.reference, region),
+            candidate=_crop(steps, stage, pair.candidate, region),
+            forth=pair.forth / "cropped",
+            back=pair.back / "cropped",
+            pixels=None,
+            frame=None,
+        )
+        directions = measure_tiles(steps, cropped, f"{stage}-cropped", f"{name}, presets", None)
+    forth, back = (direction.sums.totals for direction in directions)
+    return dict(presets_of(forth, back, pair.thresholds, names))
+
+
+def _crop(steps: Steps, stage: str, tiles: TiledCloud, region: Region) -> TiledCloud:
+    """Cut tiles at the region."""
+    folder = steps.folder / stage / "cropped"
+    folder.mkdir(parents=True, exist_ok=True)
+    tasks = tile_tasks(tiles, lambda number: (tiles.folder, number, region, folder))
+    results = steps.results(f"{stage}-crop", crop_tile, tasks, "cutting at the region")
+    summaries = {summary.number: summary for summary in results}
+    every = (summaries.get(number) or TileSummary.empty(number) for number in range(len(tiles)))
+    return replace(TiledCloud.of(folder, every), normals=tiles.normals)
 
 
 def crop_tile(tiles: Path, number: int, region: Region, folder: Path) -> TileSummary:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 from pcbench.errors import InputError
+from pcbench.options import Bounds, setting
 from pcbench.systems import cpu_count
 
 DEFAULT_MEMORY = 4 << 30
@@ -16,6 +18,9 @@ _SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(B|KB|MB|GB|TB|KiB|MiB|GiB|TiB)?\s*", 
 _FACTORS = {"": 1, "b": 1}
 _FACTORS |= {f"{letter}b": 1000**power for power, letter in enumerate("kmgt", 1)}
 _FACTORS |= {f"{letter}ib": 1024**power for power, letter in enumerate("kmgt", 1)}
+_POINTS = re.compile(r"(\d+(?:\.\d*)?(?:e\d{1,2})?)([kMG]?)", re.IGNORECASE)
+_POINT_FACTORS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9}
+_CLUSTER = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+")
 _MIN_TILE_POINTS = 100
 _BASE_BYTES = 100 << 20  # memory of a worker without data, measured: 75 MiB
 _BYTES_PER_POINT = 350  # memory of a worker for each point of a tile, measured: 250, more with wide halos
@@ -44,12 +49,46 @@ class TilingSettings:
         skip_bad: whether damaged files are left out and listed in the result, instead of ending the comparison.
     """
 
-    tile_points: int | None = None
-    memory: int = DEFAULT_MEMORY
-    workers: int | None = None
-    cluster: str | None = None
-    max_distance: float | None = None
-    skip_bad: bool = False
+    tile_points: int | None = setting(
+        None,
+        "--tiles",
+        "Compute in tiles of at most SIZE points (1e6, 500k, 2M); auto, as without this option: only if the clouds do"
+        " not fit into --memory.",
+        metavar="auto|SIZE",
+        parse=lambda flag, text: None if text == "auto" else parse_points(flag, text),
+    )
+    memory: int = setting(
+        DEFAULT_MEMORY,
+        "--memory",
+        "Memory that may be used, such as 4GiB or 500MB.  [default: 4GiB]",
+        metavar="SIZE",
+        parse=lambda _, text: parse_bytes(text),
+    )
+    workers: int | None = setting(
+        None,
+        "--workers",
+        "Worker processes that compute tiles.  [default: the CPUs, as far as the memory allows]",
+        metavar="N",
+        bounds=Bounds(int, 1),
+    )
+    cluster: str | None = setting(
+        None,
+        "--cluster",
+        "Compute tiles on a Dask cluster: tcp://HOST:PORT of its scheduler, or its scheduler file.",
+        metavar="ADDRESS",
+        parse=lambda _, text: check_cluster(text),
+    )
+    max_distance: float | None = setting(
+        None,
+        "--max-distance",
+        "Compute in tiles, and search no closest point beyond this length: larger distances count as this one, and"
+        " their share is stated.",
+        metavar="LENGTH",
+        bounds=Bounds(float, 0, is_open=True),
+    )
+    skip_bad: bool = setting(
+        False, "--skip-bad", "Compute in tiles, and leave out damaged files, which the report lists."
+    )
 
     def __post_init__(self) -> None:
         if self.tile_points is not None and self.tile_points < _MIN_TILE_POINTS:
@@ -97,16 +136,43 @@ class TilingSettings:
         return max(1, min(cpu_count(), self.memory // per_worker - 1))
 
 
+def parse_points(flag: str, text: str) -> int:
+    """Parse a number of points such as 1e6, 500k or 2M.
+
+    Raises:
+        InputError: the text is no such number, or not a whole number above 0.
+    """
+    match = _POINTS.fullmatch(text.strip())
+    number = float(match[1]) * _POINT_FACTORS[match[2].lower()] if match else 0.0
+    if not 1 <= number < 1e15 or number != int(number):
+        raise InputError(f"expected {flag} as auto or a number of points such as 1e6, 500k or 2M, got {text!r}")
+    return int(number)
+
+
+def check_cluster(address: str) -> str:
+    """Return the address of a Dask scheduler, or its scheduler file.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not _CLUSTER.fullmatch(address) and not Path(address).is_file():
+        raise InputError(
+            "expected --cluster as the address of a Dask scheduler, tcp://HOST:PORT, or its scheduler file, got"
+            f" {address!r}"
+        )
+    return address
+
+
 def parse_bytes(text: str) -> int:
     """Return the number of bytes that a text such as `4GiB` or `500MB` states.
 
     Raises:
         InputError: the text is not a size, or less than a megabyte.
     """
-    found = _SIZE.fullmatch(text)
+    match = _SIZE.fullmatch(text)
     size = 0.0
-    if found is not None:
-        size = float(found[1]) * _FACTORS[(found[2] or "").lower()]
+    if match is not None:
+        size = float(match[1]) * _FACTORS[(match[2] or "").lower()]
     if not _MIN_MEMORY <= size < 1 << 60:
         raise InputError(f"expected an amount of memory such as 4GiB or 500MB, at least 1MB, got {text!r}")
     return int(size)

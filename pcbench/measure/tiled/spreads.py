@@ -12,7 +12,7 @@ import numpy as np
 from pcbench.geometry import order_statistics
 from pcbench.geometry.arrays import FloatArray
 from pcbench.measure.deviation import Spread
-from pcbench.measure.metrics import NORMAL_MAD, PERCENTILE_RANKS
+from pcbench.measure.metrics import PERCENTILE_RANKS
 from pcbench.measure.tiled.ranks import BitHistogram, FileMap, median_distance, select
 from pcbench.measure.tiled.sums import GroupSums
 
@@ -45,8 +45,10 @@ class Distribution:
     @classmethod
     def merge(cls, parts: Iterable[Distribution]) -> Distribution:
         """Return the distribution of all values of one or several parts."""
-        found = list(parts)
-        return cls(BitHistogram.merge(p.histogram for p in found), GroupSums.merge([p.moments for p in found]))
+        distributions = list(parts)
+        return cls(
+            BitHistogram.merge(p.histogram for p in distributions), GroupSums.merge([p.moments for p in distributions])
+        )
 
     @property
     def count(self) -> int:
@@ -99,7 +101,7 @@ def spread_of(files: Sequence[Path], distribution: Distribution, *, map_files: F
     below, above = np.array(found).reshape(2, -1)
     values = order_statistics.interpolate(below, above, share)
     ranks = {f"p{rank:g}": float(value) for rank, value in zip(PERCENTILE_RANKS, values, strict=True)}
-    nmad = NORMAL_MAD * median_distance(files, 0.5 * (float(low) + float(high)), map_files=map_files)
+    nmad = order_statistics.NORMAL_MAD * median_distance(files, 0.5 * (float(low) + float(high)), map_files=map_files)
     return Spread(ranks, math.sqrt(distribution.mean_square), distribution.mean, ranks["p50"], distribution.std, nmad)
 
 

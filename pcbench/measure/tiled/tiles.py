@@ -81,9 +81,9 @@ class TiledCloud:
     @classmethod
     def of(cls, folder: Path, summaries: Iterable[TileSummary]) -> TiledCloud:
         """Return the tiles with these contents, in their order."""
-        found = list(summaries)
-        counts = np.array([tile.count for tile in found], np.int64)
-        return cls(folder, counts, np.array([tile.low for tile in found]), np.array([tile.high for tile in found]))
+        tiles = list(summaries)
+        counts = np.array([tile.count for tile in tiles], np.int64)
+        return cls(folder, counts, np.array([tile.low for tile in tiles]), np.array([tile.high for tile in tiles]))
 
     def __len__(self) -> int:
         return len(self.counts)

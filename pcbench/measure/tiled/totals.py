@@ -196,12 +196,12 @@ def _farthest(points: FloatArray, rows: IntArray, to_points: FloatArray) -> Fart
         return None
     largest = to_points.max()
     tied = np.flatnonzero(to_points == largest)
-    at = tied[np.argmin(rows[tied])]
-    return Farthest(float(largest), int(rows[at]), points[at].copy())
+    farthest = tied[np.argmin(rows[tied])]
+    return Farthest(float(largest), int(rows[farthest]), points[farthest].copy())
 
 
 def _dense(keys: IntArray, values: _Array, size: int) -> _Array:
     """Return values by key (size,), 0 for keys that do not occur."""
-    found = np.zeros(size, values.dtype)
-    found[keys] = values
-    return cast(_Array, found)
+    dense = np.zeros(size, values.dtype)
+    dense[keys] = values
+    return cast(_Array, dense)

@@ -123,8 +123,8 @@ def _evenly(count: int, most: int) -> IntArray:
 
 def _range_of(codes: Codes, ranges: Codes) -> IntArray:
     """Return the row of the range that contains each code (N,), or -1."""
-    at = np.searchsorted(ranges[:, 0], codes, side="right") - 1
-    return np.where((at >= 0) & (codes < ranges[at, 1]), at, -1)
+    positions = np.searchsorted(ranges[:, 0], codes, side="right") - 1
+    return np.where((positions >= 0) & (codes < ranges[positions, 1]), positions, -1)
 
 
 def complete_cloud(cloud: StoredCloud) -> Cloud:
@@ -166,8 +166,8 @@ def candidate_in_windows(
         for run in cloud.runs.runs
     ]
     results = runner.run(stage, points_in_windows, tasks, key=key, title="sampling the candidate")
-    found = [stored for _, stored in results if len(stored.points)]
-    return _as_cloud(cloud, found) if found else None
+    parts = [stored for _, stored in results if len(stored.points)]
+    return _as_cloud(cloud, parts) if parts else None
 
 
 def points_in_windows(runs: CloudRuns, windows: Windows, pose: Similarity, step: int) -> StoredPoints:

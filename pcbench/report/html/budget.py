@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from pcbench.measure.budget import PARTS, D2Budget
 from pcbench.measure.results import ARROWS, CANDIDATE_TO_REFERENCE
-from pcbench.report.budget import kind_words, squared
+from pcbench.report.budget import changes_of, kind_words
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.words import UNKNOWN, length, percentage, printable, rounding_limit
+from pcbench.report.words import UNKNOWN, area, length, percentage, printable, rounding_limit
 
 _LABELS = {  # of the parts in the legend, with their colours: of Okabe and Ito, and greys for what has no shape
     "unmatched": ("no counterpart", "#cc79a7"),
@@ -72,7 +72,7 @@ def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[BudgetBar]:
 
     Directions whose distances are within rounding have none.
     """
-    unit, found = comparison.reference.unit, []
+    unit, drawn = comparison.reference.unit, []
     for candidate in comparison:
         if candidate.budget is None:
             continue
@@ -80,8 +80,8 @@ def bars(comparison: SourcedComparison, *, is_wide: bool) -> list[BudgetBar]:
             budget, is_first = candidate.budget[way], way == CANDIDATE_TO_REFERENCE
             if budget.mean_square**0.5 > rounding_limit(comparison) and (is_first or not is_wide):
                 name = printable(candidate.name) if is_first else ""
-                found.append(BudgetBar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
-    return found
+                drawn.append(BudgetBar(name, arrow, length(budget.mean_square**0.5, unit), _segments(budget, unit)))
+    return drawn
 
 
 def legend() -> list[LegendPart]:
@@ -93,15 +93,15 @@ def change_rows(comparison: SourcedComparison) -> list[ChangeRow]:
     """Return the most important changes of all candidates."""
     unit, rows = comparison.reference.unit, []
     for candidate in comparison:
-        for change in () if candidate.changes is None else candidate.changes.found:
+        for change in changes_of(candidate):
             volume = UNKNOWN if change.volume is None else length(change.volume, f"{unit}³" if unit else None)
-            words = squared(change.area, unit), volume, length(change.mean, unit), length(change.peak, unit)
+            words = area(change.area, unit), volume, length(change.mean, unit), length(change.peak, unit)
             rows.append(ChangeRow(printable(candidate.name), kind_words(change, unit), change.place, *words))
     return rows[:_MAX_CHANGES]
 
 
 def _segments(budget: D2Budget, unit: str | None) -> list[BudgetSegment]:
-    found = []
+    segments = []
     for name, part in budget.parts.items():
         if not (share := budget.share(name)):
             continue
@@ -110,5 +110,7 @@ def _segments(budget: D2Budget, unit: str | None) -> list[BudgetSegment]:
         title = (
             f"{label}: {percentage(share)}, {length(part.rms, unit)} RMS of {percentage(part.point_share)} of points"
         )
-        found.append(BudgetSegment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title))
-    return found
+        segments.append(
+            BudgetSegment(round(100 * share, 2), color, "#fff" if name in _DARK else "#1c1e22", text, title)
+        )
+    return segments

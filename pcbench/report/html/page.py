@@ -16,25 +16,19 @@ from pcbench.report.colors import DIVERGING, SEQUENTIAL, SERIES
 from pcbench.report.html.budget import bars, change_rows, legend
 from pcbench.report.html.charts import charts
 from pcbench.report.html.layers import Layer, layers
-from pcbench.report.html.metrics_table import MAX_ACROSS, all_rows, columns_of, main_rows
+from pcbench.report.html.metrics_table import MAX_ACROSS, columns_of, main_rows
 from pcbench.report.html.places import Place, worst_places
 from pcbench.report.html.template import Opening, Origin, one_line_each, render, script_json, source
 from pcbench.report.html.tiles import TileMaps, tile_maps
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.notes import bend_sentence, details, remarks, warnings
 from pcbench.report.plot.views import SceneAxes, scene_axes
+from pcbench.report.scalars import scalar_of
+from pcbench.report.table import lines
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import UNKNOWN, join_words, length, printable, title
 
 SCRIPTS = ("decode", "camera", "lines", "panes", "webgl", "painter", "scene", "controls", "main")
-_SCALAR_LABELS = {
-    "distance": "to the closest point",
-    "plane_distance": "to the surface, signed",
-    "mesh_distance": "to the reference mesh",
-    "poisson_distance": "to the Poisson mesh",
-    "poisson_meshlab_distance": "to pymeshlab's Poisson mesh",
-    "m3c2_distance": "along the normal (M3C2)",
-}
 _MAX_ARROWS = 2000  # of a candidate's displacement field
 _MAX_CAMERAS = 500
 
@@ -72,7 +66,7 @@ def page(comparison: SourcedComparison, provenance: Mapping[str, Any], color_ran
         columns=columns_of(main),
         is_wide=is_wide,
         has_best=any(cell.is_best for row in main for pair in row.cells for cell in pair),
-        all_rows=all_rows(comparison),
+        all_rows=lines(comparison),
         details=one_line_each(details(comparison))[len(comparison) :],  # those of single candidates have a section
         bars=bars(comparison, is_wide=is_wide),
         legend=legend(),
@@ -129,7 +123,7 @@ def _share_shown(layer: Layer) -> str:
 def _scalar_labels(clouds: list[Layer]) -> list[tuple[str, str]]:
     """Return key and label of each scalar that some layer has."""
     keys = dict.fromkeys(scalar["key"] for layer in clouds for scalar in layer.head["scalars"])
-    return [(key, _SCALAR_LABELS.get(key, key.replace("_", " "))) for key in keys]
+    return [(key, scalar_of(key).short_label) for key in keys]
 
 
 def _view(

@@ -17,16 +17,13 @@ from pcbench.report.colors import Range, ranges
 from pcbench.report.inputs import SourcedComparison
 from pcbench.report.plot.rounding import round_length
 from pcbench.report.plot.views import COORDINATES, SceneAxes
+from pcbench.report.scalars import SCALARS
 from pcbench.report.words import length, printable, rounding_limit
 
 TILE = 30  # edge of a tile on a map, in SVG units
 _MIN_TILES_ALONG = 5  # the longer side has 5 to 15 tiles of a round size
 _MARGIN_SHARE = 0.03  # of the box around the inner 98 % of the points, which then includes nearly all
-_QUANTITIES = {  # the preferred scalars, best first
-    "plane_distance": "signed distances to the surface",
-    "mesh_distance": "distances to the reference mesh",
-    "distance": "distances to the closest point",
-}
+_PREFERRED_SCALARS = ("plane_distance", "mesh_distance", "distance")
 _MAX_CANDIDATES = 4  # further maps would make the page long
 _MAX_RANKED = 9  # tiles with a number on the maps, which head the table
 _KEY_COLORS = 9  # of the colour bar
@@ -172,7 +169,7 @@ def tile_maps(
     grid, origin = _grid(places, axes)
     if grid is None:
         return None
-    key = next(key for key in _QUANTITIES if key == "distance" or all(_knows(c, key) for c in shown))
+    key = next(key for key in _PREFERRED_SCALARS if key == "distance" or all(_knows(c, key) for c in shown))
     by_name = {c.name: deviations_by_tile(grid, places[c.name] - origin, c.deviation.even_values(key)) for c in shown}
     largest_first = sorted(filter(by_name.get, by_name), key=lambda name: -by_name[name][0].p95)
     if not largest_first:
@@ -190,7 +187,7 @@ def tile_maps(
         axes,
         origin,
         grid,
-        _QUANTITIES[key],
+        SCALARS[key].plural,
         sorted(tiles, key=lambda tile: -tile.found.p95),
         list(found),
         len(largest_first) - len(found),

@@ -20,6 +20,7 @@ from pcbench.report.plot import maps
 from pcbench.report.plot.classes import classes_of
 from pcbench.report.plot.panels import drawing_style
 from pcbench.report.read import UNKNOWN_UNIT
+from pcbench.report.scalars import SCALARS, scalar_of
 from pcbench.report.viewing import ViewingCameras
 
 _MIN_ZERO_RATIO = 0.5  # of the lowest to the highest value: above, the colours do not start at zero
@@ -61,7 +62,7 @@ def draw_cloud(
         if scalar is None or values is None:
             maps.draw_own_colors(name, cloud, unit, frame, picture, look)
         else:
-            label = maps.label_of(scalar) + (f" [{unit}]" if scalar in maps.LABELS else "")
+            label = scalar_of(scalar).label + (f" [{unit}]" if scalar in SCALARS else "")
             title = f"{name} ({pluralize(int(np.isfinite(values).sum()), 'point')})"
             scenery = maps.Scenery(cloud.points, frame, look)
             is_integer = np.issubdtype(cloud.attributes[scalar].dtype, np.integer)

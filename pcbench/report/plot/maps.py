@@ -18,23 +18,9 @@ from pcbench.report.plot.splats import Backdrop, splat
 from pcbench.report.plot.views import AxisBox, Frame, Viewpoint
 from pcbench.report.viewing import ViewingCameras
 
-LABELS = {
-    "distance": "distance to the closest reference point",
-    "completeness": "distance to the closest candidate point",
-    "plane_distance": "signed distance to the reference's tangent plane",
-    "mesh_distance": "distance to the reference mesh",
-    "poisson_distance": "distance to the reference's Poisson mesh",
-    "poisson_meshlab_distance": "distance to the reference's Poisson mesh by pymeshlab",
-    "m3c2_distance": "M3C2 distance along the reference's normal",
-}
 _DEFAULT_BACKGROUND = "dark"  # large distances are light and have a high contrast
 _MAX_OUTSIDE_SHARE = 0.5  # of a cloud's points outside the common frame; beyond it the cloud has a separate frame
 _MIN_REPORTED_SHARE = 0.001  # of points outside the frame, for a note in the title
-
-
-def label_of(scalar: str) -> str:
-    """Return the label of a scalar's colour bar, without the unit."""
-    return LABELS.get(scalar, scalar.replace("_", " "))
 
 
 def frame(measured: Cloud | None, clouds: Mapping[str, Cloud], cameras: ViewingCameras | None = None) -> Frame:

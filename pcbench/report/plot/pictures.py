@@ -22,6 +22,7 @@ from pcbench.report.plot.overviews import draw_overview
 from pcbench.report.plot.sections import draw_section
 from pcbench.report.plot.views import Frame
 from pcbench.report.read import UNKNOWN_UNIT, Report, ReportedCandidate, read_deformation, read_report
+from pcbench.report.scalars import COMPLETENESS, SCALARS, scalar_of
 from pcbench.report.words import point_count
 
 
@@ -103,17 +104,17 @@ def _maps(
         for name, cloud in clouds.items()
         if scalar in cloud.attributes and np.isfinite(cloud.attributes[scalar]).any()
     }
-    is_m3c2 = scalar.startswith("m3c2")
-    samples = {} if is_m3c2 else {c.name: c.samples.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
+    noun = scalar_of(scalar).noun
+    samples = {} if noun == "core point" else {c.name: c.samples.get(CANDIDATE_TO_REFERENCE) for c in report.candidates}
     even = {
         name: known if (sample := samples.get(name)) is None else known[: sample.even] for name, known in values.items()
     }
     scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
-    label = f"{maps.label_of(scalar)} [{report.unit}]"
+    label = f"{scalar_of(scalar).label} [{report.unit}]"
 
     def picture(name: str, scale: Range) -> Picture:
         sample = samples.get(name)
-        count = point_count(len(clouds[name]), sample and sample.sampled_from, "core point" if is_m3c2 else "point")
+        count = point_count(len(clouds[name]), sample and sample.sampled_from, noun)
         title = f"{name} ({count})"
         return Picture(
             lambda path: maps.draw_coloured_cloud(
@@ -136,7 +137,7 @@ def _overviews(folder: Path, report: Report, look: Figures) -> dict[str, Picture
 
     kinds = {"distance": "{} from above", "completeness": "completeness of {} from above"}
     return {
-        f"{candidate.name}_{kind}_overview": picture(path, title.format(candidate.name), maps.LABELS[kind])
+        f"{candidate.name}_{kind}_overview": picture(path, title.format(candidate.name), SCALARS[kind].label)
         for candidate in report.candidates
         for kind, title in kinds.items()
         if (path := folder / MAPS / f"{candidate.name}_{kind}.tif").is_file()
@@ -158,7 +159,7 @@ def _sections(report: Report, reference: FloatArray, look: Figures) -> dict[str,
     values = {name: np.asarray(cloud.attributes[scalar], dtype=np.float64) for name, cloud in clouds.items()}
     even = {candidate.name: candidate.even_values(scalar) for candidate in report.candidates}
     scales = ranges_of(even, spacing=report.spacing_median, given=look.range)
-    label = f"{maps.LABELS[scalar]} [{report.unit}]"
+    label = f"{SCALARS[scalar].label} [{report.unit}]"
 
     def picture(name: str) -> Picture:
         def draw(path: Path) -> bool:
@@ -177,7 +178,7 @@ def _completeness(report: Report, scenery: maps.Scenery, look: Figures) -> dict[
     mapped = [candidate for candidate in report.candidates if candidate.has_completeness]
     highest = {candidate.name: candidate.percentiles_completeness["p95"] for candidate in mapped}
     scales = ranges(highest, spacing=report.spacing_median, given=look.range)
-    label = f"{maps.LABELS['completeness']} [{report.unit}]"
+    label = f"{SCALARS[COMPLETENESS].label} [{report.unit}]"
 
     def picture(candidate: ReportedCandidate, scale: Range) -> Picture:
         def draw(path: Path) -> bool:

@@ -22,15 +22,14 @@ from pcbench.io import CloudLike, to_cloud
 from pcbench.measure.wording import pluralize
 from pcbench.report.colors import has_colors, height_range, ranges_of
 from pcbench.report.figures import WINDOW_SIZE, Figures
-from pcbench.report.inputs import SceneFolder
 from pcbench.report.plot.cameras import camera_drawing, rings_of
 from pcbench.report.plot.clouds import attribute_values
-from pcbench.report.plot.maps import frame, label_of
+from pcbench.report.plot.maps import frame
 from pcbench.report.plot.views import AxisBox, Frame
 from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
-from pcbench.report.reading import SceneLike, as_scene, viewing_cameras
-from pcbench.report.viewing import ViewingCameras, up_of
+from pcbench.report.scalars import scalar_of
+from pcbench.report.viewing import SceneFolder, SceneLike, ViewingCameras, as_scene, up_of, viewing_cameras
 
 __all__ = ["cameras", "cloud", "deviation", "displacements"]
 
@@ -135,7 +134,7 @@ def deviation(
     stage = Stage(shared, unit, Window(off_screen, window_size, background, lighting))
     if ghost is not None:
         stage.add_ghost(ghost if isinstance(ghost, Mesh) else ghost.points)
-    label = label or (label_of(values) if isinstance(values, str) else "distance")
+    label = label or (scalar_of(values).label if isinstance(values, str) else "distance")
     stage.add_bar(stage.add_values(known.points, scalars, scale), label)
     stage.write_title(pluralize(len(known), "point"))
     return stage.plotter

@@ -16,15 +16,14 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE, Candidate
 from pcbench.report.colors import Range, ranges_of
 from pcbench.report.inputs import SourcedComparison
-from pcbench.report.plot.maps import frame, frame_of, label_of
+from pcbench.report.plot.maps import frame, frame_of
 from pcbench.report.plot.panels import join_title
 from pcbench.report.plot.views import Frame
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import UNKNOWN_UNIT, MapSample, Report, ReportedCandidate
+from pcbench.report.scalars import COMPLETENESS, scalar_of
 from pcbench.report.viewing import ViewingCameras
 from pcbench.report.words import point_count
-
-COMPLETENESS = "completeness"
 
 
 class ScalarMap(NamedTuple):
@@ -120,9 +119,8 @@ class CandidateMaps:
         behind = next(iter(self.maps[name])) if scalar == COMPLETENESS else COMPLETENESS
         if behind in self.maps[name]:
             stage.add_ghost(self.maps[name][behind].points)
-        stage.add_bar(stage.add_values(shown.points, shown.values, scale), label_of(scalar))
-        noun = "core point" if scalar.startswith("m3c2") else "point"
-        count = point_count(len(shown.points), shown.sampled_from, noun)
+        stage.add_bar(stage.add_values(shown.points, shown.values, scale), scalar_of(scalar).label)
+        count = point_count(len(shown.points), shown.sampled_from, scalar_of(scalar).noun)
         title = f"completeness of {name} (the reference's {count})" if scalar == COMPLETENESS else f"{name} ({count})"
         stage.write_title(join_title(title, frame_of(shown.points, self.frame)[1]))
         return scale

@@ -12,21 +12,20 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.mesh import Mesh
 from pcbench.geometry.neighbors import Index
 from pcbench.io import read_cloud
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.source import Source
 from pcbench.measure.wording import pluralize
 from pcbench.report import plotters
 from pcbench.report.figures import recorded_figures
-from pcbench.report.inputs import SceneFolder
-from pcbench.report.plot.maps import frame, label_of
+from pcbench.report.plot.maps import frame
 from pcbench.report.plotters.candidates import CandidateMaps
 from pcbench.report.plotters.controls import add_exaggeration, add_hint, add_slider, enable_picking
 from pcbench.report.plotters.displacements import Displacements
 from pcbench.report.plotters.stage import Stage, Window
 from pcbench.report.read import damage_in_one_line, read_deformation, read_report
-from pcbench.report.reading import viewing_cameras
+from pcbench.report.scalars import scalar_of
+from pcbench.report.viewing import SceneFolder, viewing_cameras
 from pcbench.scenes import read_scene
 
 NO_DISPLACEMENTS = "no deformation was found, so there are no displacements"
@@ -137,7 +136,7 @@ class ReportViewer:
         return "\n".join(
             [
                 f"{self.name}, point at {_coordinates(shown.points[row], self._digits)}{unit}",
-                f"  {label_of(self.scalar)}: {shown.values[row]:.4g}{unit}",
+                f"  {scalar_of(self.scalar).label}: {shown.values[row]:.4g}{unit}",
                 f"  {pluralize(len(values), 'closest point')}, within {radius:.3g}{unit}: mean {values.mean():.4g},"
                 f" std {values.std():.3g}{unit}, from {values.min():.4g} to {values.max():.4g}{unit}",
             ]
@@ -229,7 +228,7 @@ def view_file(path: Path, say: Say, warn: Say, *, scene: SceneFolder | None = No
         scene: a scene with cameras in the file's coordinates, which select the view.
         off_screen: whether to render without a window.
     """
-    shown: Cloud | Mesh = read_mesh(path, on_warning=warn) if holds_mesh(path) else read_cloud(path, on_warning=warn)
+    shown = Source.open(path).read(warn)
     given = None if scene is None else read_scene(scene.path, cameras=scene.cameras, on_warning=warn)
     plotter = plotters.cloud(shown, scene=given, off_screen=off_screen)
     if isinstance(shown, Cloud) and not off_screen:

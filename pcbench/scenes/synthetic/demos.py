@@ -10,7 +10,7 @@ import numpy as np
 
 from pcbench.geometry.arrays import FloatArray, IntArray
 from pcbench.geometry.cloud import Cloud
-from pcbench.geometry.transform import Similarity
+from pcbench.geometry.transform import Similarity, rotation_about
 
 SIZE = 400.0  # metres along each side of the demo city
 
@@ -227,7 +227,4 @@ def demo(points: int = 1_270_820, seed: int = 0) -> Demo:
 def _motion(angle_deg: float, shift: tuple[float, float, float]) -> Similarity:
     """Return a rotation about an oblique axis through the origin, followed by a translation."""
     axis = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
-    x, y, z = axis
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.radians(angle_deg)
-    return Similarity(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k), np.array(shift))
+    return Similarity(rotation_about(axis, np.radians(angle_deg)), np.array(shift))

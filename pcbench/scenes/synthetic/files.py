@@ -13,9 +13,10 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
-from pcbench.geometry.mesh import Mesh, MeshIndex
+from pcbench.geometry.mesh import MeshIndex
 from pcbench.io import write_cloud
 from pcbench.io.colmap_model import write_colmap_model
+from pcbench.io.ply import write_ply_mesh
 from pcbench.io.transforms_json import write_transforms
 from pcbench.progress import ProgressPlan
 from pcbench.scenes.synthetic.demos import Demo
@@ -105,7 +106,7 @@ def write_scene(out: Path, settings: SceneSettings, step: Callable[[str], None] 
 
         (folder / "truth" / "depth").mkdir(parents=True)
         index = MeshIndex(city.mesh)
-        write_mesh_ply(folder / "truth" / "mesh.ply", city.mesh)
+        write_ply_mesh(folder / "truth" / "mesh.ply", city.mesh)
         for camera in cameras:
             progress(f"computing the depth map of {camera.name}")
             np.save(folder / "truth" / "depth" / f"{Path(camera.name).stem}.npy", depth_map(index, camera))
@@ -160,26 +161,6 @@ def _format_row(values: Sequence[float] | FloatArray) -> str:
 def _write_positions(path: Path, cameras: Sequence[Camera], positions: FloatArray) -> None:
     lines = ["# NAME X Y Z", *(f"{c.name} {_format_row(p)}" for c, p in zip(cameras, positions, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def write_mesh_ply(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as binary little-endian PLY: x y z as double, faces as lists of int."""
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *([f"comment unit {mesh.unit}"] if mesh.unit else []),
-        f"element vertex {len(mesh.vertices)}",
-        *(f"property double {axis}" for axis in "xyz"),
-        f"element face {len(mesh)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    faces = np.empty(len(mesh), dtype=[("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, mesh.faces
-    with path.open("wb") as file:
-        file.write(("\n".join(lines) + "\n").encode())
-        file.write(mesh.vertices.astype("<f8").tobytes())
-        file.write(faces.tobytes())
 
 
 @contextmanager

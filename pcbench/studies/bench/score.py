@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.comparison.run import compare
 from pcbench.errors import InputError, record_error
 from pcbench.extras import import_problem
 from pcbench.geometry.arrays import FloatArray
@@ -24,7 +25,7 @@ from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
 from pcbench.registration import METHODS, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
-from pcbench.report import compare, document
+from pcbench.report import document
 from pcbench.studies.bench.truth import Truth
 
 BY_GAUGE = "gauge"

@@ -19,9 +19,9 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.regions import Region
 from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.visibility import MIN_VISIBLE_VIEWS, pixel_sizes, sees, views
-from pcbench.io import read_cloud
 from pcbench.io.files import Warn
-from pcbench.io.meshes import holds_mesh, read_mesh
+from pcbench.io.meshes import read_mesh
+from pcbench.io.source import Source
 from pcbench.registration import local_origin
 
 _PIXEL_SIZE_POINTS = 20_000  # enough for a median pixel size within a fraction of a percent
@@ -137,12 +137,10 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
         InputError: a file is not usable.
     """
     surface = read_mesh(mesh, on_warning=warn) if mesh is not None else None
-    if holds_mesh(reference):
-        whole = read_mesh(reference, on_warning=warn)
-        surface = whole if surface is None else surface
-        cloud = sample_reference(whole)
-    else:
-        cloud = read_cloud(reference, on_warning=warn)
+    shape = Source.open(reference).read(warn)
+    if isinstance(shape, Mesh) and surface is None:
+        surface = shape
+    cloud = sample_reference(shape)
     if "visible" in cloud.attributes:
         seen = np.asarray(cloud.attributes["visible"]) != 0
         return Truth(cloud, cameras, *_visibility_if_any(seen, "the reference's attribute 'visible'"), surface)
@@ -157,9 +155,8 @@ def read_truth(reference: Path, mesh: Path | None, cameras: Mapping[str, Camera]
 def mesh_of(scene: Path, reference: Path) -> Path | None:
     """Return the true mesh of a scene of `pcbench synth city` if the reference is in the same folder, else None."""
     mesh = scene / "truth" / "mesh.ply"
-    if mesh.is_file() and reference.resolve().parent == mesh.resolve().parent and not holds_mesh(reference):
-        return mesh
-    return None
+    is_beside = mesh.is_file() and reference.resolve().parent == mesh.resolve().parent
+    return mesh if is_beside and not Source.open(reference).holds_mesh else None
 
 
 def _visibility_if_any(seen: NDArray[np.bool_], how: str) -> tuple[NDArray[np.bool_] | None, str]:

@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench.deformation import Deformation, deform
 from pcbench.errors import InputError, Notice, RegistrationError, record_error
@@ -18,6 +17,7 @@ from pcbench.progress import Step
 from pcbench.report.markup import csv_text as csv_of
 from pcbench.report.words import join_words
 from pcbench.studies.bend.results import BendStudy, BendVerdict, Lens, MutualVerdict, SolutionResult, measured_bends
+from pcbench.studies.frame.tables import cell
 
 FACTORS = {
     "images": (
@@ -29,7 +29,6 @@ FACTORS = {
     "control": ("control points", {"True": "with them", "False": "without them"}),
 }
 MEASURE_S = 5.0  # rough duration of measuring a solution, for progress bars
-_MIN_RANK_CORRELATION = 0.5  # counts as correlated
 _GRID_SIZE = 24  # pixels along each side at which intrinsics are compared
 
 
@@ -189,8 +188,8 @@ def _conclusions(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         else:
             yield "No solution is deformed beyond what noise explains."
         return
-    changes = sorted(_bend_changes(rows), key=lambda change: -change.difference)
-    main = next((change for change in changes if change.is_significant), None)
+    changes = [change for change in _bend_changes(rows) if change.is_significant]
+    main = max(changes, key=lambda change: change.difference, default=None)
     if main is None:
         yield "Solutions are deformed, but no two that differ in one setting differ by more than their 95 % intervals."
         return
@@ -201,15 +200,7 @@ def _conclusions(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
         f"The cause is {words}: {names[0]}, the cloud is deformed by {sizes[0]} RMS; {names[1]}, by {sizes[1]},"
         f" all else equal ({main.worse.name!r} against {main.better.name!r})."
     )
-    for factor, (words, _) in FACTORS.items():
-        own = [change for change in changes if change.factor == factor]
-        if factor != main.factor and own:
-            yield (
-                f"Changing {words} alone changes the deformation by at most {own[0].difference:.3g} {unit} RMS".rstrip()
-                + f" ({own[0].worse.name!r} against {own[0].better.name!r})."
-            )
     yield from _shape_sentence(main.worse, unit)
-    yield from _correlation_sentence(rows)
     yield from _mutual_sentence(rows, unit)
 
 
@@ -225,12 +216,12 @@ def table(study: BendStudy) -> Iterator[list[str]]:
             row.name,
             images,
             f"{row.points:,}",
-            _number(row.reprojection_error),
-            _number(row.lens_error_px),
+            cell(row.reprojection_error),
+            cell(row.lens_error_px),
             row.truth.verdict_text,
             row.truth.size_text(),
-            _number(row.truth.detectable),
-            "" if row.mutual is None else f"{row.mutual.verdict_text}, {_number(row.mutual.rms)}",
+            cell(row.truth.detectable),
+            "" if row.mutual is None else f"{row.mutual.verdict_text}, {cell(row.mutual.rms)}",
         ]
 
 
@@ -315,26 +306,6 @@ def _shape_sentence(row: SolutionResult, unit: str) -> Iterator[str]:
         ).replace("  ", " ")
 
 
-def _correlation_sentence(rows: Sequence[SolutionResult]) -> Iterator[str]:
-    """Yield Spearman's rank correlation of the deformation and the error of the intrinsics."""
-    known = [(row.lens_error_px, bend.rms) for row, bend in measured_bends(rows) if row.lens_error_px is not None]
-    if len(known) < 4:
-        return
-    a, b = (_ranks(column) for column in np.array(known, dtype=np.float64).T)
-    if np.ptp(a) == 0 or np.ptp(b) == 0:
-        return
-    rho = float(np.corrcoef(a, b)[0, 1])
-    words = "are correlated" if rho >= _MIN_RANK_CORRELATION else "are not correlated"
-    yield f"Deformation and lens error {words}: rank correlation {rho:.2f} over {len(known)} solutions."
-
-
-def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ranks of values; equal values share the mean of their ranks."""
-    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: NDArray[np.float64] = (np.cumsum(counts) - 0.5 * counts)[which]
-    return ranks
-
-
 def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]:
     """Yield the largest deformation between two solutions of the same images."""
     named = {row.name: row for row, _ in measured_bends(rows)}
@@ -348,12 +319,8 @@ def _mutual_sentence(rows: Sequence[SolutionResult], unit: str) -> Iterator[str]
     ]
     if same:
         first, worst, bend = max(same, key=lambda found: found[2].rms or 0.0)
-        errors = [_number(row.reprojection_error) for row in (first, worst)]
+        errors = [cell(row.reprojection_error) for row in (first, worst)]
         yield (
             f"Solutions of the same images differ by {bend.size_text(unit)} RMS beyond any affine motion,"
             f" with reprojection errors of {errors[0]} and {errors[1]} px ({first.name!r} and {worst.name!r})."
         )
-
-
-def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"

@@ -8,7 +8,7 @@ from pathlib import PurePath
 from pcbench.report.article import Figure
 
 
-def pictures(files: Sequence[str], captions: Mapping[str, str], *names: str) -> Iterator[Figure]:
+def drawn_pictures(files: Sequence[str], captions: Mapping[str, str], *names: str) -> Iterator[Figure]:
     """Yield those of a study's pictures that were drawn, in the order of `names`, with their captions.
 
     Args:

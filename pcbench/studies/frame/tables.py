@@ -1,10 +1,22 @@
-"""Tables of studies as text."""
+"""Tables of studies as text, and their cells."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pcbench.report.words import columns, pad
+from pcbench.report.words import UNKNOWN, columns, pad
+
+MIB = 2**20  # bytes
+
+
+def cell(value: float | None, form: str = ".3g") -> str:
+    """Return a number in a format; a dash for None."""
+    return UNKNOWN if value is None else format(value, form)
+
+
+def mebibytes(size: int | None) -> str:
+    """Return an amount of memory in MiB, without the unit; a dash for None."""
+    return cell(None if size is None else size / MIB, ",.0f")
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> str:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.comparison.request import Request
+from pcbench.comparison.result import Comparison
+from pcbench.comparison.run import Outputs, run
 from pcbench.errors import InputError, RegistrationError, record_error
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
@@ -21,8 +25,6 @@ from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.plugins.stages import stage
 from pcbench.registration import Target, local_origin, register
-from pcbench.report import Comparison
-from pcbench.report.compare_files import ComparisonJob, Outputs, compare_files
 from pcbench.report.plot import draw_if_possible
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import ReferenceEvaluation
@@ -30,18 +32,19 @@ from pcbench.studies.gao.results import ReferenceEvaluation
 _RESULTS_FILE = "held.json"
 
 
-class CloudEvaluation(NamedTuple):
+@dataclass(frozen=True)
+class CloudEvaluation:
     """Results of clouds against one reference.
 
     Attributes:
-        folder: folder of the report; None if no cloud could be measured.
         counts: number of points of the reference, before and after the crop; None if no cloud could be measured.
         clouds: results by cloud, or the reasons for failure.
+        folder: folder of the report; None if no cloud could be measured.
     """
 
-    folder: Path | None
     counts: tuple[int, int] | None
-    clouds: dict[str, ReferenceEvaluation]
+    clouds: Mapping[str, ReferenceEvaluation]
+    folder: Path | None = field(default=None, metadata={"json": False})
 
 
 def evaluate_against(
@@ -74,44 +77,34 @@ def evaluate_against(
     def compare(files: dict[str, Path], folder: Path) -> Comparison | str:
         """Return the comparison, or the reason why these clouds cannot be compared."""
         try:
-            job, outputs = ComparisonJob(reference, files, settings, {}), Outputs(folder, figures=False)
-            return compare_files(job, outputs, lambda _: None).comparison
+            return run(Request.of(reference, files, settings), Outputs(folder, figures=False)).comparison
         except (InputError, RegistrationError) as error:
             return record_error(error)
 
     def make(folder: Path) -> None:
         failed: dict[str, str] = {}
         # One bad candidate fails the complete comparison. If it fails, find the bad ones and compare the others.
-        found = compare(dict(clouds), folder)
-        if isinstance(found, str):
+        comparison = compare(dict(clouds), folder)
+        if isinstance(comparison, str):
             target = _ReferenceRegion.from_crop(read_cloud(reference), crop)
             failed = {cloud: why for cloud, path in clouds.items() if (why := target.problem(path)) is not None}
             others = {cloud: path for cloud, path in clouds.items() if cloud not in failed}
-            if others and isinstance(found := compare(others, folder), str):  # the reference is at fault
-                failed |= dict.fromkeys(others, found)
-        (folder / _RESULTS_FILE).write_text(to_json(_document(name, found, failed)), encoding="utf-8")
+            if others and isinstance(comparison := compare(others, folder), str):  # the reference is at fault
+                failed |= dict.fromkeys(others, comparison)
+        (folder / _RESULTS_FILE).write_text(to_json(_evaluations(name, comparison, failed)), encoding="utf-8")
 
-    return _read(stage(out, f"against-{name}", key, make))
-
-
-def _document(name: str, found: Comparison | str, failed: Mapping[str, str]) -> dict[str, object]:
-    """Return the document that `_read` reads."""
-    clouds = {cloud: ReferenceEvaluation(name, failure=why) for cloud, why in failed.items()}
-    if isinstance(found, str):
-        return {"counts": None, "clouds": clouds}
-    clouds |= {candidate.name: _evaluation(name, candidate) for candidate in found}
-    return {"counts": (found.reference.points, found.reference.points_in_region), "clouds": clouds}
+    folder = stage(out, f"against-{name}", key, make)
+    evaluation = from_json(CloudEvaluation, read_json(folder / _RESULTS_FILE))
+    return evaluation if evaluation.counts is None else replace(evaluation, folder=folder)
 
 
-def _read(folder: Path) -> CloudEvaluation:
-    values = read_json(folder / _RESULTS_FILE)
-    clouds = {cloud: from_json(ReferenceEvaluation, row) for cloud, row in values["clouds"].items()}
-    counts = values["counts"]
-    return (
-        CloudEvaluation(None, None, clouds)
-        if counts is None
-        else CloudEvaluation(folder, (counts[0], counts[1]), clouds)
-    )
+def _evaluations(name: str, comparison: Comparison | str, failed: Mapping[str, str]) -> CloudEvaluation:
+    """Return the results of a comparison, or of none, and of the clouds that cannot be measured."""
+    failures = {cloud: ReferenceEvaluation(name, failure=why) for cloud, why in failed.items()}
+    if isinstance(comparison, str):
+        return CloudEvaluation(None, failures)
+    counts = comparison.reference.points, comparison.reference.points_in_region
+    return CloudEvaluation(counts, {**failures, **{each.name: _evaluation(name, each) for each in comparison}})
 
 
 def draw_maps(folder: Path) -> str | None:
@@ -150,10 +143,10 @@ class _ReferenceRegion(NamedTuple):
         """Return one line if a cloud cannot be evaluated, else None."""
         cloud = read_cloud(path)
         try:
-            found = register(self.cloud, cloud, "icp", target=self.target)
+            registration = register(self.cloud, cloud, "icp", target=self.target)
         except (InputError, RegistrationError) as error:
             return record_error(error)
-        if self.region is None or self.region.contains(found.T_reference_candidate.apply(cloud.points)).any():
+        if self.region is None or self.region.contains(registration.T_reference_candidate.apply(cloud.points)).any():
             return None
         return f"the region {self.region.describe()} holds none of its {len(cloud):,} points"
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import PurePath
 
-from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Figure, Link, Links, Paragraph
+from pcbench.report.article import Article, ArticleSection, Block, Bullets, DataTable, Link, Links, Paragraph
 from pcbench.report.html import PAGE
+from pcbench.studies.frame.pages import drawn_pictures
 from pcbench.studies.gao.results import GaoStudy
 from pcbench.studies.gao.sentences import answer, warnings
 from pcbench.studies.gao.table import (
@@ -47,11 +49,7 @@ def article(
         reports: folders of the reports of each scene against each reference.
     """
     unit = study.unit or "unit"
-    drawn = {PurePath(file).stem: file for file in figures}
-
-    def pictures(name: str) -> list[Block]:
-        return [Figure(drawn[name], _CAPTIONS[name])] if name in drawn else []
-
+    pictures = partial(drawn_pictures, figures, _CAPTIONS)
     measures: list[Block] = [
         *pictures("directions"),
         DataTable("Measures of each cloud against both references", list(measures_table(study)), 2),

@@ -8,7 +8,10 @@ from pathlib import Path
 from pcbench.deformation import Deformation
 from pcbench.measure.presets import Gao2025
 from pcbench.report.markup import csv_text as csv_of
+from pcbench.report.words import UNKNOWN, length
+from pcbench.studies.frame.tables import mebibytes
 from pcbench.studies.gao.results import (
+    CameraErrors,
     CloudResult,
     GaoStudy,
     InjectedDeformation,
@@ -19,7 +22,6 @@ from pcbench.studies.gao.results import (
 from pcbench.studies.views.scores import ViewStudy
 from pcbench.studies.views.table import table as views_table
 
-_DASH = "–"
 _MEASURES = ("D1 c→r", "D1 r→c", "D2", "D2 mesh", "Hausdorff", "Chamfer")
 LEGEND = (
     "D1 and Chamfer: mean squares [{unit}²], c→r as in the paper, r→c in the opposite direction; D2: to tangent planes;"
@@ -69,7 +71,8 @@ def cost_table(study: GaoStudy) -> Iterator[list[str]]:
             elif len(scene.positions) < scene.images:  # solved cameras without given ones to compare with
                 images = f"{len(scene.positions)}/{images}"
             points = f"{cloud.points:,}" if cloud.points is not None else "failed"
-            yield [cloud.name, points, seconds_text(cloud), _memory(cloud), images]
+            memory = UNKNOWN if cloud.memory_bytes is None else f"{mebibytes(cloud.memory_bytes)} MiB"
+            yield [cloud.name, points, seconds_text(cloud), memory, images]
 
 
 def injection_table(study: GaoStudy) -> Iterator[list[str]]:
@@ -81,19 +84,19 @@ def injection_table(study: GaoStudy) -> Iterator[list[str]]:
             yield from _scene_row(scene, study, len(head))
         for each in scene.injected:
             cells = [_injected_cell(each, name) for name in names]
-            yield [each.cloud, format_number(each.rms), *cells, each.attributed or _DASH]
+            yield [each.cloud, format_number(each.rms), *cells, each.attributed or UNKNOWN]
 
 
 def _injected_cell(each: InjectedDeformation, name: str) -> str:
     size = each.sizes.get(name)
-    label = each.verdicts.get(name, _DASH)
+    label = each.verdicts.get(name, UNKNOWN)
     return label if size is None else f"{label} {format_number(size)}"
 
 
 def seconds_text(cloud: CloudResult) -> str:
     """Return the seconds of a cloud's process: `+` adds to those of the training before it, `≥` marks a resumed one."""
     if cloud.seconds is None:
-        return _DASH
+        return UNKNOWN
     return ("≥ " if cloud.resumed else "+ " if cloud.extra else "") + f"{cloud.seconds:.0f}"
 
 
@@ -137,6 +140,26 @@ def csv_text(study: GaoStudy) -> str:
     return csv_of([*head, *fields, "d1_floor", *bend, "failure"], rows)
 
 
+def _camera_errors(errors: CameraErrors, scene: SceneResult) -> str:
+    """Return the errors of solved cameras, and the deformation that they cause, as text."""
+    # Without a truth, the scene's cameras may be as wrong as the solved ones.
+    what = "position errors of solved cameras" if scene.has_truth else "distances of solved cameras from the scene's"
+    text = (
+        f"{what}: {length(errors.median, scene.unit)} (median),"
+        f" {length(errors.largest, scene.unit)} (largest); focal length {errors.focal_ratio:.4f} times the scene's"
+    )
+    cameras = "the cameras"
+    if errors.astray:
+        cameras = "the other cameras"
+        text += f"; {errors.astray} of {errors.solved} {'is an outlier' if errors.astray == 1 else 'are outliers'}"
+    if (surface := errors.surface) is not None:
+        text += (
+            f"; alone, {cameras} deform the surface of all clouds by {length(surface.moved, scene.unit)} RMS beyond a"
+            f" rigid motion, and by {length(surface.bent, scene.unit)} RMS beyond an affine one"
+        )
+    return text
+
+
 def _find_evaluation(cloud: CloudResult, reference: str) -> ReferenceEvaluation | None:
     return next((of for of in cloud.against if of.reference == reference), None)
 
@@ -156,14 +179,14 @@ def _measure_cells(of: ReferenceEvaluation) -> list[str]:
         return ["failed", *[""] * len(_MEASURES), "", ""]
     m, bend = of.measures, of.deformation
     values = (m.d1_mse, of.r2c_mse, m.d2_mse, m.d2_poisson_mse, m.hausdorff, m.chamfer)
-    size = _DASH if bend is None or bend.amplitude is None else _size_text(bend)
-    return [f"{of.points or 0:,}", *map(format_number, values), _DASH if bend is None else bend.label, size]
+    size = UNKNOWN if bend is None or bend.amplitude is None else _size_text(bend)
+    return [f"{of.points or 0:,}", *map(format_number, values), UNKNOWN if bend is None else bend.label, size]
 
 
 def format_number(value: float | None) -> str:
     """Format a number with three digits, without an exponent if that is as short."""
     if value is None:
-        return _DASH
+        return UNKNOWN
     return f"{value:.3g}" if not 0 < abs(value) < 1e-3 else f"{value:.1e}".replace("e-0", "e-")
 
 
@@ -180,10 +203,6 @@ def _bend_values(bend: Deformation | None) -> Sequence[object]:
     return bend.label, bend.model, *size, bend.size_limit
 
 
-def _memory(cloud: CloudResult) -> str:
-    return _DASH if cloud.memory_bytes is None else f"{cloud.memory_bytes / 2**20:,.0f} MiB"
-
-
 def notes(study: GaoStudy) -> Iterator[str]:
     """Yield what was measured of each scene, notes of the reconstructors and doubts about registrations."""
     results = [of.deformation for scene in study.scenes for cloud in scene.clouds for of in cloud.against]
@@ -191,6 +210,8 @@ def notes(study: GaoStudy) -> Iterator[str]:
         yield "(?): verdict that holds if the pose is right; the registration is doubtful"
     for scene in study.scenes:
         yield f"{scene.name} ({Path(scene.path).name}): measured in {scene.region}"
+        if scene.cameras is not None:
+            yield f"{scene.name}: {_camera_errors(scene.cameras, scene)}"
         for cloud in scene.clouds:
             doubts = [f"against {of.reference}: {text}" for of in cloud.against for text in of.doubts]
             yield from (f"{scene.name} {cloud.name}: {note}" for note in (*cloud.notes, *doubts))

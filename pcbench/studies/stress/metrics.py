@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.comparison.run import compare
 from pcbench.extras import require
 from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.mesh import MeshIndex
-from pcbench.measure.comparison import compare
 from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
 from pcbench.studies.stress.scenes import StressPair

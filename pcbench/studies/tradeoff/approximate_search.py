@@ -1,4 +1,4 @@
-"""A comparison whose closest points are approximate: the pipeline of `pcbench.measure.comparison` with scipy's tree."""
+"""A comparison whose closest points are approximate: the steps of `pcbench.comparison` with scipy's tree."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.comparison.run import compare
 from pcbench.errors import InputError
 from pcbench.extras import LIBRARIES
 from pcbench.geometry.arrays import FloatArray
@@ -21,7 +22,6 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.sampling import median_spacing
 from pcbench.geometry.thinning import disk_radius_for, thin_at_random, thin_by_disks, voxel_side_for
 from pcbench.geometry.voxels import voxel_downsample
-from pcbench.measure.comparison import compare
 from pcbench.measure.results import Candidate
 from pcbench.measure.settings import Settings
 from pcbench.registration import IcpSettings, as_method, local_origin

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import PurePath
+from functools import partial
 
-from pcbench.report.article import Article, ArticleSection, Bullets, DataTable, Figure, Paragraph
+from pcbench.report.article import Article, ArticleSection, DataTable, Paragraph
+from pcbench.studies.frame.pages import drawn_pictures
 from pcbench.studies.tradeoff.results import Tradeoff
 from pcbench.studies.tradeoff.table import LEGEND, error_rows, table_rows
-from pcbench.studies.tradeoff.words import answer, bias_sentences, percent, verdict_sentences, warnings
+from pcbench.studies.tradeoff.words import percent, warnings
 
 _CAPTIONS = {
     "errors": "Error of each metric beside CPU seconds",
@@ -26,30 +27,20 @@ def article(study: Tradeoff, figures: Sequence[str] = ()) -> Article:
         f" {exact.cpu_s:.3g} CPU s. {study.settings.seeds} rounds with different seeds; intervals are 95 % prediction"
         f" intervals of one run.{threshold}"
     )
+    pictures = partial(drawn_pictures, figures, _CAPTIONS)
+    legend = Paragraph(f"{LEGEND[0].upper()}{LEGEND[1:]}.")
+    table = DataTable("Errors and costs of approximations", table_rows(study))
+    errors = DataTable("Errors of all metrics", error_rows(study))
     sections = [
-        ArticleSection(
-            "Error and cost",
-            [
-                *_picture("errors", figures),
-                DataTable("Errors and costs of approximations", table_rows(study)),
-                Paragraph(f"{LEGEND[0].upper()}{LEGEND[1:]}."),
-            ],
-        ),
-        ArticleSection("Bias of mean distances", [Bullets(list(bias_sentences(study))), *_picture("bias", figures)]),
-        ArticleSection("The verdict on deformation", [Bullets(list(verdict_sentences(study)))]),
-        ArticleSection(
-            "Errors of all metrics in %", [DataTable("Errors of all metrics", error_rows(study))], "all errors"
-        ),
+        ArticleSection("Error and cost", [*pictures("errors"), table, legend]),
+        ArticleSection("Bias of mean distances", list(pictures("bias"))),
+        ArticleSection("Errors of all metrics in %", [errors], "all errors"),
     ]
     return Article(
         kind="Trade-off between cost and accuracy",
         title=f"What cheaper comparisons cost, at a tolerance of {percent(study.settings.tolerance)}",
-        answer=list(answer(study)),
+        answer=study.sentences,
         warnings=list(warnings(study)),
         setup=[setup],
         sections=sections,
     )
-
-
-def _picture(name: str, figures: Sequence[str]) -> list[Figure]:
-    return [Figure(file, _CAPTIONS[name]) for file in figures if PurePath(file).stem == name]

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcbench import __version__
 from pcbench.errors import InputError, PcbenchError, record_error
+from pcbench.extras import package_version
 from pcbench.io.files import read_json_object
 from pcbench.measure.results import Candidate
 from pcbench.studies.frame.records import read_record, write_record
@@ -96,7 +96,7 @@ def _record_files(
     """Return the files of a round, that of the exact comparison first; none without a folder."""
     if records is None:
         return []
-    shared = {"pcbench": __version__, "clouds": pair.digest, "settings": pair.settings.plain(), "seed": seed}
+    shared = {"pcbench": package_version(), "clouds": pair.digest, "settings": pair.settings.plain(), "seed": seed}
     return [
         _RecordFile(
             records / f"{_file_stem(one.name or 'exact')}_{seed}.json",

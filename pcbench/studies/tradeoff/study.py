@@ -31,7 +31,7 @@ from pcbench.studies.tradeoff.page import article
 from pcbench.studies.tradeoff.results import KIND, Tradeoff, TradeoffSettings
 from pcbench.studies.tradeoff.runs import check_pair, run_all
 from pcbench.studies.tradeoff.table import tradeoff_csv, tradeoff_table
-from pcbench.studies.tradeoff.words import sentences
+from pcbench.studies.tradeoff.words import answer
 
 CSV, TABLE, RECORDS = "tradeoff.csv", "tradeoff.txt", "runs"
 _THRESHOLD_SPACINGS = 2.0  # threshold of the F-score over the spacing of the reference, the second default of `compare`
@@ -80,7 +80,7 @@ def run_tradeoff(
         exact = exact_answer(pair, runs)
         found = tuple(rows(approximations, runs, exact))
         study = Tradeoff(settings, exact, found, tuple(skipped), provenance=provenance(settings.seed))
-        study = replace(study, sentences=sentences(study))
+        study = replace(study, sentences=tuple(answer(study)))
         if out is None:
             return StudyOutcome(study)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pcbench.report.markup import csv_text
 from pcbench.report.words import UNKNOWN, number
-from pcbench.studies.frame.tables import text_table
+from pcbench.studies.frame.tables import mebibytes, text_table
 from pcbench.studies.tradeoff.errors import group_front
 from pcbench.studies.tradeoff.metrics import GROUPS, MEANS, NAMES
 from pcbench.studies.tradeoff.results import ErrorEstimate, Tradeoff, TradeoffRow
@@ -17,7 +17,6 @@ LEGEND = (
     " verdict: runs with the exact one; CPU: relative to the exact comparison; MiB: largest peak beyond the loaded"
     " clouds"
 )
-_MIB = 1 << 20
 _LEAST_SHOWN = 1e-4
 
 
@@ -33,7 +32,7 @@ def table_rows(study: Tradeoff) -> list[list[str]]:
     """Return header and rows of the errors by group, the exact comparison first."""
     header = ["", "CPU s", "CPU", "MiB", "means", "corrected", *GROUPS[1:], "verdict"]
     exact = study.exact
-    first = ["exact", f"{exact.cpu_s:.3g}", "1", _mib(exact.memory_bytes), *["0"] * 2, *["0"] * 4, exact.verdict]
+    first = ["exact", f"{exact.cpu_s:.3g}", "1", mebibytes(exact.memory_bytes), *["0"] * 2, *["0"] * 4, exact.verdict]
     fronts = {group: {row.name for row in group_front(study.rows, group)} for group in GROUPS}
     return [header, first, *(_line(row, fronts) for row in study.rows)]
 
@@ -44,12 +43,8 @@ def _line(row: TradeoffRow, fronts: dict[str, set[str]]) -> list[str]:
     cells = [_percent(row.group_bound(group)) + "*" * (row.name in fronts[group]) for group in GROUPS]
     corrected = _percent(row.group_bound(MEANS, corrected=True)) if row.corrected else ""
     share = row.same_verdict
-    costs = [row.name, f"{row.cpu_s:.3g}", f"{row.cpu_ratio:.2f}", _mib(row.memory_bytes)]
+    costs = [row.name, f"{row.cpu_s:.3g}", f"{row.cpu_ratio:.2f}", mebibytes(row.memory_bytes)]
     return [*costs, cells[0], corrected, *cells[1:], f"{share.kept}/{share.total}"]
-
-
-def _mib(size: int | None) -> str:
-    return UNKNOWN if size is None else f"{size / _MIB:.0f}"
 
 
 def _percent(share: float | None) -> str:

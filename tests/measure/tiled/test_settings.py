@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from pcbench import Cloud, write_cloud
+from pcbench.comparison.plan import choose_tiles
+from pcbench.comparison.request import Request, TilingChoice
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled.settings import TilingSettings, parse_bytes
-from pcbench.report.on_disk import TilingChoice, choose_tiles
 
 
 def test_tiles_and_pieces_follow_the_memory():
@@ -20,12 +21,12 @@ def test_a_budget_that_is_too_small_is_said_once_with_the_least_that_works(tmp_p
     path, notices = tmp_path / "a.ply", []
     write_cloud(path, Cloud(np.random.default_rng(0).random((1000, 3))))
     tiling = TilingSettings(memory=parse_bytes(memory), workers=1)
-    choose_tiles(path, {"a": path}, Settings(), TilingChoice(tiling), notices.append)
+    choose_tiles(Request.of(path, path, Settings(), tiles=TilingChoice(tiling)), notices.append)
     assert len(notices) == (0 if is_enough else 1)
     for text in notices:
         least = text.partition("use --memory ")[2]
         raised = TilingSettings(memory=parse_bytes(least), workers=1)
-        choose_tiles(path, {"a": path}, Settings(), TilingChoice(raised), pytest.fail)
+        choose_tiles(Request.of(path, path, Settings(), tiles=TilingChoice(raised)), pytest.fail)
 
 
 @pytest.mark.parametrize(

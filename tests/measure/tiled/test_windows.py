@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from data_folder import data_folder
 from tiled_clouds import in_this_process, stored_runs
+from tiled_pairs import compare_on_disk
 
+from pcbench import compare
 from pcbench.errors import RegistrationError
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.transform import Similarity
 from pcbench.io import read_cloud, write_cloud
-from pcbench.measure.comparison import compare
 from pcbench.measure.results import CANDIDATE_TO_REFERENCE, REFERENCE_TO_CANDIDATE
 from pcbench.measure.settings import Settings
 from pcbench.measure.tiled import windows
 from pcbench.measure.tiled.alignment import UNREPRESENTATIVE_SAMPLE
-from pcbench.measure.tiled.compare import compare_on_disk
 from pcbench.measure.tiled.settings import TilingSettings
 from pcbench.scenes.synthetic import demo
 

@@ -139,7 +139,7 @@ def test_a_note_says_that_transparent_photographs_lie_over_black(monkeypatch, ph
 def test_too_little_memory_is_refused(train, monkeypatch):
     """Before the grid is allocated."""
     monkeypatch.setattr(plugin.VoxelField, "dense", lambda *_: pytest.fail("a grid was allocated"))
-    with check_error(masked=True):
+    with check_error():
         train(memory=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Scoring of dense clouds and maps in tests/bench/mvs_city.py, on clouds and maps with known errors."""
+"""Scoring of dense clouds and maps in benchmarks/mvs_city.py, on clouds and maps with known errors."""
 
 from types import SimpleNamespace
 
@@ -99,7 +99,7 @@ def test_score_maps(tmp_path):
 
 
 def test_seeds_are_summarised_by_median_and_range(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     from mvs_city import SeedResult, describe_seeds, parse_seeds
 
     assert parse_seeds("5,101-103") == [5, 101, 102, 103]
@@ -112,7 +112,7 @@ def test_seeds_are_summarised_by_median_and_range(monkeypatch):
 
 
 def test_tables_are_merged_side_by_side(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     from mvs_reference import side_by_side
 
     head = "a line\n\n      sparse\n   c→r   r→c\n"
@@ -135,7 +135,7 @@ def test_tables_are_merged_side_by_side(monkeypatch):
 def test_city_depths_are_right(name, tmp_path, monkeypatch, renderer):
     """With texture, without texture, over water, and with moving objects that differ between photographs."""
     import_or_skip("pycolmap")
-    monkeypatch.syspath_prepend(ROOT / "tests" / "bench")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     from mvs_city import LAKES, LAKES_SEED, make_city, reconstruct, score_workspace
 
     seed = LAKES_SEED if name in LAKES else 11

@@ -6,7 +6,7 @@ from data_folder import data_folder
 from stereo_cases import PAIRS, Pair, match_pair, point_errors, read_pair, score_pair
 from textured_planes import plane_scene
 
-MIN_WITHIN_TWO_PX = {"Art": 0.58, "Books": 0.72, "Laundry": 0.62}  # tests/bench/stereo_pairs.py: 0.597, 0.741, 0.644
+MIN_WITHIN_TWO_PX = {"Art": 0.58, "Books": 0.72, "Laundry": 0.62}  # benchmarks/stereo_pairs.py: 0.597, 0.741, 0.644
 MAX_WRONG = 0.13
 
 

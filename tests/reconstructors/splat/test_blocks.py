@@ -191,7 +191,7 @@ def test_a_killed_run_resumes_with_the_next_block(train, tmp_path, monkeypatch):
 
 
 def test_too_many_photographs_for_any_block_are_refused(train):
-    with check_error(masked=True):
+    with check_error():
         train(memory=1e-4)
 
 

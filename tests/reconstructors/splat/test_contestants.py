@@ -1,4 +1,4 @@
-"""The contestants of tests/bench/splat_raster.py compute equivalent training steps."""
+"""The contestants of benchmarks/splat_raster.py compute equivalent training steps."""
 
 import re
 import subprocess
@@ -89,7 +89,7 @@ def test_contributors_are_counted_at_each_pixel():
 
 @pytest.mark.long
 def test_the_bench_prints_a_row_for_each_contestant():
-    command = [sys.executable, ROOT / "tests/bench/splat_raster.py"]
+    command = [sys.executable, ROOT / "benchmarks/splat_raster.py"]
     options = ["--sizes", "48x32", "--counts", "300", "--threads", "1", "--runs", "1"]
     output = subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout
     assert re.search(
@@ -115,6 +115,6 @@ BENCHES = {  # options for a short run, pattern of a row, and number of rows
 @pytest.mark.parametrize("bench", BENCHES)
 def test_the_benches_of_training_print_their_rows(renderer, tmp_path, bench):
     options, row, count = BENCHES[bench]
-    command = [sys.executable, ROOT / "tests" / "bench" / f"{bench}.py", "--images=32", "--size=160x96"]
+    command = [sys.executable, ROOT / "benchmarks" / f"{bench}.py", "--images=32", "--size=160x96"]
     process = subprocess.run([*command, "--folder", tmp_path, *options], check=True, capture_output=True, text=True)
     assert len(re.findall(f"^{row}$", process.stdout, re.M)) == count, process.stdout

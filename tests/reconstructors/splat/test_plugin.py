@@ -71,7 +71,7 @@ def test_a_checkpoint_of_other_photographs_is_not_resumed(train, monkeypatch):
 
 
 def test_too_little_memory_is_refused(train):
-    with check_error(masked=True):
+    with check_error():
         train(memory=1e-6)
 
 

@@ -187,12 +187,12 @@ def test_mesh_of_the_scene_is_used(bench_folder, in_process):
     from benches import RIG, run_bench
 
     from pcbench import write_cloud
-    from pcbench.scenes.synthetic.files import write_mesh_ply
+    from pcbench.io.ply import write_ply_mesh
     from pcbench.studies.bench.runs import BenchJob
 
     mesh = square_mesh(40.0)
     Path("photos/truth").mkdir()
-    write_mesh_ply(Path("photos/truth/mesh.ply"), mesh)
+    write_ply_mesh(Path("photos/truth/mesh.ply"), mesh)
     write_cloud("photos/truth/cloud.ply", mesh.sample(3000))
     write_cloud("made.ply", Cloud(mesh.sample(1000, seed=3).points))
     doc = run_bench(BenchJob(Path("photos"), Path("photos/truth/cloud.ply"), ["methods.py:Good"]))

@@ -27,15 +27,15 @@ def evaluate(folder):
 
 
 def fail_once(monkeypatch, error):
-    """Make `compare_files` fail once."""
-    compare, errors = evaluation.compare_files, [error]
+    """Make `run` fail once."""
+    compute, errors = evaluation.run, [error]
 
-    def compare_files(*arguments):
+    def run(*arguments):
         if errors:
             raise errors.pop()
-        return compare(*arguments)
+        return compute(*arguments)
 
-    monkeypatch.setattr(evaluation, "compare_files", compare_files)
+    monkeypatch.setattr(evaluation, "run", run)
 
 
 @pytest.mark.parametrize(
@@ -55,11 +55,11 @@ def test_temporary_failure_is_raised_and_retried(clouds, monkeypatch, error):
 def test_failure_of_a_cloud_is_saved(clouds, monkeypatch, error):
     calls = []
 
-    def compare_files(*_):
+    def run(*_):
         calls.append(1)
         raise error
 
-    monkeypatch.setattr(evaluation, "compare_files", compare_files)
+    monkeypatch.setattr(evaluation, "run", run)
     first = evaluate(clouds)
     assert first.clouds["candidate"].failure == str(error)
     assert (first.folder, first.counts) == (None, None)

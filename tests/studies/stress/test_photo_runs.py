@@ -13,8 +13,8 @@ from pcbench.geometry.cameras import Camera, Intrinsics, look_at
 from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.mesh import Mesh
 from pcbench.io import write_cloud
+from pcbench.io.ply import write_ply_mesh
 from pcbench.plugins.run import Description, Run
-from pcbench.scenes.synthetic.files import write_mesh_ply
 from pcbench.studies.stress.reconstructors import runs
 from pcbench.studies.stress.reconstructors import study as studies
 from pcbench.studies.stress.reconstructors.ladders import PHOTO_LADDERS, Photographs
@@ -80,7 +80,7 @@ def scene(tmp_path_factory):
     write_photographs(folder, Photographs(cameras, images))
     (folder / "truth").mkdir()
     corners = np.array([[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]])
-    write_mesh_ply(folder / "truth" / "mesh.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m"))
+    write_ply_mesh(folder / "truth" / "mesh.ply", Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), unit="m"))
     points = np.column_stack([rng.uniform(-50, 50, (5000, 2)), np.zeros(5000)])
     write_cloud(folder / "truth" / "cloud.ply", Cloud(points, unit="m"))
     return folder

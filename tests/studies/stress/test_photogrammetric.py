@@ -1,6 +1,6 @@
 """Ladders of measured noise: the errors have the quantiles and the correlation of clouds that were left out.
 
-`tests/bench/photogrammetric_noise.py` writes the statistics of these clouds.
+`benchmarks/photogrammetric_noise.py` writes the statistics of these clouds.
 """
 
 import json

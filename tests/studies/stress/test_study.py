@@ -124,7 +124,7 @@ def test_a_given_pair_is_stressed_about_the_pose_that_was_found(tmp_path):
 def test_a_pair_without_a_certain_pose_is_refused(tmp_path):
     _, clouds = moved_pair()
     other = Cloud(scene_pair("terrain", 0, 6000).points)
-    with check_error(InputError, masked=True):
+    with check_error(InputError):
         run_stress(tmp_path / "out", SETTINGS, GivenClouds(clouds.reference, other))
     assert not (tmp_path / "out").exists()
 

@@ -10,7 +10,7 @@ from pcbench.studies.tradeoff.metrics import DEFORMATION, EXTREMES, MEANS, NAMES
 from pcbench.studies.tradeoff.recommend import recommend, recommendations
 from pcbench.studies.tradeoff.results import ErrorEstimate, Exact, Share, Tradeoff, TradeoffRow, TradeoffSettings
 from pcbench.studies.tradeoff.table import tradeoff_table
-from pcbench.studies.tradeoff.words import answer, sentences, warnings
+from pcbench.studies.tradeoff.words import answer, warnings
 
 
 def row(name, cpu, error, *, extremes=None, corrected=None, same=5, family="random", worst=None):
@@ -66,7 +66,7 @@ def test_sentences_and_table():
         skipped=("decimation: the reference is no mesh",),
     )
     assert recommendations(some)[0].groups == (MEANS,)
-    check_text("\n".join((*answer(some), *sentences(some), *warnings(some), tradeoff_table(some))), masked=False)
+    check_text("\n".join((*answer(some), *warnings(some), tradeoff_table(some))), masked=False)
     check_text("\n".join(answer(study(row("c", 0.9, 0.1)))), masked=False)
     check_text("\n".join(answer(study(row("c", 0.9, 0.0)))), masked=False)
 

@@ -5,7 +5,7 @@ surfaces and beside edges. A block bootstrap keeps all of this: whole patches of
 surface, chosen at random among those of the same stratum (Künsch, "The jackknife and the bootstrap for general
 stationary observations", Annals of Statistics 17, 1989; for spatial data Lahiri, "Resampling Methods for Dependent
 Data", 2003, chapter 12). A stratum is level or steep, beside an edge or away from it.
-`tests/bench/photogrammetric_noise.py` measures the patches.
+`benchmarks/photogrammetric_noise.py` measures the patches.
 """
 
 from __future__ import annotations
