@@ -16,17 +16,13 @@ from pcbench.geometry.normals import Surface
 from pcbench.registration import register
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
-    GREEN,
-    ORANGE,
-    RED,
     RIGHT,
-    SUCCESS,
     UNNAMED,
     WRONG,
     Cell,
+    Group,
     Method,
     Outcome,
     PairSubject,
@@ -120,10 +116,6 @@ def _register_and_name(pair: StressPair) -> list[NamedChange]:
 CHANGE_METHODS = by_name(Method("changes", _register_and_name))
 
 
-def _ask(method: str, pair: StressPair, _: int) -> list[NamedChange]:
-    return CHANGE_METHODS[method].run(pair)
-
-
 def _judge(answer: Sequence[NamedChange], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
     """Compare the named changes with the one that was made."""
     true = pair.change
@@ -149,16 +141,16 @@ CHANGES = PairSubject(
     key="changes",
     cell=ChangeCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(UNNAMED, "not named", ORANGE, CONFIDENT),
-        Outcome(WRONG, "wrong with confidence", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(UNNAMED, "not named", Group.CONFIDENT),
+        Outcome(WRONG, "wrong with confidence", Group.CONFIDENT),
         *ENDS,
     ),
     legend=f"unnamed: no change is reported at its place; wrong: of another kind, or reported elsewhere; {COST_LEGEND}",
     success="rightly named changes [% of runs]",
     charts=("outcomes", "matrix", "severity"),
     methods=CHANGE_METHODS,
-    ask=_ask,
+    ask=lambda method, pair, _: CHANGE_METHODS[method].run(pair),
     judge=_judge,
     warm_up=_register_and_name,
     start=(1.0, 0.005),

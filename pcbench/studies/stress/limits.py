@@ -13,7 +13,7 @@ from pcbench.report.words import join_words
 from pcbench.studies.frame.rates import Rate
 from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import CONFIDENT, SAID_SO, SUCCESS, C, Cell, Subject
+from pcbench.studies.stress.subject import C, Cell, Group, Subject
 
 MIN_SAFE_SHARE = 0.9
 """Smallest share of successes at each level of a safe range."""
@@ -53,8 +53,8 @@ class Tally:
         """Return the share of the cells with any of these outcomes."""
         return Rate(sum(self.counts.get(outcome, 0) for outcome in outcomes), self.total)
 
-    def of_groups(self, subject: Subject[Any], *groups: str) -> Rate:
-        """Return the share of the cells whose outcomes are in groups, such as `SUCCESS`."""
+    def of_groups(self, subject: Subject[Any], *groups: Group) -> Rate:
+        """Return the share of the cells whose outcomes are in groups, such as `Group.SUCCESS`."""
         return self.rate(*subject.named(*groups))
 
 
@@ -176,12 +176,12 @@ def ladder_success(tally: Tally, ladder: LadderInfo, subject: Subject[Any]) -> R
 
     Cases may have no right result: then a method has to say so.
     """
-    return tally.of_groups(subject, SUCCESS, *([SAID_SO] if ladder.is_list else []))
+    return tally.of_groups(subject, Group.SUCCESS, *([Group.SAID_SO] if ladder.is_list else []))
 
 
 def is_safe(tally: Tally, subject: Subject[Any]) -> bool:
     """Return whether enough runs succeed and none is wrong with confidence."""
-    good, confident = tally.of_groups(subject, SUCCESS), tally.of_groups(subject, CONFIDENT)
+    good, confident = tally.of_groups(subject, Group.SUCCESS), tally.of_groups(subject, Group.CONFIDENT)
     return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
 
 

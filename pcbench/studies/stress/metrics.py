@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,17 +17,13 @@ from pcbench.measure.results import Estimate
 from pcbench.measure.settings import Settings
 from pcbench.studies.stress.scenes import StressPair
 from pcbench.studies.stress.subject import (
-    BLUE,
-    CONFIDENT,
     COST_LEGEND,
     ENDS,
-    GREEN,
-    RED,
     RIGHT,
     SAID,
     SILENT,
-    SUCCESS,
     Cell,
+    Group,
     Method,
     Outcome,
     PairSubject,
@@ -82,8 +78,7 @@ class MetricCell(Cell):
         return self.interval[0] <= self.exact <= self.interval[1]
 
 
-@dataclass(frozen=True)
-class MeasuredValue:
+class MeasuredValue(NamedTuple):
     """A metric from the candidate to the reference, in the clouds' unit, with floor and 95 % interval if there are."""
 
     value: float | None
@@ -164,10 +159,6 @@ METRIC_METHODS: dict[str, Method[Callable[[StressPair, int], dict[str, MeasuredV
 )
 
 
-def _ask(method: str, pair: StressPair, seed: int) -> dict[str, MeasuredValue]:
-    return METRIC_METHODS[method].run(pair, seed)
-
-
 def _judge(answer: Mapping[str, MeasuredValue], pair: StressPair, values: Mapping[str, Any]) -> RunResult:
     """Compare each metric with its exact value."""
     exact = exact_values(pair)
@@ -177,10 +168,8 @@ def _judge(answer: Mapping[str, MeasuredValue], pair: StressPair, values: Mappin
                 **values,
                 outcome=outcome_of(measured, exact[name]),
                 metric=name,
-                value=measured.value,
                 exact=exact[name],
-                floor=measured.floor,
-                interval=measured.interval,
+                **measured._asdict(),
             )
             for name, measured in answer.items()
         )
@@ -194,9 +183,9 @@ METRICS = PairSubject(
     key="metrics",
     cell=MetricCell,
     outcomes=(
-        Outcome(RIGHT, "right", GREEN, SUCCESS),
-        Outcome(SAID, "off, but explained by floor or interval", BLUE, SUCCESS),
-        Outcome(SILENT, "silently wrong", RED, CONFIDENT),
+        Outcome(RIGHT, "right", Group.SUCCESS),
+        Outcome(SAID, "off, but explained by floor or interval", Group.SUCCESS),
+        Outcome(SILENT, "silently wrong", Group.CONFIDENT),
         *ENDS,
     ),
     legend=f"said: wrong, but explained by the floor or the interval; silent: wrong and not explained; {COST_LEGEND}",
@@ -204,7 +193,7 @@ METRICS = PairSubject(
     charts=("outcomes", "matrix", "coverage", "severity"),
     row=lambda cell: f"{cell.method}, {cell.metric}",
     methods=METRIC_METHODS,
-    ask=_ask,
+    ask=lambda method, pair, seed: METRIC_METHODS[method].run(pair, seed),
     judge=_judge,
     warm_up=lambda pair: _ours(pair, 0),
     cells_of=lambda method: [{"method": method, "metric": name} for name in NAMES],

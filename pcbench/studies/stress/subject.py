@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from importlib.util import find_spec
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -29,11 +30,21 @@ DEGRADED = "degraded"  # a poor cloud without a warning
 CRASH = "crash"
 TIME_OUT = "time-out"
 
-# Groups of outcomes.
-SUCCESS, SAID_SO, CONFIDENT, ABORTED = "success", "said so", "wrong with confidence", "aborted"
-
-GREEN, PALE_GREEN, YELLOW, BLUE, ORANGE, RED = "#009e73", "#9fd9c4", "#f0e442", "#56b4e9", "#e69f00", "#d55e00"
-DARK_GREY, GREY = "#333333", "#999999"
+_GREEN, _BLUE, _RED, _BLACK = "#009e73", "#56b4e9", "#d55e00", "#333333"
+_COLORS = {
+    RIGHT: _GREEN,
+    FALSE_ALARM: "#9fd9c4",
+    REFUSED: "#f0e442",
+    SAID: _BLUE,
+    WITHHELD: _BLUE,
+    WARNED: _BLUE,
+    SILENT: _RED,
+    WRONG: _RED,
+    UNNAMED: "#e69f00",
+    DEGRADED: _RED,
+    CRASH: _BLACK,
+    TIME_OUT: "#999999",
+}
 
 # Scopes of a registration method.
 LOCAL = "local"  # starts from the given pose
@@ -42,23 +53,34 @@ GLOBAL = "global"  # needs no initial pose
 COST_LEGEND = "CPU s: median; MiB: largest peak beyond the loaded clouds"
 
 
-class Outcome(NamedTuple):
-    """A way in which a run can end.
+class Group(Enum):
+    """Groups of the outcomes of all subjects."""
 
-    Attributes:
-        name: name in cells and tables.
-        label: what it means, for charts.
-        color: colour in charts.
-        group: `SUCCESS`, `SAID_SO`, `CONFIDENT` or `ABORTED`.
-    """
+    SUCCESS = auto()
+    SAID_SO = auto()
+    CONFIDENT = auto()  # wrong without doubt
+    ABORTED = auto()
+
+
+class Outcome(NamedTuple):
+    """A way in which a run can end: its name in cells and tables, its meaning in charts, and its group."""
 
     name: str
     label: str
-    color: str
-    group: str
+    group: Group
+
+    @property
+    def color(self) -> str:
+        """Colour in charts."""
+        return _COLORS[self.name]
+
+    @property
+    def text_color(self) -> str:
+        """Colour of text on its colour."""
+        return "white" if self.color in (_GREEN, _RED, _BLACK) else "black"
 
 
-ENDS = (Outcome(CRASH, "crash", DARK_GREY, ABORTED), Outcome(TIME_OUT, "time-out", GREY, ABORTED))
+ENDS = (Outcome(CRASH, "crash", Group.ABORTED), Outcome(TIME_OUT, "time-out", Group.ABORTED))
 
 
 @dataclass(frozen=True)
@@ -175,7 +197,7 @@ class Subject(Generic[C]):
     charts: tuple[str, ...]
     row: Callable[[C], str] = lambda cell: cell.method
 
-    def named(self, *groups: str) -> tuple[str, ...]:
+    def named(self, *groups: Group) -> tuple[str, ...]:
         """Return the names of the outcomes of groups."""
         return tuple(outcome.name for outcome in self.outcomes if outcome.group in groups)
 

@@ -26,22 +26,19 @@ from pcbench.studies.stress.reconstructors.reconstruction import RECONSTRUCTION,
 from pcbench.studies.stress.registration import REGISTRATION, RegistrationCell
 from pcbench.studies.stress.results import StressStudy
 from pcbench.studies.stress.subject import (
-    ABORTED,
-    CONFIDENT,
     CRASH,
     GLOBAL,
     LOCAL,
     RIGHT,
     SAID,
-    SAID_SO,
     SILENT,
-    SUCCESS,
     TIME_OUT,
     UNNAMED,
     WITHHELD,
     WRONG,
     C,
     Cell,
+    Group,
     Subject,
 )
 from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHELD_ALTHOUGH_RIGHT
@@ -50,11 +47,6 @@ from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHE
 _HEADLINES = ("start-rotation", "start-offset", "overlap", "noise-gaussian", "background")
 _MAX_HEADLINES = 5
 _NOMINAL_COVERAGE = 0.95
-
-
-def sentences(study: StressStudy) -> tuple[str, ...]:
-    """Return all conclusions as sentences, those on registration first."""
-    return (*answer(study), *warnings(study))
 
 
 def answer(study: StressStudy) -> Iterator[str]:
@@ -138,7 +130,7 @@ def reconstruction_headlines(study: StressStudy) -> Iterator[str]:
         limits += [f"{row.name} {join_words(ranges)}"] if ranges else []
         perturbed = [cell for cell in row.cells if cell.ladder != UNPERTURBED]
         if known and perturbed:
-            silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(CONFIDENT))}")
+            silent.append(f"{row.name} in {_count_text(study, perturbed, *RECONSTRUCTION.named(Group.CONFIDENT))}")
     if info is not None and scores:
         yield f"F-score at {info.threshold:.3g} m on the unperturbed scene: {'; '.join(scores)}."
     if limits:
@@ -196,11 +188,11 @@ def _limit_sentence(study: StressStudy, row: StressRow[RegistrationCell]) -> Ite
 def _failure_words(beyond: Tally) -> str:
     """Return how registrations end beyond the safe levels."""
     parts = [
-        f"fails and says so in {percent(beyond.of_groups(REGISTRATION, SAID_SO).share)}",
-        f"is silently wrong in {beyond.of_groups(REGISTRATION, CONFIDENT).text}",
-        f"is right in {percent(beyond.of_groups(REGISTRATION, SUCCESS).share)}",
+        f"fails and says so in {percent(beyond.of_groups(REGISTRATION, Group.SAID_SO).share)}",
+        f"is silently wrong in {beyond.of_groups(REGISTRATION, Group.CONFIDENT).text}",
+        f"is right in {percent(beyond.of_groups(REGISTRATION, Group.SUCCESS).share)}",
     ]
-    aborted = beyond.of_groups(REGISTRATION, ABORTED)
+    aborted = beyond.of_groups(REGISTRATION, Group.ABORTED)
     if aborted.count:
         parts.append(f"crashes or runs out of time in {percent(aborted.share)}")
     return f"{join_words(parts)} of {pluralize(beyond.total, 'run')}"

@@ -13,7 +13,7 @@ from pcbench.studies.stress.limits import Tally
 from pcbench.studies.stress.metrics import MetricCell
 from pcbench.studies.stress.registration import PRESETS, REGISTRATION, RegistrationCell
 from pcbench.studies.stress.results import KIND, SilentFailure, StressSettings, StressStudy
-from pcbench.studies.stress.subject import CRASH, FALSE_ALARM, GLOBAL, LOCAL, RIGHT, SAID, SILENT, SUCCESS, WRONG
+from pcbench.studies.stress.subject import CRASH, FALSE_ALARM, GLOBAL, LOCAL, RIGHT, SAID, SILENT, WRONG, Group
 from pcbench.studies.stress.subjects import PAIR_SUBJECTS
 from pcbench.studies.stress.verdicts import VERDICTS, VerdictCell
 
@@ -84,7 +84,7 @@ def test_tally_counts_outcomes_and_costs():
     tally = Tally.of(cells)
     assert tally.counts == {RIGHT: 1, FALSE_ALARM: 1, SILENT: 1} and tally.total == 3
     assert (tally.cpu_s, tally.memory_bytes) == (2.0, 5)
-    assert tally.of_groups(REGISTRATION, SUCCESS) == Rate(2, 3) and tally.rate(SAID) == Rate(0, 3)
+    assert tally.of_groups(REGISTRATION, Group.SUCCESS) == Rate(2, 3) and tally.rate(SAID) == Rate(0, 3)
 
 
 def test_cells_know_their_criteria():
