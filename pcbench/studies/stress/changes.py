@@ -21,12 +21,12 @@ from pcbench.studies.stress.subject import (
     RIGHT,
     UNNAMED,
     WRONG,
-    Cell,
     Group,
-    Method,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -39,7 +39,7 @@ MIN_CHANGE_SIZE, MIN_CHANGE_POINTS = 10.0, 30
 
 
 @dataclass(frozen=True)
-class ChangeCell(Cell):
+class ChangeCell(StressCell):
     """Result of one search for changes.
 
     Attributes:
@@ -113,7 +113,7 @@ def _register_and_name(pair: StressPair) -> list[NamedChange]:
     return name_changes(pair.reference, registration.T_reference_candidate.apply(pair.candidate))
 
 
-CHANGE_METHODS = by_name(Method("changes", _register_and_name))
+CHANGE_METHODS = by_name(StressMethod("changes", _register_and_name))
 
 
 def _judge(answer: Sequence[NamedChange], pair: StressPair, values: Mapping[str, Any]) -> RunResult:

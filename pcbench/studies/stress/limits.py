@@ -13,7 +13,7 @@ from pcbench.report.words import join_words
 from pcbench.studies.frame.rates import Rate
 from pcbench.studies.stress.descriptions import LadderInfo, MethodInfo
 from pcbench.studies.stress.results import StressStudy
-from pcbench.studies.stress.subject import C, Cell, Group, Subject
+from pcbench.studies.stress.subject import C, Group, StressCell, Subject
 
 MIN_SAFE_SHARE = 0.9
 """Smallest share of successes at each level of a safe range."""
@@ -39,7 +39,7 @@ class Tally:
     memory_bytes: int | None
 
     @classmethod
-    def of(cls, cells: Iterable[Cell]) -> Tally:
+    def of(cls, cells: Iterable[StressCell]) -> Tally:
         """Count the outcomes of cells."""
         group = list(cells)
         counts: dict[str, int] = {}
@@ -185,13 +185,13 @@ def is_safe(tally: Tally, subject: Subject[Any]) -> bool:
     return tally.total > 0 and good.share >= MIN_SAFE_SHARE and confident.count == 0
 
 
-def coverage(cells: Iterable[Cell]) -> Rate:
+def coverage(cells: Iterable[StressCell]) -> Rate:
     """Return the share of intervals that contain the truth."""
     covers = [cell.covers for cell in cells if cell.covers is not None]
     return Rate(sum(covers), len(covers))
 
 
-def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeRange:
+def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[StressCell]) -> SafeRange:
     by_level = grouped(cells, lambda cell: cell.level)
     safe = 0
     for level in ladder.levels:
@@ -203,7 +203,7 @@ def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]
     return SafeRange(ladder, safe, Tally.of(within), Tally.of(beyond))
 
 
-def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Cell]) -> SafeStart:
+def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[StressCell]) -> SafeStart:
     by_place = grouped(cells, lambda cell: (cell.level, cell.second))
     safe = {place for place, group in by_place.items() if is_safe(Tally.of(group), subject)}
     best = (0, 0)
@@ -232,7 +232,7 @@ def limit_text(limit: SafeRange) -> str:
     return f"{way} {ladder.level_text(limit.level)} ({ladder.title}{rest})"
 
 
-def ladder_counts(study: StressStudy, cells: Iterable[Cell], outcome: str) -> str:
+def ladder_counts(study: StressStudy, cells: Iterable[StressCell], outcome: str) -> str:
     """Return the ladders where an outcome occurs, most frequent first, with counts; cases of a list by name."""
     counts: Counter[str] = Counter()
     for cell in cells:

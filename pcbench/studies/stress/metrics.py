@@ -22,12 +22,12 @@ from pcbench.studies.stress.subject import (
     RIGHT,
     SAID,
     SILENT,
-    Cell,
     Group,
-    Method,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -42,7 +42,7 @@ MAX_FLOOR_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class MetricCell(Cell):
+class MetricCell(StressCell):
     """Result of one metric.
 
     A value within 10 % of the exact one is right. Any other is said if the exact value lies in its interval, or below
@@ -152,10 +152,10 @@ def _value(estimate: Estimate, *, root: bool = False) -> MeasuredValue:
     return MeasuredValue(plain(estimate.value), plain(estimate.floor), interval)
 
 
-METRIC_METHODS: dict[str, Method[Callable[[StressPair, int], dict[str, MeasuredValue]]]] = by_name(
-    Method("pcbench", _ours),
-    Method("Open3D", _open3d, "open3d", ("open3d",)),
-    Method("point-cloud-utils", _point_cloud_utils, "point-cloud-utils", ("point_cloud_utils",)),
+METRIC_METHODS: dict[str, StressMethod[Callable[[StressPair, int], dict[str, MeasuredValue]]]] = by_name(
+    StressMethod("pcbench", _ours),
+    StressMethod("Open3D", _open3d, "open3d", ("open3d",)),
+    StressMethod("point-cloud-utils", _point_cloud_utils, "point-cloud-utils", ("point_cloud_utils",)),
 )
 
 

@@ -23,11 +23,11 @@ from pcbench.studies.stress.subject import (
     RIGHT,
     SAID,
     SILENT,
-    Cell,
     Group,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
 )
 
 _UNOBSERVABLE_CODES = {UNOBSERVABLE, WEAKLY_OBSERVABLE}
@@ -52,7 +52,7 @@ PRESETS = (Preset("indoor", 0.3, 15.0), Preset("outdoor", 2.0, 5.0), Preset("ETH
 
 
 @dataclass(frozen=True)
-class RegistrationCell(Cell):
+class RegistrationCell(StressCell):
     """Result of one registration.
 
     Attributes:

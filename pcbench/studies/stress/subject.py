@@ -1,4 +1,4 @@
-"""What the study asks of a run: the subject, its cells, its outcomes, and the methods that answer.
+"""Subjects of the study: the cells and outcomes of their runs, and the methods that answer.
 
 Registrations, metrics, verdicts and changes are subjects of pairs of clouds, reconstructions one of perturbed
 photographs. Each has a module with its cells, its judge and one object, over which tables, charts and words iterate.
@@ -84,7 +84,7 @@ ENDS = (Outcome(CRASH, "crash", Group.ABORTED), Outcome(TIME_OUT, "time-out", Gr
 
 
 @dataclass(frozen=True)
-class Cell:
+class StressCell:
     """One run, and what it cost; the cells of each subject add its result.
 
     Attributes:
@@ -124,12 +124,12 @@ class Cell:
         return None
 
 
-C = TypeVar("C", bound=Cell)
+C = TypeVar("C", bound=StressCell)
 F = TypeVar("F")  # type of the function of a method
 
 
 @dataclass(frozen=True)
-class Method(Generic[F]):
+class StressMethod(Generic[F]):
     """A method of the study.
 
     Attributes:
@@ -164,7 +164,7 @@ class Method(Generic[F]):
         return None
 
 
-def by_name(*methods: Method[F]) -> dict[str, Method[F]]:
+def by_name(*methods: StressMethod[F]) -> dict[str, StressMethod[F]]:
     """Return methods by their names."""
     return {method.name: method for method in methods}
 
@@ -206,7 +206,7 @@ class Subject(Generic[C]):
 class RunResult:
     """Cells of a run, and for a registration its pose as a 4x4 matrix."""
 
-    cells: tuple[Cell, ...]
+    cells: tuple[StressCell, ...]
     pose: list[list[float]] | None = None
 
 
@@ -217,7 +217,7 @@ class PairSubject(Subject[C]):
     Attributes:
         methods: methods by name, the one that is ours first.
         ask: function of the name of a method, a pair and a seed that returns the answer of the method.
-        judge: function of the answer, the pair and the values of `Cell` that compares the answer with the truth.
+        judge: function of the answer, the pair and the values of `StressCell` that compares the answer with the truth.
         warm_up: function of a pair that imports what our own methods import in functions.
         needs_scene: whether the truth is more than a pose, so that a given pair has none.
         start: start of ladders that set none, as an angle in degrees and an offset over the extent; None: the true
@@ -227,7 +227,7 @@ class PairSubject(Subject[C]):
         settle: function that returns all cells of a study with their final outcomes.
     """
 
-    methods: Mapping[str, Method[Any]]
+    methods: Mapping[str, StressMethod[Any]]
     ask: Callable[[str, StressPair, int], Any]
     judge: Callable[[Any, StressPair, Mapping[str, Any]], RunResult]
     warm_up: Callable[[StressPair], object]
@@ -237,7 +237,7 @@ class PairSubject(Subject[C]):
     cells_of: Callable[[str], Iterable[Mapping[str, str]]] = lambda method: [{"method": method}]
     settle: Callable[[Sequence[C]], Sequence[C]] = lambda cells: cells
 
-    def chosen(self, names: Sequence[str], *, quick: bool) -> list[Method[Any]]:
+    def chosen(self, names: Sequence[str], *, quick: bool) -> list[StressMethod[Any]]:
         """Return the methods with given names; without any names, all of them or those of the quick plan."""
         if not names:
             return [method for method in self.methods.values() if method.is_quick or not quick]

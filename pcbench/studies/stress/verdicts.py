@@ -24,12 +24,12 @@ from pcbench.studies.stress.subject import (
     RIGHT,
     WITHHELD,
     WRONG,
-    Cell,
     Group,
-    Method,
     Outcome,
     PairSubject,
     RunResult,
+    StressCell,
+    StressMethod,
     by_name,
 )
 
@@ -47,7 +47,7 @@ MIN_COUNTED_SIZE = 0.25
 
 
 @dataclass(frozen=True)
-class VerdictCell(Cell):
+class VerdictCell(StressCell):
     """Result of one verdict on a deformation.
 
     Attributes:
@@ -182,9 +182,9 @@ def _choice(found: Deformation, model: str) -> VerdictValues:
 
 
 VERDICT_METHODS = by_name(
-    Method(DEFORM, _ours),
-    Method(NAIVE_BIC, _by_bic, "naive"),
-    Method(NAIVE_TILES, _by_tiles, "naive"),
+    StressMethod(DEFORM, _ours),
+    StressMethod(NAIVE_BIC, _by_bic, "naive"),
+    StressMethod(NAIVE_TILES, _by_tiles, "naive"),
 )
 
 

@@ -37,8 +37,8 @@ from pcbench.studies.stress.subject import (
     WITHHELD,
     WRONG,
     C,
-    Cell,
     Group,
+    StressCell,
     Subject,
 )
 from pcbench.studies.stress.verdicts import FALSE_BEND, MISSED, VERDICTS, WITHHELD_ALTHOUGH_RIGHT
@@ -198,7 +198,7 @@ def _failure_words(beyond: Tally) -> str:
     return f"{join_words(parts)} of {pluralize(beyond.total, 'run')}"
 
 
-def _count_text(study: StressStudy, cells: Sequence[Cell], outcome: str) -> str:
+def _count_text(study: StressStudy, cells: Sequence[StressCell], outcome: str) -> str:
     """Return how many cells have an outcome, and under which ladders."""
     rate = Tally.of(cells).rate(outcome)
     places = ladder_counts(study, cells, outcome)
@@ -216,7 +216,7 @@ def _failure_sentence(name: str, *failures: tuple[str, Sequence[bool], str]) -> 
         yield f"{name} {'; it '.join(parts)}."
 
 
-def _coverage_sentence(name: str, cells: Iterable[Cell], truth: str) -> Iterator[str]:
+def _coverage_sentence(name: str, cells: Iterable[StressCell], truth: str) -> Iterator[str]:
     """Yield whether the intervals of cells contain the truth as often as they state."""
     covered = coverage(cells)
     if not covered.total:

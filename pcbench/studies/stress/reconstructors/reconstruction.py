@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pcbench.studies.stress.subject import DEGRADED, ENDS, REFUSED, RIGHT, WARNED, Cell, Group, Outcome, Subject
+from pcbench.studies.stress.subject import DEGRADED, ENDS, REFUSED, RIGHT, WARNED, Group, Outcome, StressCell, Subject
 
 UNPERTURBED = "unperturbed"
 
@@ -21,7 +21,7 @@ WARNING_PREFIX = "warning: "
 
 
 @dataclass(frozen=True)
-class ReconstructionCell(Cell):
+class ReconstructionCell(StressCell):
     """Result of one reconstruction; lengths are in metres.
 
     Attributes:
