@@ -97,14 +97,12 @@ class SafeRange:
     Attributes:
         ladder: the ladder.
         safe_levels: number of safe levels.
-        within: outcomes at the safe levels.
-        beyond: outcomes at the others.
+        beyond: cells of the other levels.
     """
 
     ladder: LadderInfo
     safe_levels: int
-    within: Tally
-    beyond: Tally
+    beyond: tuple[StressCell, ...]
 
     @property
     def level(self) -> float | None:
@@ -116,11 +114,6 @@ class SafeRange:
         """Return whether all levels are safe."""
         return self.safe_levels == len(self.ladder.levels)
 
-    @property
-    def share(self) -> float:
-        """Share of the levels that are safe."""
-        return self.safe_levels / len(self.ladder.levels)
-
 
 @dataclass(frozen=True)
 class SafeStart:
@@ -130,15 +123,11 @@ class SafeStart:
         ladder: the map.
         level: last safe level; None if the easiest corner is not safe.
         second: last safe second coordinate.
-        within: outcomes inside.
-        beyond: outcomes outside.
     """
 
     ladder: LadderInfo
     level: float | None
     second: float | None
-    within: Tally
-    beyond: Tally
 
 
 def stress_rows(study: StressStudy, subject: Subject[C]) -> list[StressRow[C]]:
@@ -198,9 +187,7 @@ def _safe_range(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Stres
         if not is_safe(Tally.of(by_level.get(level, ())), subject):
             break
         safe += 1
-    levels = ladder.levels[:safe]
-    within, beyond = ([c for c in cells if (c.level in levels) is inside] for inside in (True, False))
-    return SafeRange(ladder, safe, Tally.of(within), Tally.of(beyond))
+    return SafeRange(ladder, safe, tuple(cell for cell in cells if cell.level in ladder.levels[safe:]))
 
 
 def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[StressCell]) -> SafeStart:
@@ -215,11 +202,9 @@ def _safe_start(ladder: LadderInfo, subject: Subject[Any], cells: Sequence[Stres
         # Equal areas: the rectangle nearer to a square has the larger smaller side.
         best = max(best, (rows, width), key=lambda size: (size[0] * size[1], min(size)))
     rows, width = best
-    inner = {(level, second) for level in ladder.levels[:rows] for second in ladder.second_levels[:width]}
-    within, beyond = ([c for c in cells if ((c.level, c.second) in inner) is inside] for inside in (True, False))
-    last = ladder.levels[rows - 1] if inner else None
-    second = ladder.second_levels[width - 1] if inner else None
-    return SafeStart(ladder, last, second, Tally.of(within), Tally.of(beyond))
+    if not rows or not width:
+        return SafeStart(ladder, None, None)
+    return SafeStart(ladder, ladder.levels[rows - 1], ladder.second_levels[width - 1])
 
 
 def limit_text(limit: SafeRange) -> str:

@@ -63,11 +63,6 @@ class MetricCell(StressCell):
     interval: tuple[float, float] | None = None
 
     @property
-    def ratio(self) -> float | None:
-        """Value over exact value; None without a value."""
-        return None if self.value is None or not self.exact > 0 else self.value / self.exact
-
-    @property
     def covers(self) -> bool | None:
         """Return whether the interval contains the exact value; None without an interval.
 

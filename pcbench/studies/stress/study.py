@@ -27,7 +27,7 @@ from pcbench.studies.stress.charts import draw_charts
 from pcbench.studies.stress.descriptions import MethodInfo, MissingMethod, SceneInfo
 from pcbench.studies.stress.ladders import Ladder, selected
 from pcbench.studies.stress.page import article
-from pcbench.studies.stress.results import DOCUMENT, KIND, StressSettings, StressStudy
+from pcbench.studies.stress.results import DOCUMENT, KIND, RENDERED, StressSettings, StressStudy
 from pcbench.studies.stress.runs import RunSettings, run_all
 from pcbench.studies.stress.scenes import (
     GIVEN,
@@ -47,7 +47,6 @@ from pcbench.studies.stress.worst import save_worst
 from pcbench.tasks import Workers
 
 CSV, TABLE = "stress.csv", "stress.txt"
-RENDERED = "scenes"  # folder of the rendered scenes of a study of reconstructors
 _GIVEN_FILE = "given.npz"
 # What a study perturbs.
 SYNTHETIC_SCENES, GIVEN_PAIR, PHOTOGRAPHS = "the built-in scenes", "a pair of clouds", "photographs"

@@ -179,8 +179,7 @@ def _limit_sentence(study: StressStudy, row: StressRow[RegistrationCell]) -> Ite
     unsafe = [limit.ladder.title for limit in chosen if limit.level is None]
     parts = [f"safe {join_words(safe)}"] if safe else []
     parts += [f"not safe at any level of {join_words(unsafe)}"] if unsafe else []
-    levels = [(limit.ladder.name, level) for limit in chosen for level in limit.ladder.levels[limit.safe_levels :]]
-    beyond = Tally.of(cell for cell in row.cells if (cell.ladder, cell.level) in levels)
+    beyond = Tally.of(cell for limit in chosen for cell in limit.beyond)
     end = f"; {'beyond that' if safe else 'there'} it {_failure_words(beyond)}" if beyond.total else ""
     yield f"{row.name}: {', '.join(parts)}{end}."
 
