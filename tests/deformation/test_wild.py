@@ -81,9 +81,9 @@ def test_clouds_that_are_not_registered_get_no_verdict():
 def test_both_sizes_of_a_bend_are_correct():
     """The sizes of a dome over the ground and over the whole surface differ, because walls do not show it."""
     rng = np.random.default_rng(46)
-    candidate = add_dome(sample_city(40_000, rng), 0.1)
-    result = verdict(add_noise(sample_city(120_000, rng), rng), add_noise(candidate, rng))
-    surface_points, amplitude = sample_city(200_000, np.random.default_rng(47)), result.amplitude
+    candidate = add_dome(sample_city(20_000, rng), 0.1)
+    result = verdict(add_noise(sample_city(60_000, rng), rng), add_noise(candidate, rng))
+    surface_points, amplitude = sample_city(100_000, np.random.default_rng(47)), result.amplitude
     lift = (add_dome(surface_points, 0.1) - surface_points)[:, 2]
     # The city's normals: vertical on flat ground and roofs, horizontal on walls.
     normals = estimate_normals(Index(surface_points)).directions
@@ -172,7 +172,7 @@ def test_few_tiles_of_an_undeformed_street_scan_change():
     """Tiles of a scan have heavy tails: density, incidence and curvature vary from tile to tile."""
     scan = read_cloud(data_folder("small_gicp") / "target.ply", on_warning=lambda _: None)
     changed, tested = 0, 0
-    for seed in (100, 101, 102):
+    for seed in (100, 101):
         order = np.random.default_rng(seed).permutation(len(scan))
         local = deform(scan.select(order[::2]), scan.select(order[1::2]), "icp")[1].local
         changed, tested = changed + local.tiles_changed, tested + local.tiles_tested
