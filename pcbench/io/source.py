@@ -85,7 +85,7 @@ class Source:
             file = named / EPT
         tiles = status = None
         with errors_named(file):
-            if is_tiled(file) and not _stores_only_meshes(file):
+            if is_pattern(file) or (is_tiled(file) and not _stores_only_meshes(file)):
                 tiles = find_tiles(file, CLOUDS)
             else:
                 check_readable(file)
@@ -122,7 +122,7 @@ class Source:
     @property
     def is_mesh_only(self) -> bool:
         """Whether the file's format stores meshes but not clouds."""
-        return _stores_only_meshes(self.file)
+        return self.tiles is None and _stores_only_meshes(self.file)
 
     @property
     def point_files(self) -> tuple[Path, ...]:
