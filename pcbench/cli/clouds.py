@@ -41,7 +41,7 @@ def crop(cloud: Path, out: Path, crop: str, color_depth: int | None, quiet: bool
     from pcbench.geometry.region_text import region_file
     from pcbench.io import write_cloud
     from pcbench.io.crop import crop as crop_cloud
-    from pcbench.io.files import check_output
+    from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
 
@@ -95,13 +95,14 @@ def register(
     from pcbench.geometry.mesh_samples import sample_candidate
     from pcbench.geometry.transform import format_matrix
     from pcbench.io import write_cloud
-    from pcbench.io.files import atomic_write, check_output
+    from pcbench.io.outputs import check_output
     from pcbench.io.source import Source
     from pcbench.progress import ProgressPlan
     from pcbench.registration import parse_method
     from pcbench.registration import register as register_clouds
     from pcbench.report.document import registration_document
     from pcbench.report.inputs import InputFile
+    from pcbench.scratch import atomic_write
 
     output = JsonOutput(json_file)
     sources = Source.open(reference), Source.open(candidate, vertices=vertices)
@@ -220,8 +221,9 @@ def convert(
     from pcbench.geometry.reflections import reflection
     from pcbench.geometry.reprojection import convert_unit, project
     from pcbench.io import check_cloud_output, write_cloud
-    from pcbench.io.files import check_output, errors_named
+    from pcbench.io.files import errors_named
     from pcbench.io.las_records import NO_FILTERS, parse_filters
+    from pcbench.io.outputs import check_output
     from pcbench.io.polygons import left_out_surface
     from pcbench.io.source import Source
     from pcbench.measure.wording import pluralize

@@ -30,7 +30,7 @@ from pcbench.io.contents import (
     file_states,
     status_of,
 )
-from pcbench.io.files import Look, Warn, as_path, check_readable, errors_named, estimate_reading_seconds, finite_cloud
+from pcbench.io.files import Look, Warn, as_path, check_readable, errors_named, finite_cloud
 from pcbench.io.formats import CLOUDS, FILTERABLE_EXTENSIONS, MESHES, MeshFormat
 from pcbench.io.gltf import external_files
 from pcbench.io.las_records import NO_FILTERS, LasFilters
@@ -143,7 +143,7 @@ class Source:
     @property
     def reading_seconds(self) -> float:
         """Estimated seconds that reading takes, for progress bars."""
-        return sum(map(estimate_reading_seconds, self.content_files()))
+        return sum(_reading_seconds(file) for file in self.content_files() if file.is_file())
 
     def read(self, on_warning: Warn) -> Cloud | Mesh:
         """Read a mesh if the file holds one and its vertices are not wanted, otherwise a cloud.
@@ -302,3 +302,8 @@ class Source:
 def _stores_only_meshes(path: Path) -> bool:
     form = MESHES.get(path.suffix.lower())
     return form is not None and form.look is None
+
+
+def _reading_seconds(file: Path) -> float:
+    is_slow = file.suffix.lower() in (".laz", ".txt", ".xyz", ".csv", ".pts", ".asc")
+    return 0.02 + file.stat().st_size / (20e6 if is_slow else 200e6)

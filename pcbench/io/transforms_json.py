@@ -17,7 +17,8 @@ import numpy as np
 from pcbench.errors import InputError, reason_of
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write, read_json
+from pcbench.regular_files import read_json
+from pcbench.scratch import atomic_write
 
 Size = tuple[int, int]
 

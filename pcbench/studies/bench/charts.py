@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.io.files import read_json
+from pcbench.regular_files import read_json
 from pcbench.report.colors import SERIES
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture

@@ -7,10 +7,10 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from pcbench.io.files import atomic_write
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture
 from pcbench.report.plot.panels import drawing_style, save
+from pcbench.scratch import atomic_write
 
 FIGURES = "figures"  # folder of a study's pictures
 DPI = 110

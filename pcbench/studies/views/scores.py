@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.errors import InputError, Notice
-from pcbench.io.files import read_json
 from pcbench.io.json_values import to_json
 from pcbench.measure.images import ViewScores
 from pcbench.measure.perceptual import Perceptual
 from pcbench.progress import Step
+from pcbench.regular_files import read_json
 from pcbench.report.markup import csv_text
 from pcbench.scenes.views import RenderedView, RenderedViews, read_views
 
