@@ -5,12 +5,12 @@ from concurrent.futures import Future
 
 import numpy as np
 
+from pcbench.comparison import in_tiles
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
 from pcbench.io import write_cloud
 from pcbench.io.contents import FileState
 from pcbench.io.pieces import open_cloud
-from pcbench.measure.tiled import compare
 from pcbench.measure.tiled.lattice import Lattice
 from pcbench.measure.tiled.runs import CloudRuns, store_piece, tile_ranges
 from pcbench.measure.tiled.tiles import TiledCloud, make_tile
@@ -84,7 +84,7 @@ class ShuffledRunner:
 def in_this_process(monkeypatch, seed=0):
     """Let comparisons in tiles run their tasks in this process, in a random order."""
     runner = type("SeededRunner", (ShuffledRunner,), {"seed": seed})
-    monkeypatch.setattr(compare, "TaskRunner", runner)
+    monkeypatch.setattr(in_tiles, "TaskRunner", runner)
 
 
 class CallsHere:
