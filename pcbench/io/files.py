@@ -42,7 +42,7 @@ class Fields(TypedDict, total=False):
 
 
 class Look(NamedTuple):
-    """What a look at a file tells before it is read.
+    """Result of a look at a file, before it is read.
 
     Attributes:
         holds_mesh: whether it holds a mesh, and not only points.
