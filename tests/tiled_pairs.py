@@ -24,7 +24,7 @@ def numbers(candidate):
     return {
         (q.metric, q.direction, q.threshold, q.variant): (q.value, q.interval)
         for q in quantities(candidate)
-        if q.variant not in ("mpeg", "tnt") and q.section != "budget"
+        if q.variant not in ("mpeg", "tnt") and q.group != "budget"
     }
 
 
