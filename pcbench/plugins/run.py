@@ -304,5 +304,5 @@ def describe(plugin: str, time_limit_s: float = 60.0) -> Description:
 
 def absolute(plugin: str) -> str:
     """Return a spec with an absolute path, valid from any folder."""
-    left, colon, name = plugin.rpartition(":")
-    return f"{Path(left).absolute()}:{name}" if colon and left.endswith(".py") else plugin
+    file, colon, name = plugin.rpartition(":")
+    return f"{Path(file).absolute()}:{name}" if colon and file.endswith(".py") else plugin

@@ -41,8 +41,8 @@ def find_images(path: Path) -> tuple[Path, tuple[str, ...]]:
     """
     # Only a folder of images is searched recursively: a scene's folder also contains masks, depth maps and results.
     folders = [(path / name, list((path / name).rglob("*"))) for name in _IMAGE_FOLDERS if (path / name).is_dir()]
-    for folder, found in [*folders, (path, list(path.iterdir()))]:
-        files = [p.relative_to(folder) for p in found if not p.is_dir()]
+    for folder, entries in [*folders, (path, list(path.iterdir()))]:
+        files = [p.relative_to(folder) for p in entries if not p.is_dir()]
         visible = [p for p in files if not any(part.startswith(".") for part in p.parts)]
         unread = sorted(p.as_posix() for p in visible if p.suffix.lower() in _UNSUPPORTED_EXTENSIONS)
         if unread:

@@ -90,8 +90,8 @@ class Warp:
 
     def displacement(self, points: FloatArray) -> FloatArray:
         """Return the displacement (N, 3) of points (N, 3) before the similarity."""
-        at = (points - self.center) @ self.axes.T / self.lengths
-        field = self.amplitude * np.stack(_FIELDS[self.kind](*at.T), axis=1)
+        normalized = (points - self.center) @ self.axes.T / self.lengths
+        field = self.amplitude * np.stack(_FIELDS[self.kind](*normalized.T), axis=1)
         moved: FloatArray = field @ self.axes
         return moved
 

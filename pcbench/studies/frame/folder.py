@@ -52,14 +52,24 @@ class StudyKind(Generic[Study]):
             InputError: the document has another schema or is damaged.
             OSError: it cannot be read.
         """
-        path = folder / self.document
-        values = read_json(path)
-        if not isinstance(values, dict) or values.get("schema") != self.schema:
-            raise InputError(f"{path}: expected the schema {self.schema}")
+        values = self.read_values(folder)
         try:
             return from_json(self.results, values)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{path}: the file is damaged: {describe_damage(error)}: run the study again") from error
+            damage = describe_damage(error)
+            raise InputError(f"{folder / self.document}: the file is damaged: {damage}: run the study again") from error
+
+    def read_values(self, folder: Path) -> dict[str, Any]:
+        """Read the document of a folder as JSON values.
+
+        Raises:
+            InputError: it has another schema.
+            OSError: it cannot be read.
+        """
+        values = read_json(folder / self.document)
+        if not isinstance(values, dict) or values.get("schema") != self.schema:
+            raise InputError(f"{folder / self.document}: expected the schema {self.schema}")
+        return values
 
     def fits(self, folder: Path) -> bool:
         """Return whether a folder holds a study of this kind."""

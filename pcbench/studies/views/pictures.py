@@ -19,10 +19,10 @@ from pcbench.report.plot.panels import DPI, save
 from pcbench.report.words import join_words
 from pcbench.scenes.views import RenderedView, ViewImages
 from pcbench.studies.frame.folder import unique_name
-from pcbench.studies.views.scores import DOCUMENT, ScoredScene, ScoredView, read_scores
+from pcbench.studies.views.scores import KIND, ScoredScene, ScoredView
 
 # Draws the pictures of a folder with scores.json.
-PICTURES = Drawer(f"{__name__}:pictures", (DOCUMENT,))
+PICTURES = Drawer(f"{__name__}:pictures", (KIND.document,))
 
 # All sizes are in inches.
 _MAX_WIDTH, _MAX_HEIGHT = 4.4, 4.4  # of one picture
@@ -41,7 +41,7 @@ class _Row(NamedTuple):
 
 def pictures(folder: Path, look: Figures) -> dict[str, Picture]:
     """Return the pictures of a folder that `pcbench views` wrote: the worst, median and best view of each scene."""
-    study = read_scores(folder)
+    study = KIND.read(folder)
     return {name: _picture(scene, look) for name, scene in _scenes_by_file_name(study.scenes).items()}
 
 

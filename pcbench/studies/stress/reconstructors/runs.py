@@ -229,13 +229,12 @@ def _measured(
         return replace(cell, message=f"the cloud cannot be measured: {record_error(error)}")
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:  # degenerate clouds fail in many ways
         return replace(cell, message=f"the cloud cannot be measured: {type(error).__name__}: {record_error(error)}")
-    scores = values.threshold_scores[-1]
     return replace(
         cell,
-        fscore=scores.fscore if scores.fscore_visible is None else scores.fscore_visible,
-        precision=scores.precision,
-        recall=scores.recall if scores.recall_visible is None else scores.recall_visible,
-        threshold=scores.threshold,
+        fscore=values.fscore if values.fscore_visible is None else values.fscore_visible,
+        precision=values.precision,
+        recall=values.recall if values.recall_visible is None else values.recall_visible,
+        threshold=values.threshold,
         rms=float(np.sqrt(values.d1_c2r)),
         registration=values.registration,
     )
