@@ -19,7 +19,8 @@ from pcbench.geometry.arrays import FloatArray
 from pcbench.geometry.cameras import Camera, Intrinsics
 from pcbench.geometry.geodesy import Gps, enu_axes, enu_from_wgs84, radii_of_curvature
 from pcbench.geometry.transform import Similarity, fit_similarity
-from pcbench.io.files import errors_named, read_json
+from pcbench.io.files import errors_named
+from pcbench.regular_files import read_json
 
 # Hint for users who have Earth Studio's own project file.
 PROJECT_FILE_HINT = (

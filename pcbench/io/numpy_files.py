@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import InputError
 from pcbench.geometry.cloud import Cloud
-from pcbench.io.files import MAX_PADDING, Fields, Warn, atomic_write, check_end
+from pcbench.io.files import MAX_PADDING, Fields, Warn, check_end
 from pcbench.io.names import (
     COLORS,
     NORMALS,
@@ -32,6 +32,7 @@ from pcbench.io.names import (
     standard_names,
     stored_attributes,
 )
+from pcbench.scratch import atomic_write
 
 if TYPE_CHECKING:
     from zipfile import ZipFile, ZipInfo

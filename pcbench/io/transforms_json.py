@@ -17,7 +17,9 @@ import numpy as np
 from pcbench.errors import InputError
 from pcbench.geometry.cameras import Camera, Intrinsics, nearest_rotation
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write, errors_named, read_json
+from pcbench.io.files import errors_named
+from pcbench.regular_files import read_json
+from pcbench.scratch import atomic_write
 
 Size = tuple[int, int]
 

@@ -14,9 +14,8 @@ from typing import Any
 
 from pcbench.errors import ReconstructionError
 from pcbench.extras import installed_versions
-from pcbench.io.files import read_json
 from pcbench.plugins.code import code_digest
-from pcbench.regular_files import open_regular
+from pcbench.regular_files import open_regular, read_json
 from pcbench.scratch import attribute_errors_to
 
 _RECORD_FILE = "stage.json"

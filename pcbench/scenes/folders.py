@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pcbench.errors import InputError
 from pcbench.io.colmap_folders import find_model
-from pcbench.io.files import Warn, read_json
+from pcbench.io.files import Warn
 from pcbench.io.image_header import EXTENSIONS
-from pcbench.regular_files import has_entry, read_bytes
+from pcbench.regular_files import has_entry, read_bytes, read_json
 
 # In order of search: COLMAP and nerfstudio; NeRF's synthetic scenes; RGB-D data sets; Earth Studio.
 _IMAGE_FOLDERS = ("images", "train", "rgb", "footage")

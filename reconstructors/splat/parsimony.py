@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from reconstructors.splat.density import Density
 from reconstructors.splat.train import Snapshot, evaluate
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from pcbench.io.contents import digest
-from pcbench.io.files import atomic_write
 from pcbench.plugins.progress import progress
 from pcbench.progress import duration
+from pcbench.scratch import atomic_write
 from reconstructors.splat.model import Gaussians
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ def frame(measured: Cloud | None, clouds: Mapping[str, Cloud], cameras: ViewingC
 
 
 class Framing(NamedTuple):
-    """What the pictures of a scene have in common: the frame, the unit of lengths, and the appearance."""
+    """The frame, the unit of lengths and the appearance that the pictures of a scene have in common."""
 
     frame: Frame
     unit: str

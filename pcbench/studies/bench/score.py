@@ -19,13 +19,13 @@ from pcbench.geometry.neighbors import Index
 from pcbench.geometry.region_text import parse_region, region_file
 from pcbench.geometry.regions import Region
 from pcbench.geometry.transform import Similarity, format_matrix, robust_similarity
-from pcbench.io.files import atomic_write
 from pcbench.measure.metrics import harmonic_mean
 from pcbench.measure.settings import Settings
 from pcbench.plugins import Reconstruction
 from pcbench.registration import METHODS, Method, Registration, parse_method
 from pcbench.registration.result import UNOBSERVABLE, WEAKLY_OBSERVABLE
 from pcbench.report import document
+from pcbench.scratch import atomic_write
 from pcbench.studies.bench.results import Score, ThresholdScore
 from pcbench.studies.bench.truth import Truth
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from pcbench.extras import require
-from pcbench.io.files import atomic_write
 from pcbench.report.colors import ranges, robust_maximum
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Drawer, Picture
 from pcbench.report.plot.panels import save
+from pcbench.scratch import atomic_write
 from pcbench.studies.bend.results import KIND, BendStudy, SolutionResult, measured_bends
 from pcbench.studies.frame.canvas import GREY, blank_figure, draw_profile, open_frame, plain_log_ticks
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from pcbench.deformation import Trend
-from pcbench.io.files import atomic_write
 from pcbench.report.figures import Figures
 from pcbench.report.plot import Picture
 from pcbench.report.plot.panels import drawing_style, save
+from pcbench.scratch import atomic_write
 
 FIGURES = "figures"  # folder of a study's pictures
 DPI = 110

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pcbench.errors import InputError, describe_damage
-from pcbench.io.files import atomic_write, read_json, read_json_object
 from pcbench.io.json_values import from_json, json_values
-from pcbench.scratch import lock_output
+from pcbench.regular_files import read_json, read_json_object
+from pcbench.scratch import atomic_write, lock_output
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -12,11 +12,11 @@ from pcbench.geometry.crop import points_inside
 from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud, write_cloud
 from pcbench.io.colmap_model import write_colmap_model
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json, to_json
 from pcbench.plugins.run import ReconstructionJob, describe, run
 from pcbench.plugins.stages import stage, stage_key
 from pcbench.progress import Step
+from pcbench.regular_files import read_json
 from pcbench.scenes import Scene
 from pcbench.studies.gao.plan import SPARSE, SURFACE, CloudMethod, GaoJob, methods
 from pcbench.studies.gao.results import CAMERAS_FOLDER, CLOUD_FILE, CloudResult

@@ -20,9 +20,9 @@ from pcbench.geometry.cloud import Cloud
 from pcbench.geometry.region_text import as_region
 from pcbench.io import read_cloud
 from pcbench.io.contents import digest
-from pcbench.io.files import read_json
 from pcbench.io.json_values import from_json, to_json
 from pcbench.plugins.stages import stage
+from pcbench.regular_files import read_json
 from pcbench.studies.gao.plan import MVS
 from pcbench.studies.gao.results import InjectedDeformation
 

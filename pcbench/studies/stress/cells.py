@@ -18,7 +18,7 @@ import numpy as np
 from pcbench.deformation.parts import round_to_six_digits
 from pcbench.errors import MissingExtra
 from pcbench.geometry.transform import Similarity
-from pcbench.io.files import atomic_write
+from pcbench.scratch import atomic_write
 from pcbench.studies.stress.ladders import LADDERS, Ladder, displaced
 from pcbench.studies.stress.scenes import GIVEN, SCENES, SHAPES, WOODED, StressPair, degenerate_pair, scene_pair
 from pcbench.studies.stress.subject import CRASH, LOCAL, RunResult

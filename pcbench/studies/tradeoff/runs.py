@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from pcbench.errors import InputError, PcbenchError, record_error
 from pcbench.extras import package_version
-from pcbench.io.files import read_json_object
 from pcbench.measure.results import Candidate
+from pcbench.regular_files import read_json_object
 from pcbench.studies.frame.records import read_record, write_record
 from pcbench.studies.tradeoff.approximations import EXACT, Approximation, Pair
 from pcbench.studies.tradeoff.metrics import (
